@@ -46,7 +46,6 @@ encoder = "serial:///dev/ttyACM0"
 home_deg = [90.0, 30.0, 0.0, -70.0, 0.0, 80.0, 0.0]
 counts_per_rev = 8192
 encoder_sign = -1
-base_tilt_deg = [0.1, -0.2]
 """
 WORLD = """\
 transport = 0.012

@@ -11,7 +11,6 @@ from itertools import count
 import pytest
 from rich.text import Text
 
-from equipoise.artefacts import read_document
 from equipoise.cli.output import Output
 from equipoise.cli.terminal_operator import TerminalOperator
 from equipoise.control.ticks import OperatorMessage
@@ -20,7 +19,6 @@ from equipoise.logs.recorder import Recorder, push_event
 from equipoise.logs.writer import RunWriter
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.rig import plugins
-from tests.cli.damage import rebuilt
 from tests.logs.made_up import made_up, rig_conditions
 
 ESCAPES = "\x1b[2J\x1b]0;owned\x07\x9b31m\x7f\u202e"
@@ -112,20 +110,6 @@ def test_a_log(equipoise, twin_log, rig_log, verb):
             assert ran.json
 
 
-def test_a_policy_and_a_pendulum(equipoise, tmp_path, policy_file, pendulum_file):
-    body = read_document(policy_file)["body"]
-    assert "reward" in body["settings"]["learning"]
-    rebuilt(policy_file, lambda body: body["settings"]["learning"].update(reward=HOSTILE))
-    check(equipoise("evaluate", policy_file, "--force"), shown="")
-    rebuilt(pendulum_file, lambda body: body.update({HOSTILE: 1.0}))
-    check(equipoise("train", pendulum_file, "--force"))
-    (tmp_path / "key.json").write_text(json.dumps({HOSTILE: 1}))
-    check(equipoise("evaluate", "key.json", "--force"), shown="")
-    document = json.loads(policy_file.read_text()) | {"format": HOSTILE}
-    policy_file.write_text(json.dumps(document))
-    check(equipoise("evaluate", policy_file, "--force"), shown=r"evil\x1b[2J\x1b]0;owned\x07")
-
-
 def test_a_recording(equipoise, tmp_path):
     name = f"evil{ESCAPES}.csv"
     (tmp_path / name).write_text("time_s,theta_rad\n0,0\n1,1\n")
@@ -141,15 +125,6 @@ def test_settings_worlds_and_rigs(equipoise, tmp_path):
         ("rig", "doctor", "--rig", "bad.toml"),
     ):
         check(equipoise(*arguments), shown=r"evil\x1b[2J\x1b]0;owned\x07")
-
-
-def test_an_arm(equipoise, tmp_path):
-    # XML knows no C0 characters; what it knows may still reverse a line.
-    name = "evil\x9b31m\x7f\u202egnp.exe\u2028"
-    joint = f'<joint name="{name}" type="revolute"><parent link="a"/><child link="b"/></joint>'
-    text = f'<robot name="{name}"><link name="a"/><link name="b"/>{joint}</robot>'
-    (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
-    check(equipoise("train", "--arm", "arm.urdf"), shown=r"evil\x9b31m\x7f\u202egnp.exe")
 
 
 def test_a_robot_server(equipoise):
@@ -210,9 +185,12 @@ def test_code_of_a_guest(equipoise, guest, tmp_path, text, command, end):
     ],
 )
 def test_a_plugin_of_a_robot(equipoise, guest, monkeypatch, command, end):
-    for text in ("end()", "from equipoise.rig.plugins import *\nPLUGIN = RobotPlugin('', end)"):
-        entry = EntryPoint("own", f"{guest(text, end)}:PLUGIN", plugins.ROBOTS)
-        monkeypatch.setattr(plugins, "_registered", lambda _, entry=entry: {"own": entry})
+    for text in (
+        "end()",
+        "from equipoise.rig.plugins import *\nPLUGIN = RobotPlugin(end, end, end)",
+    ):
+        entry = EntryPoint("own", f"{guest(text, end)}:PLUGIN", "equipoise.robots")
+        monkeypatch.setattr(plugins, "entry_points", lambda group, entry=entry: [entry])
         ran = equipoise(*command.split())
         check(ran, shown="own")
         assert ran.code == 2

@@ -65,9 +65,7 @@ def bench(monkeypatch):
     bench = Bench()
     bench.motion = ByHand(0.8)
     monkeypatch.setattr("equipoise.rig.clocks.SystemClock", lambda: bench.clock)
-    monkeypatch.setattr(
-        "equipoise.robots.encoder.serial_port.open_serial", lambda uri: bench.open()
-    )
+    monkeypatch.setattr("equipoise.robots.encoder.plugin.open_serial", lambda uri: bench.open())
     return bench
 
 

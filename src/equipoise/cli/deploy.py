@@ -123,7 +123,8 @@ def _request(
     """
     from equipoise.control.bound_policy import BoundPolicy
     from equipoise.identification.actuator import identify_motion
-    from equipoise.rig.config import is_virtual, read_rig
+    from equipoise.rig.config import read_rig
+    from equipoise.rig.connection import world_of
     from equipoise.rig.run import RunRequest, require_survival
 
     if run.world != Run().world:
@@ -132,7 +133,7 @@ def _request(
     robot = rig.robot or described.robot
     if robot is None:
         raise InputError("the rig names no robot; give --robot")
-    encoder = rig.encoder if is_virtual(robot) else rig.encoder or described.encoder
+    encoder = rig.encoder if world_of(robot) else rig.encoder or described.encoder
     chosen = task.read(policy)
     if task.arm is None and isinstance(chosen, BoundPolicy):
         chosen = replace(chosen, arm=described.described_arm)

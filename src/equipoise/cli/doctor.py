@@ -16,8 +16,6 @@ class Measurement(Options):
 
     seconds: Annotated[float, Field(ge=0.05, le=3600.0)] = 5.0
     """Duration of each measurement [s]."""
-    load: bool = False
-    """Measure again while every core is kept busy."""
 
 
 @verb
@@ -27,34 +25,31 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
     Nothing moves. The robot's answers are timed at rest, and its server ends
     with that session. Exit code 1: not fit.
     """
-    from equipoise.rig.config import is_virtual, read_rig, restart_instruction
-    from equipoise.rig.doctor import examine
+    from equipoise.rig.checks import examine
+    from equipoise.rig.clocks import SystemClock
+    from equipoise.rig.config import read_rig
+    from equipoise.rig.connection import open_encoder, open_robot, restart_instruction, world_of
+    from equipoise.rig.findings import fitness
 
-    if rig.robot is not None and is_virtual(rig.robot):
-        raise InputError(f"{rig.robot} has no link to time; give kst://HOST:30001")
-    found = examine(
-        rig.robot,
-        rig.encoder,
+    robot, encoder = rig.robot, rig.encoder
+    if robot is not None and world_of(robot):
+        raise InputError(f"{robot} has no link to time; give kst://HOST:30001")
+    clock = SystemClock()
+    findings = examine(
+        None if robot is None else open_robot(robot, clock, tell=output.tell),
+        None if encoder is None else open_encoder(encoder, clock),
         None if rig.rig is None else read_rig(rig.rig),
         seconds=measurement.seconds,
-        load=measurement.load,
         logs=Path(),
         busy=output.busy,
-        tell=output.tell,
     )
-    spreads = {"deadlines": found.lateness, "with load": found.loaded, "robot": found.link}
-    spreads["encoder"] = None if found.encoder is None else found.encoder.age
+    verdict = fitness(findings)
     output.result(
-        verdict=found.verdict,
-        delays={
-            name: {"median_s": one.median, "p99_s": one.p99, "longest_s": one.most}
-            for name, one in spreads.items()
-            if one is not None
-        },
+        verdict=verdict,
         findings={
-            one.name: {"verdict": one.verdict, "found": one.found, "cure": one.cure}
-            for one in found.findings
+            one.name: {"status": one.status, "found": one.text, "remedy": one.remedy}
+            for one in findings
         },
-        restart=rig.robot and found.link and restart_instruction(rig.robot),
-        code=int(found.verdict == "not fit"),
+        restart=robot and restart_instruction(robot),
+        code=int(verdict == "not fit"),
     )

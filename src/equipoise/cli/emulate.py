@@ -18,8 +18,6 @@ from equipoise.cli.verb import Options, verb
 from equipoise.user_code import guest_code
 
 if TYPE_CHECKING:
-    from equipoise.model.pendulum import Pendulum, PendulumParameters
-    from equipoise.model.worlds import TwinSettings
     from equipoise.robots.emulation import Emulation
 
 HOST = "127.0.0.1"
@@ -61,7 +59,7 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     your screen: the operator presses the button when the arm rests at home and
     the pendulum hangs, and lifts the pendulum after the arm has moved there.
     """
-    from equipoise.model.worlds import read_world
+    from equipoise.model.worlds import pendulum_on, read_world
     from equipoise.rig import realtime
     from equipoise.rig.clocks import SystemClock
     from equipoise.robots.emulation import Emulation
@@ -75,18 +73,19 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     settings = read_world(emulated.world).settings
     emulation = Emulation(
         opt.read_arm(emulated.arm),
-        _true_pendulum(opt.read_pendulum(emulated.pendulum), settings, emulated.seed),
+        pendulum_on(opt.read_pendulum(emulated.pendulum), settings),
         settings,
         SystemClock(),
-        operator=emulated.operator,
+        clumsy=0.0 if emulated.operator else None,
         robot=emulated.robot,
         faults=emulated.inject,
-        link=emulated.encoder_link,
         seed=emulated.seed,
         say=say,
     )
     link = emulated.encoder_link
-    encoder = f"serial://{emulation.terminal if link is None else link.absolute()}"
+    if link is not None:
+        emulation.terminal.link(link)
+    encoder = f"serial://{emulation.terminal.path if link is None else link.absolute()}"
 
     def ready(number: int) -> None:
         # The emulated cabinet takes the first core: the loop of the run stays on the last one.
@@ -142,24 +141,6 @@ def _shown(output: Output, wanted: bool, emulation: "Emulation") -> "Generator[C
 
         output.tell(f"  console  {address}")
         yield show
-
-
-def _true_pendulum(
-    pendulum: "Pendulum", settings: "TwinSettings", seed: int
-) -> "PendulumParameters":
-    """Return the emulated pendulum: the identified one, varied as the world's numbers say."""
-    import numpy as np
-
-    from equipoise.model.worlds import pivot_friction
-    from equipoise.worlds.plant import scaled
-
-    inertia, friction = np.random.default_rng([seed, 2]).standard_normal(2).tolist()
-    own = scaled(
-        pendulum.parameters(),
-        1.0 + settings.inertia_sigma * inertia,
-        1.0 + settings.friction_sigma * friction,
-    )
-    return pivot_friction(pendulum, settings).on(own)
 
 
 def _typed() -> list[str]:

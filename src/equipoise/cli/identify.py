@@ -1,15 +1,14 @@
 """`equipoise identify`: identifies a pendulum from a swing, or an actuator from a run log."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Annotated
+
+from pydantic import Field
 
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output
 from equipoise.cli.verb import Options, verb
 from equipoise.errors import InputError
-
-if TYPE_CHECKING:
-    from equipoise.artefacts import Estimate
 
 
 class Model(Options):
@@ -17,13 +16,13 @@ class Model(Options):
 
     friction: str | None = None
     """viscous (the paper's, and the default), coulomb or quadratic."""
-    mass: float | None = None
+    mass: Annotated[float | None, Field(gt=0.0, le=1e3)] = None
     """Mass of everything that rotates [kg]."""
-    mass_uncertainty: float = 0.0
+    mass_uncertainty: Annotated[float, Field(ge=0.0, le=1e3)] = 0.0
     """Its standard deviation [kg]."""
-    length: float | None = None
+    length: Annotated[float | None, Field(gt=0.0, le=1e3)] = None
     """Distance from the axis to its centre of mass [m]."""
-    length_uncertainty: float = 0.0
+    length_uncertainty: Annotated[float, Field(ge=0.0, le=1e3)] = 0.0
     """Its standard deviation [m]."""
 
 
@@ -51,13 +50,16 @@ def identify(
 
     from equipoise.apps.report.figures import free_swing
     from equipoise.apps.style import save
+    from equipoise.artefacts import Estimate
     from equipoise.identification.recording import read_swing
     from equipoise.identification.swing import identify
 
     settings = changes.resolve(**{"identification.friction": model.friction})
-    mass = _estimate("--mass", model.mass, model.mass_uncertainty)
-    length = _estimate("--length", model.length, model.length_uncertainty)
-    if (mass is None) != (length is None):
+    mass = length = None
+    if model.mass is not None and model.length is not None:
+        mass = Estimate.normal(model.mass, model.mass_uncertainty, "given")
+        length = Estimate.normal(model.length, model.length_uncertainty, "given")
+    elif model.mass is not None or model.length is not None:
         raise InputError("I and b need both --mass and --length; give the other one too")
     recorded = read_swing(recording, **dict(swing))
     with output.busy(f"fitting {len(recorded.time):,} samples"):
@@ -72,16 +74,6 @@ def identify(
         figures=drawn,
         then="train PENDULUM",
     )
-
-
-def _estimate(name: str, value: float | None, deviation: float) -> "Estimate | None":
-    from equipoise.artefacts import Estimate
-
-    if value is None:
-        return None
-    if not (0.0 < value <= 1e3 and 0.0 <= deviation < value):
-        raise InputError(f"{name} is {value} +- {deviation}, expected from 0 to 1000, and less")
-    return Estimate.normal(value, deviation, "given")
 
 
 def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:

@@ -34,7 +34,7 @@ def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
 
     from equipoise.identification.recording import write_swing
     from equipoise.rig.clocks import SystemClock
-    from equipoise.rig.config import encoder_at
+    from equipoise.rig.connection import open_encoder
     from equipoise.robots.encoder.swing import SwingRecorder, record_swing
 
     prompted = ""
@@ -49,7 +49,7 @@ def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
         rename(f"{degrees(recorder.theta):+7.1f} deg, {recorder.elapsed:4.1f} s")
 
     clock = SystemClock()
-    sensor = encoder_at(recording.encoder, clock, counts_per_rev=recording.counts_per_rev)
+    sensor = open_encoder(recording.encoder, clock, counts_per_rev=recording.counts_per_rev)
     driver = guest_code(f"the driver of {recording.encoder}")
     with output.busy("connecting") as rename, driver, closing(sensor):
         sensor.connect()

@@ -1,6 +1,5 @@
 """`equipoise refine`: compares logs with the model of a policy, and trains on if it moved."""
 
-import functools
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -69,7 +68,20 @@ def refine(
     paths: dict[str, Any] = {part: out.with_name(out.stem + parts[part]) for part in made}
     for part, path in paths.items():
         made[part].save(path, command="refine", inputs=inputs)
-    output.result(**_fields(table, findings, refinement), **paths, then="evaluate POLICY")
+    tables = {} if refinement is None else {"old": refinement.old, "new": refinement.new}
+    output.result(
+        findings.fit,
+        **findings.response,
+        moved=[move.text for move in findings.moves] or ["nothing"],
+        tables={
+            name: {"survived": each.survived, "trials": each.trials, "score": each.score}
+            for name, each in tables.items()
+        },
+        kept=refinement and refinement.kept,
+        warnings=[*findings.fit.warnings, *findings.warnings],
+        **paths,
+        then="evaluate POLICY",
+    )
 
 
 def _retrain(
@@ -87,9 +99,6 @@ def _retrain(
         with compiling(show):
             compile_training(policy.arm, settings)
 
-        def trials(stage: str, done: int, of: int) -> None:
-            show(StageProgress(stage, done, of, "trials"))
-
         return study.retrain(
             policy,
             findings.pendulum,
@@ -97,33 +106,7 @@ def _retrain(
             episodes=episodes,
             seed=random.seed,
             workers=random.threads,
-            comparing=functools.partial(trials, "compare"),
-            testing=functools.partial(trials, "test"),
+            comparing=lambda done, of: show(StageProgress("compare", done, of)),
+            testing=lambda done, of: show(StageProgress("test", done, of)),
             observer=TrainingProgress(settings, show),
         )
-
-
-def _fields(
-    policy: "TabularPolicy", findings: "RefinementFindings", refinement: "Refinement | None"
-) -> dict[str, Any]:
-    from equipoise.identification.refine import numbers
-
-    fit, known, before = findings.fit, policy.pendulum, numbers(policy.actuator, policy.arm)
-    model: dict[str, Any] = {
-        name: {"now": getattr(fit, name), "was": getattr(known, name)}
-        for name in ("w2", "c", "coulomb")
-    }
-    for name, now in findings.response.items():
-        model[name] = {"now": now, "was": before[name]}
-    tables = {} if refinement is None else {"old": refinement.old, "new": refinement.new}
-    return {
-        "duration_s": fit.duration,
-        "model": model,
-        "moved": [move.text for move in findings.moves] or ["nothing"],
-        "tables": {
-            name: {"survived": each.survived, "trials": each.trials, "score": each.score}
-            for name, each in tables.items()
-        },
-        "kept": refinement and refinement.kept,
-        "warnings": list(findings.warnings),
-    }

@@ -1,6 +1,6 @@
 """The run of `equipoise deploy` on an emulated or a real rig."""
 
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from contextlib import ExitStack
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
@@ -36,12 +36,12 @@ def run_on_rig(output: Output, request: "RunRequest", out: Path, *, console: boo
         out: Path of the log.
         console: Whether the run is shown in the browser, too.
     """
-    from equipoise.rig.config import is_virtual
+    from equipoise.rig.connection import world_of
     from equipoise.rig.processes import run_in_processes
     from equipoise.rig.run import check_request, rehearse_t1, run_virtually
 
     check_request(request)
-    if console and is_virtual(request.robot):
+    if console and world_of(request.robot):
         raise InputError(
             f"--console shows a run in real time, and {request.robot} runs in virtual time; start "
             "equipoise rig emulate, and give the --robot and --encoder that it prints"
@@ -50,12 +50,17 @@ def run_on_rig(output: Output, request: "RunRequest", out: Path, *, console: boo
         with output.busy("testing the policy in T1 on the twin"):
             rehearse_t1(request)
     person = TerminalOperator(output)
-    if is_virtual(request.robot):
+    if world_of(request.robot):
         with signals() as stopped, guest_code(f"the driver of {request.robot}"):
             end = run_virtually(request, out, Spectator(person, stopped))
     else:
-        with _beside(output, console), single_keys():
-            end = run_in_processes(request, out, person)
+        with ExitStack() as stack:
+            if console:
+                from equipoise.apps.console.server import console_process
+
+                output.tell(f"  console  {stack.enter_context(console_process())}")
+            stack.enter_context(single_keys())
+            end = run_in_processes(request, out, person, person.live)
     actuator = None
     if end.identified is not None:
         actuator = out.with_name(out.stem + ACTUATOR)
@@ -71,19 +76,3 @@ def run_on_rig(output: Output, request: "RunRequest", out: Path, *, console: boo
         code=end.exit_code,
         then="log explain RUN",
     )
-
-
-def _beside(output: Output, wanted: bool) -> AbstractContextManager[object]:
-    """Run a console in a process of its own beside the run, if wanted.
-
-    Raises:
-        MissingExtraError: viser is not installed.
-        OutsideError: The console does not start.
-    """
-    if not wanted:
-        return nullcontext()
-    from equipoise.apps.console.server import console_process
-
-    stack = ExitStack()
-    output.tell(f"  console  {stack.enter_context(console_process())}")
-    return stack

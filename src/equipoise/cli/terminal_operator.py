@@ -116,13 +116,8 @@ class TerminalOperator:
             self._live = False
 
     def _finding(self, name: str, verdict: str, found: str, cure: str) -> None:
-        line = Text.assemble(
-            ("  ", ""),
-            (f"{verdict:<9}", VERDICT_STYLES.get(verdict, "")),
-            (f"{name:<20}", "dim"),
-            printable(found),
-        )
-        self._output.tell(line)
+        text = printable(f"  {verdict:<9}{name:<20}{found}")
+        self._output.tell(Text(text, style=VERDICT_STYLES.get(verdict, "")))
         if cure:
             self._output.tell(Text(f"{'':31}{printable(cure)}", style="dim"))
 

@@ -27,7 +27,7 @@ from equipoise.control.policy import (
     tick_policy,
 )
 from equipoise.control.ticks import OperatorMessage, TickHandler
-from equipoise.errors import EquipoiseError, InputError, LinkError
+from equipoise.errors import EquipoiseError, InputError, LinkError, OutsideError
 from equipoise.logs.conditions import RunConditions, RunEnd, named
 from equipoise.logs.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
 from equipoise.logs.writer import RunWriter
@@ -35,23 +35,23 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.worlds import PivotFriction, pivot_friction, read_world
 from equipoise.outcomes import End, Outcome
 from equipoise.printable import printable
-from equipoise.rig.checks.encoder import check_encoder, listen
-from equipoise.rig.checks.fit import (
+from equipoise.rig.checks import (
+    check_encoder,
     check_fit,
+    check_link,
     check_posture,
     check_speed,
     fitting_actuators,
     max_flange_speed,
 )
-from equipoise.rig.checks.host import check_realtime
-from equipoise.rig.checks.link import check_link, round_trips
-from equipoise.rig.checks.results import CheckResult, Spread, require
-from equipoise.rig.config import DrainingClock, Rig, RigSettings, check_addresses, connect, world_of
+from equipoise.rig.clocks import DrainingClock
+from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import Rig, check_addresses, connect, world_of
+from equipoise.rig.findings import Finding, require
 from equipoise.rig.guarded import GuardedRobot
-from equipoise.rig.interfaces import Clock
+from equipoise.rig.interfaces import Clock, Operator
 from equipoise.rig.loop import Executor, LoopResult, run_loop
-from equipoise.rig.operator import Operator
-from equipoise.rig.realtime import RealtimeSetting
+from equipoise.rig.probes import listen, round_trips
 from equipoise.rig.run_controller import (
     PHASES,
     POLICY_TIME_SHARE,
@@ -250,7 +250,7 @@ class RunRequest:
         """Return the rig.
 
         Args:
-            callbacks: `tell` and `attend` of `equipoise.rig.config.connect`.
+            callbacks: `tell` and `attend` of `equipoise.rig.connection.connect`.
 
         Raises:
             InputError: An address is invalid.
@@ -351,7 +351,7 @@ def run_on_rig(
     operators: Sequence[Operator],
     recorder: Recorder,
     *,
-    measures: Callable[[], Sequence[RealtimeSetting]] = tuple,
+    measures: Callable[[], Sequence[Finding]] = tuple,
     executor: Executor | None = None,
     idle: Callable[[], None] = lambda: None,
     wrap: Callable[[TickHandler], TickHandler] = lambda handler: handler,
@@ -391,9 +391,10 @@ def run_on_rig(
         robot.connect()
         results, max_speed = preflight(request, rig, measures())
         for result in results:
-            columns = (result.name, result.verdict, result.found, result.cure)
+            columns = (result.name, result.status, result.text, result.remedy)
             tell(OperatorMessage("finding", "\t".join(map(printable, columns))))
-        require(results)
+        require(check_fit(request.policy, request.actuator, request.settings))
+        require(results, OutsideError)
         if max_speed < inf:
             text = f"{max_speed!r} m/s: the run stops when the flange reaches this speed."
             tell(OperatorMessage(SPEED_LIMIT, text))
@@ -452,8 +453,8 @@ def run_on_rig(
 
 
 def preflight(
-    request: RunRequest, rig: Rig, measures: Sequence[RealtimeSetting] = ()
-) -> tuple[list[CheckResult], float]:
+    request: RunRequest, rig: Rig, measures: Sequence[Finding] = ()
+) -> tuple[list[Finding], float]:
     """Check a connected rig and a policy against each other; nothing moves.
 
     A bad result refuses the run; a warning goes into the log.
@@ -471,18 +472,18 @@ def preflight(
     """
     policy, settings = request.policy, request.settings
     draining = DrainingClock(rig.clock, rig.sensor)
-    trips = Spread.of(round_trips(rig.robot, draining, MEASURING_TIME))
+    trips = round_trips(rig.robot, draining, MEASURING_TIME)
     rule = rig.plugin.flange_speed
-    max_speed, reason = max_flange_speed(settings.described_arm, trips, request.t1, rule)
+    max_speed = max_flange_speed(settings.described_arm, trips, request.t1, rule)
     posture = check_posture(rig.robot.measured(), settings)
     reading = listen(rig.sensor, rig.clock, MEASURING_TIME)
     results = [
         *check_fit(policy, request.actuator, settings),
-        check_link(trips),
-        *check_speed(policy, max_speed, reason),
+        *check_link(trips),
+        *check_speed(policy, max_speed),
         posture,
-        *check_encoder(reading, settings.counts_per_rev),
-        *check_realtime(measures),
+        *check_encoder(reading, settings),
+        *measures,
     ]
     return results, max_speed
 
@@ -495,7 +496,7 @@ def check_request(request: RunRequest) -> None:
         SettingsError: The twin is unknown.
     """
     check_addresses(request.robot, request.encoder)
-    require(list(check_fit(request.policy, request.actuator, request.settings)))
+    require(check_fit(request.policy, request.actuator, request.settings))
 
 
 def describe_fit(policy: TaskPolicy, actuator: Actuator) -> str:
