@@ -53,6 +53,13 @@ def trainings() -> dict[str, str]:
     return found
 
 
+def ended(world: str, outcome: str) -> str:
+    """Return an outcome, the safety rules of a twin by one name."""
+    from equipoise.outcomes import SAFETY_RULES
+
+    return "guard" if world.startswith("twin") and outcome in SAFETY_RULES else str(outcome)
+
+
 def evaluations() -> dict[str, str]:
     """Trials of the shipped policy on plant and twins."""
     from equipoise.control.policy import shipped_policy
@@ -69,7 +76,7 @@ def evaluations() -> dict[str, str]:
                 *(
                     each
                     for one in (done.results, *done.baselines)
-                    for each in (one.survival, *one.causes)
+                    for each in (one.survival, *(ended(world, each) for each in one.outcomes))
                 )
             )
     return found

@@ -98,7 +98,7 @@ def main() -> None:
                     "seed": seed,
                     "survived": summary.survived,
                     "trials": summary.trials,
-                    "causes": summary.causes,
+                    "causes": summary.outcomes,
                     "learner": policy.learner,
                     "own_test": None if test is None else test.model_dump(mode="json"),
                     "train_s": round(trained),

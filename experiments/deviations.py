@@ -87,7 +87,7 @@ def main() -> None:
         summaries = [found for _, found in threads.completed(result, range(arguments.seeds))]
         survived = sum(s.survived for s in summaries)
         trials = sum(s.trials for s in summaries)
-        track = sum(s.causes.get("track", 0) for s in summaries)
+        track = sum(s.outcomes.get("track", 0) for s in summaries)
         low, high = exact_interval(survived, trials)
         rates = [s.rate for s in summaries]
         print(

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from equipoise.control.states import TRANSITIONS, Cause, Phase, RunEvent, RunState, step, stop
+from equipoise.control.states import TRANSITIONS, RunEvent, RunState, step, stop
+from equipoise.outcomes import End, Outcome, Phase
 
 WAY = [
     (RunEvent.ARRIVED, Phase.AT_HOME),
@@ -24,8 +25,8 @@ ALLOWED = {
     (Phase.EXCITING, RunEvent.PASSED, Phase.LIFTING),
     (Phase.ARMED, RunEvent.DENIED, Phase.LIFTING),
 }
-KEY = Cause("key", "a key was pressed")
-FROZEN = Cause("not following", "the arm stands still", from_measured=True)
+KEY = End(Outcome.OPERATOR)
+FROZEN = End(Outcome.NOT_FOLLOWING)
 
 
 def test_a_good_run_goes_its_way():
@@ -54,7 +55,7 @@ def test_every_phase_can_be_stopped(phase):
 
 
 def test_the_first_cause_stays():
-    state = stop(stop(RunState(Phase.BALANCING), KEY), FROZEN)
+    state = stop(stop(RunState(Phase.BALANCING), KEY), FROZEN, from_measured=True)
     assert state.cause is KEY
     # ... but what comes later about the arm is believed.
     assert state.from_measured
@@ -66,6 +67,6 @@ def test_the_first_cause_stays():
 def test_no_event_opens_a_latch(events):
     state = stop(RunState(Phase.BALANCING), KEY)
     for event in events:
-        state = stop(state, event) if isinstance(event, Cause) else step(state, event)
+        state = stop(state, event) if isinstance(event, End) else step(state, event)
         assert state.latched
         assert state.cause is KEY

@@ -14,6 +14,7 @@ from typing import Any, Final
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.errors import EquipoiseError
 from equipoise.logs.run_log import RunLog
+from equipoise.outcomes import Outcome
 from equipoise.rig.config import read_rig
 from tests.faults.harness import FaultHarness, Scenario, Trigger
 from tests.faults.table import Fault, Inject
@@ -147,7 +148,7 @@ def _read_bad_settings() -> list[str]:
     return list(chain(*refused))
 
 
-LASTED: Final = frozenset({"lasted"})
+LASTED: Final = frozenset({Outcome.LASTED})
 
 
 def _with_log(name: str, injected: str, should: str, inject: Inject, suffix: str) -> Fault:

@@ -8,6 +8,7 @@ import pytest
 
 from equipoise.logs.conditions import RunEnd
 from equipoise.model.arms.iiwa import iiwa
+from equipoise.outcomes import Outcome
 from equipoise.rig.config import RigSettings
 from equipoise.safety.rules import POSITION_MARGIN
 from tests.faults.harness import ArmObservation, ReceivedMessage
@@ -93,7 +94,7 @@ def test_each_fault_in_real_time_ends_as_it_should(live):
 
 def test_a_fault_that_ends_otherwise_is_found():
     # What is injected is a key; what is expected is that the run lasts.
-    wrong = fault("key: homing")._replace(ends=frozenset({"lasted"}))
+    wrong = fault("key: homing")._replace(ends=frozenset({Outcome.LASTED}))
     _, problems = run_fault(wrong)
     assert any("it ended with operator" in problem for problem in problems)
 
@@ -196,12 +197,12 @@ class Seen:
         self.observations = [ArmObservation(0.002 * i, 0.1, tuple(HOME)) for i in range(500)]
 
 
-ENDED = RunEnd(cause="stale encoder", reason="the newest sample is old")
+ENDED = RunEnd(outcome=Outcome.ENCODER_STALE, evidence={"text": "old"})
 
 
 def judged(seen, outcome=ENDED, **changes):
     expected = {
-        "ends": frozenset({"stale encoder"}),
+        "ends": frozenset({Outcome.ENCODER_STALE}),
         "within": 0.01,
         "stoppable": True,
         "says": "cable",
@@ -214,10 +215,7 @@ def test_a_stop_as_it_should_be_has_no_problems():
 
 
 def test_the_judge_finds_each_thing_that_is_wrong():
-    assert any(
-        "ended with" in one for one in judged(Seen(), ENDED.model_copy(update={"cause": "x"}))
-    )
-    assert any("without a cause" in one for one in judged(Seen(), RunEnd(cause="stale encoder")))
+    assert any("ended with" in one for one in judged(Seen(), RunEnd(outcome=Outcome.TICK)))
     assert any("no message contains" in one for one in judged(Seen(), says="coupling"))
     assert any("after the fault" in one for one in judged(Seen(), within=0.005))
 
@@ -259,7 +257,7 @@ def test_the_judge_finds_each_thing_that_is_wrong():
 
 def test_a_lost_robot_has_to_be_told_within_100_ms():
     words = "software cannot stop the robot: press the E-stop"
-    lost = RunEnd(cause="stale encoder", reason="no answer", stoppable=False)
+    lost = RunEnd(outcome=Outcome.ENCODER_STALE, stoppable=False)
     for late, good in ((0.099, True), (0.101, False)):
         seen = Seen()
         seen.messages[1] = ReceivedMessage(seen.injected_at + late, "fault", words)
@@ -271,13 +269,10 @@ def test_a_lost_robot_has_to_be_told_within_100_ms():
 
 def test_a_refused_run_sends_nothing():
     seen = Seen()
-    refused = {"ends": frozenset({"refused"}), "says": ""}
-    assert any(
-        "setpoints were sent" in one
-        for one in judged(seen, RunEnd(cause="refused", reason="no"), **refused)
-    )
+    refused = {"ends": frozenset({Outcome.ERROR}), "says": ""}
+    assert any("setpoints were sent" in one for one in judged(seen, RunEnd(), **refused))
     del seen.robot_tap.sent[1:]
-    assert judged(seen, RunEnd(cause="refused", reason="no"), **refused) == []
+    assert judged(seen, RunEnd(), **refused) == []
 
 
 def test_the_arm_of_the_faults_is_the_one_that_the_policy_knows():

@@ -12,9 +12,9 @@ import pytest
 from equipoise.control.control_step import horizon, make_controller_params
 from equipoise.control.policy import shipped_policy, tick_policy
 from equipoise.control.self_test import ParameterInterval, SelfTest, SelfTestVerdict
-from equipoise.control.states import Phase
 from equipoise.control.ticks import TickInputs, missed_ticks
 from equipoise.errors import InputError, RecordingError
+from equipoise.outcomes import Outcome, Phase, describe
 from equipoise.rig.run_controller import (
     UNCERTAIN_TORQUE_FACTOR,
     Alternative,
@@ -25,7 +25,6 @@ from equipoise.safety.rules import (
     ANGLE_RULE_LIMIT,
     MAX_MEASUREMENT_AGE,
     MAX_STALL,
-    Rule,
     check_setpoint,
     make_safety_params,
 )
@@ -178,11 +177,11 @@ class Course:
 
     @property
     def cause(self):
-        return None if self.pilot.state.cause is None else self.pilot.state.cause.name
+        return None if self.pilot.state.cause is None else self.pilot.state.cause.outcome
 
     @property
     def reason(self):
-        return "" if self.pilot.state.cause is None else self.pilot.state.cause.reason
+        return "" if self.pilot.state.cause is None else describe(self.pilot.state.cause)
 
 
 def balancing():
@@ -280,7 +279,7 @@ UNUSED = {
 def test_an_arm_without_a_usable_actuator_lifts_nothing(name):
     identify, respond, reason = UNUSED[name]
     course = exciting(identify, respond).until(Phase.STOPPING)
-    assert course.cause == "identified"
+    assert course.cause == Outcome.UNIDENTIFIED
     assert reason in course.reason
     assert "lift" not in course.told
 
@@ -290,7 +289,7 @@ def test_a_pause_ends_an_excitation_at_rest():
     for _ in range(50):
         course.tick()
     course.tick(0.045)
-    assert course.cause == "identified"
+    assert course.cause == Outcome.UNIDENTIFIED
     assert "stood still during the excitation" in course.reason
     last = course.sent[-3][1]
     for _ in range(10):
@@ -331,7 +330,7 @@ def test_a_confirmation_of_nothing_stops_what_moves():
 def test_a_loop_that_was_late_says_so_and_blames_nobody_else(course, late):
     course.tick()
     course.tick(late)
-    assert course.cause == Rule.TICK.value
+    assert course.cause == Outcome.TICK
     assert f"{1e3 * late:.1f} ms late" in course.reason
 
 
@@ -347,7 +346,7 @@ def test_a_robot_that_does_not_answer_is_overdue_however_late_the_loop_is(course
     course.link_dead, began = True, course.now
     while course.pilot.phase is Phase.BALANCING:
         course.tick(late)
-    assert course.cause == Rule.LINK.value
+    assert course.cause == Outcome.LINK
     assert MAX_STALL < course.now - began <= MAX_STALL + 2.0 * H + late
 
 
@@ -360,7 +359,7 @@ def test_a_robot_that_does_not_answer_after_a_stall_is_found_all_the_same():
     began = course.now
     while course.pilot.phase is Phase.BALANCING:
         course.tick()
-    assert course.cause == Rule.LINK.value
+    assert course.cause == Outcome.LINK
     assert course.now - began <= MAX_STALL
 
 
@@ -467,7 +466,7 @@ def test_a_stop_after_a_stall_holds_the_arm_where_it_rests():
     course.tick(0.1)
     for _ in range(20):
         course.tick()
-    assert course.cause == Rule.TICK.value
+    assert course.cause == Outcome.TICK
     assert {setpoint for _, setpoint in course.sent if setpoint != last}.isdisjoint(
         {setpoint for _, setpoint in course.sent[-40:]}
     )
@@ -500,7 +499,7 @@ def test_a_link_with_a_long_round_trip_stops_it_and_is_named(stream, trip):
     course.trip, began, phase = trip, course.now, course.pilot.phase
     while course.pilot.phase is phase:
         course.tick()
-    assert course.cause == Rule.MEASUREMENT_STALE.value
+    assert course.cause == Outcome.MEASUREMENT_STALE
     assert "link is too slow" in course.reason
     assert course.now - began <= MAX_MEASUREMENT_AGE + H
     course.tick()
@@ -514,7 +513,7 @@ def test_a_robot_that_answers_without_joints_stops_it(stream):
     course.measured = lambda time, q: None
     while course.pilot.phase is phase:
         course.tick()
-    assert course.cause == Rule.MEASUREMENT_STALE.value
+    assert course.cause == Outcome.MEASUREMENT_STALE
     assert course.now - began <= MAX_MEASUREMENT_AGE + H
 
 
@@ -632,7 +631,7 @@ def test_lost_samples_that_come_often_stop_it(course):
     while course.pilot.phase is Phase.BALANCING:
         course.tick()
         ticks += 1
-    assert course.cause == Rule.ENCODER_GAP.value
+    assert course.cause == Outcome.ENCODER_GAP
     assert ticks == 9  # the third is at 85 ms
 
 
@@ -641,7 +640,7 @@ def test_several_samples_lost_at_once_stop_it(course, ms):
     lose(course, *ms)
     while course.pilot.phase is Phase.BALANCING:
         course.tick()
-    assert course.cause == Rule.ENCODER_GAP.value
+    assert course.cause == Outcome.ENCODER_GAP
 
 
 def test_a_count_that_cannot_be_after_a_lost_sample_stops_it(course):
@@ -650,14 +649,14 @@ def test_a_count_that_cannot_be_after_a_lost_sample_stops_it(course):
     course.theta = lambda time: before(time) + (radians(3.0) if time > jump else 0.0)
     course.tick()
     course.tick()
-    assert course.cause == Rule.ENCODER_JUMP.value
+    assert course.cause == Outcome.ENCODER_JUMP
 
 
 def test_samples_that_stay_away_are_stale_as_ever(course):
     course.encoder_dead, began = True, course.now
     while course.pilot.phase is Phase.BALANCING:
         course.tick()
-    assert course.cause == Rule.ENCODER_STALE.value
+    assert course.cause == Outcome.ENCODER_STALE
     assert course.now - began <= MAX_STALL + H
 
 
@@ -690,7 +689,7 @@ def test_a_contact_on_the_way_home_stops_it(joint, sign):
     began = course.now
     while course.pilot.phase is Phase.HOMING:
         course.tick()
-    assert course.cause == Rule.TORQUE.value
+    assert course.cause == Outcome.TORQUE
     assert course.now - began <= (TORQUE_EVERY + 1) * H
     assert course.pilot.state.from_measured
 
@@ -708,7 +707,7 @@ def test_at_home_the_limit_is_the_narrow_one():
     push(course, 1, 1.02)
     for _ in range(TORQUE_EVERY + 1):
         course.tick()
-    assert course.cause == Rule.TORQUE.value
+    assert course.cause == Outcome.TORQUE
 
 
 def test_the_torques_at_home_are_what_others_are_compared_with_there():
@@ -728,7 +727,7 @@ def test_first_torques_that_are_no_numbers_stop_it():
     course.torques = np.array([nan] * 7)
     for _ in range(TORQUE_EVERY + 2):
         course.tick()
-    assert course.cause == Rule.NUMBER.value
+    assert course.cause == Outcome.NUMBER
 
 
 # What the observer believes.
@@ -741,7 +740,7 @@ def test_the_rules_are_asked_with_the_estimate_of_the_same_tick(course):
         seen = course.tick().record
         # Who is believed to have fallen is not balanced any more.
         assert seen.box == -1 or abs(seen.estimated_phi) < ANGLE_RULE_LIMIT
-    assert course.cause == Rule.ANGLE.value
+    assert course.cause == Outcome.ANGLE
 
 
 @pytest.mark.parametrize("spoilt", [nan, 1e300, -1e300])

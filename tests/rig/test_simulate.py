@@ -5,9 +5,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from equipoise import paper
-from equipoise.control.grid import CAUSES
 from equipoise.control.policy import TabularPolicy
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
+from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.rig.simulate import DEPLOYMENT, simulate_run
 from equipoise.worlds.plant import make_loop_params
 from equipoise.worlds.trials import draw_trials
@@ -149,7 +149,7 @@ def test_it_is_the_trial_that_the_compiled_loop_runs(small_policy):
     simulation = on_the_plant(params, small_policy.arm, pendulum, settings, 5, DEPLOYMENT)
     trial = run_all(simulation, small_policy.kernel, simulation.draw(1), 20.0)
     assert len(long.time) == trial.steps[0]
-    assert long.cause == CAUSES[trial.cause[0]]
+    assert long.outcome == TRIAL_OUTCOMES[trial.cause[0]]
     # Small steps end runs early: x^2 before each step, against the sum after each step.
     assert np.sum(long.x[1:] ** 2) == pytest.approx(trial.sum_x2[0], rel=0.02)
 
@@ -159,7 +159,7 @@ def test_a_table_that_always_pushes_one_way_fails(small_policy):
     table = TabularPolicy.model_validate(small_policy.model_dump() | {"Q": pushing})
     run = simulate_run(table, duration=10.0)
     # 2 m/s^2 reach the end of the track from rest after sqrt(2 * 0.22 / 2) = 0.47 s.
-    assert run.cause in ("angle", "track")
+    assert run.outcome in ("angle", "track")
     assert run.lasted <= 0.48
     assert set(run.u) == {-2.0}
 
@@ -167,4 +167,4 @@ def test_a_table_that_always_pushes_one_way_fails(small_policy):
 def test_a_run_without_a_failure_lasts_as_long_as_a_trial(small_policy):
     run = simulate_run(small_policy, settings=small_policy.settings.model_copy())
     assert run.conditions.duration == small_policy.settings.evaluation.duration
-    assert (run.cause == "lasted") == (run.lasted == run.conditions.duration)
+    assert (run.outcome == "lasted") == (run.lasted == run.conditions.duration)

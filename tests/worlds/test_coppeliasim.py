@@ -331,7 +331,7 @@ def test_the_environment_runs_there_one_at_a_time(server):
             assert not terminated
             steps += 1
         assert steps == 20
-        assert info["cause"] == "lasted"
+        assert info["outcome"] == "lasted"
     env.close()
     with pytest.raises(InputError, match="2 environments at once, and this world has 1"):
         gym.make_vec("equipoise/Balance-v0", num_envs=2, world=server.address)

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from equipoise import paper
-from equipoise.artefacts import DIGEST_PREFIX, Artefact, Count, Name, Number, Seed, Share, Value
+from equipoise.artefacts import DIGEST_PREFIX, Artefact, Count, Number, Seed, Share, Value
 from equipoise.control import grid
 from equipoise.control.grid import Grid, box_count, box_index
 from equipoise.errors import InputError
@@ -29,6 +29,7 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import DEPLOYMENT, philox, uniform
+from equipoise.outcomes import Outcome
 from equipoise.settings import BoxSettings, Settings, describe_recipe
 from equipoise.user_code import guest_code
 
@@ -221,13 +222,13 @@ class TargetTest(Value):
     interval: tuple[Share, Share]
     """Interval of the share [-], of 95 % confidence over all learners of one command. Its bounds
     hold although the test stopped as soon as they decided (`equipoise.learning.select`)."""
-    causes: dict[Name, Count]
-    """Number of trials by the cause of their end."""
+    causes: dict[Outcome, Count]
+    """Number of trials by their outcome."""
 
     @property
-    def failures(self) -> dict[str, int]:
-        """Number of failed trials by their cause, the most frequent first."""
-        failed = {cause: n for cause, n in self.causes.items() if cause != grid.CAUSES[0]}
+    def failures(self) -> dict[Outcome, int]:
+        """Number of failed trials by their outcome, the most frequent first."""
+        failed = {cause: n for cause, n in self.causes.items() if cause != Outcome.LASTED}
         return dict(sorted(failed.items(), key=lambda item: -item[1]))
 
     @property

@@ -21,28 +21,7 @@ from collections.abc import Mapping
 from enum import Enum
 from typing import Final, NamedTuple
 
-
-class Phase(Enum):
-    """Phase of a run."""
-
-    HOMING = "homing"
-    """On the way home, inside the servo stream."""
-    AT_HOME = "at home"
-    """Held at home, until the operator confirms."""
-    REFERENCING = "referencing"
-    """Held, the pendulum hanging, until it is still and the button is pressed."""
-    SELF_TEST = "self-test"
-    """The flange moves by 40 mm, the pendulum answers and swings out."""
-    EXCITING = "exciting"
-    """Every joint moves about home, the pendulum hanging; then the arm is identified."""
-    LIFTING = "lifting"
-    """Held, the operator lifts the pendulum."""
-    ARMED = "armed"
-    """Held, the pendulum stands in a hand that may release it."""
-    BALANCING = "balancing"
-    """The policy commands."""
-    STOPPING = "stopping"
-    """On the way to rest, inside the servo stream. Latched."""
+from equipoise.outcomes import End, Phase
 
 
 class RunEvent(Enum):
@@ -83,24 +62,12 @@ TRANSITIONS: Final[Mapping[tuple[Phase, RunEvent], Phase]] = {
 """All transitions but stops."""
 
 
-class Cause(NamedTuple):
-    """Cause of a stop."""
-
-    name: str
-    """Name, such as that of a rule."""
-    reason: str
-    """Message for the operator."""
-    from_measured: bool = False
-    """Whether the arm is not at its setpoint; after the ramp the targets then go back towards the
-    measured posture."""
-
-
 class RunState(NamedTuple):
     """The state of a run."""
 
     phase: Phase = Phase.HOMING
     """Phase."""
-    cause: Cause | None = None
+    cause: End | None = None
     """Cause of the latched stop, if any."""
     from_measured: bool = False
     """Whether any cause so far shows that the arm is not at its setpoint."""
@@ -116,7 +83,7 @@ def step(state: RunState, event: RunEvent) -> RunState:
     return state._replace(phase=TRANSITIONS.get((state.phase, event), state.phase))
 
 
-def stop(state: RunState, cause: Cause) -> RunState:
+def stop(state: RunState, cause: End, from_measured: bool = False) -> RunState:
     """Return the state after a stop: by a safety rule, the operator, an error or the run's end."""
-    away = state.from_measured or cause.from_measured
+    away = state.from_measured or from_measured
     return RunState(Phase.STOPPING, state.cause or cause, away)

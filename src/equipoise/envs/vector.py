@@ -10,7 +10,7 @@ from gymnasium.vector.utils import batch_space
 
 from equipoise import paper
 from equipoise.control.controller import Observation
-from equipoise.control.grid import TRUNCATED, cause_named
+from equipoise.control.grid import TRUNCATED
 from equipoise.envs.balance import (
     NOT_RESET,
     WINDOW,
@@ -23,7 +23,7 @@ from equipoise.executors import available_cores
 from equipoise.learning.rewards import paper as paper_reward
 from equipoise.model.random import ENVIRONMENT
 from equipoise.model.worlds import MODEL, World
-from equipoise.safety.trial import guard_named
+from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.worlds import Trials
 from equipoise.worlds.fleet import new_fleet
 from equipoise.worlds.trials import IntArray
@@ -56,8 +56,8 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
     with the last observation in `info["final_obs"]` and its info in `info["final_info"]`;
     `Disabled` leaves it to `reset(options={"reset_mask": mask})`.
 
-    `info` has `time` and `state` of each environment, and, where an episode ends, `cause` and
-    `guard`; the key with a leading underscore marks the rows that have a value.
+    `info` has `time` and `state` of each environment, and, where an episode ends, `outcome`; the
+    key with a leading underscore marks the rows that have a value.
 
     ## Arguments
 
@@ -252,9 +252,9 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
             "_state": self._all,
         }
         if ended is not None:
-            for key, named in (("cause", cause_named), ("guard", guard_named)):
-                info[key], info[f"_{key}"] = np.full(self.num_envs, "", object), ended
-                info[key][ended] = [named(code) for code in values.cause[ended].tolist()]
+            info["outcome"], info["_outcome"] = np.full(self.num_envs, "", object), ended
+            codes = values.cause[ended].tolist()
+            info["outcome"][ended] = [TRIAL_OUTCOMES[code] for code in codes]
         return info
 
 

@@ -26,13 +26,14 @@ from scipy.special import betaln, xlog1py, xlogy
 from scipy.stats import binom
 
 from equipoise import paper
-from equipoise.control.grid import CAUSES, TRUNCATED, cause_named, partition
+from equipoise.control.grid import TRUNCATED, partition
 from equipoise.control.policy import Checkpoint, PolicyKernel, TargetTest, table_kernel
 from equipoise.executors import Workers
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.random import SELECTION, TARGET_TEST
+from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import Settings
 from equipoise.worlds.ideal import PlantSimulation
 from equipoise.worlds.interface import Setup
@@ -250,7 +251,7 @@ def measure_share(
     """
     rule = plant.settings.selection
     simulation, policy = plant.simulation(TARGET_TEST), plant.tables(u_of_box)
-    count, failed, causes = 0, 0, Counter[str]()
+    count, failed, causes = 0, 0, Counter[Outcome]()
     low, high, counter = 0.0, 1.0, _Counter(running)
     while count == 0 or (low < target <= high and count < rule.test_trials):
         expected = trials_to_meet(target, error, count, failed, rule.test_trials)
@@ -260,9 +261,9 @@ def measure_share(
         counter.expect(expected or rule.test_trials)
         rows, done = range(len(trials.steps)), counter.add
         simulation.run(policy, trials, rows, duration=rule.duration, workers=workers, done=done)
-        causes.update(map(cause_named, trials.cause.tolist()))
+        causes.update(TRIAL_OUTCOMES[code] for code in trials.cause.tolist())
         count += len(rows)
-        failed = count - causes[CAUSES[0]]
+        failed = count - causes[Outcome.LASTED]
         low, high = confidence_sequence(count - failed, failed, error)
     running(count, count)
     return TargetTest(

@@ -26,32 +26,32 @@ from equipoise.control.policy import (
     shipped_policy,
     tick_policy,
 )
-from equipoise.control.states import Cause
 from equipoise.control.ticks import OperatorMessage, TickHandler
-from equipoise.errors import EquipoiseError, InputError, LinkError
+from equipoise.errors import EquipoiseError, InputError, LinkError, OutsideError
 from equipoise.logs.conditions import RunConditions, RunEnd, named
 from equipoise.logs.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
 from equipoise.logs.writer import RunWriter
 from equipoise.model.actuator import Actuator
 from equipoise.model.worlds import PivotFriction, pivot_friction, read_world
+from equipoise.outcomes import End, Outcome
 from equipoise.printable import printable
-from equipoise.rig.checks.encoder import check_encoder, listen
-from equipoise.rig.checks.fit import (
+from equipoise.rig.checks import (
+    check_encoder,
     check_fit,
+    check_link,
     check_posture,
     check_speed,
     fitting_actuators,
     max_flange_speed,
 )
-from equipoise.rig.checks.host import check_realtime
-from equipoise.rig.checks.link import check_link, round_trips
-from equipoise.rig.checks.results import CheckResult, Spread, require
-from equipoise.rig.config import DrainingClock, Rig, RigSettings, check_addresses, connect, world_of
+from equipoise.rig.clocks import DrainingClock
+from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import Rig, check_addresses, connect, world_of
+from equipoise.rig.findings import Finding, require
 from equipoise.rig.guarded import GuardedRobot
-from equipoise.rig.interfaces import Clock
+from equipoise.rig.interfaces import Clock, Operator
 from equipoise.rig.loop import Executor, LoopResult, run_loop
-from equipoise.rig.operator import Operator
-from equipoise.rig.realtime import RealtimeSetting
+from equipoise.rig.probes import listen, round_trips
 from equipoise.rig.run_controller import (
     PHASES,
     POLICY_TIME_SHARE,
@@ -60,13 +60,11 @@ from equipoise.rig.run_controller import (
     RunController,
 )
 from equipoise.rig.simulate import simulate_run
-from equipoise.safety.rules import T1_SPEED, Rule, SafetyParams, make_safety_params
+from equipoise.safety.rules import T1_SPEED, SafetyParams, make_safety_params
 from equipoise.worlds.twin.excitation import excitation
 
 Array = npt.NDArray[np.float64]
 
-LASTED: Final = "lasted"
-OPERATOR: Final = "operator"
 MEASURING_TIME: Final = 1.0
 """Length of each measurement of the pre-flight, of round trips and of encoder samples [s]."""
 T1_WORLD: Final = "twin:nominal"
@@ -137,7 +135,7 @@ class RunRequest:
     """Further actuators: with any, the run selects one of all from the move of the self-test."""
     identify: Callable[[Array, Array], Actuator] | None = None
     """Identification of the arm from an excitation before the lift, such as
-    `equipoise.identification.motion.identify_motion`; None without one."""
+    `equipoise.identification.actuator.identify_motion`; None without one."""
     anyway: bool = False
     """Whether a policy also runs that does not fit the identified arm."""
 
@@ -252,7 +250,7 @@ class RunRequest:
         """Return the rig.
 
         Args:
-            callbacks: `tell` and `attend` of `equipoise.rig.config.connect`.
+            callbacks: `tell` and `attend` of `equipoise.rig.connection.connect`.
 
         Raises:
             InputError: An address is invalid.
@@ -353,7 +351,7 @@ def run_on_rig(
     operators: Sequence[Operator],
     recorder: Recorder,
     *,
-    measures: Callable[[], Sequence[RealtimeSetting]] = tuple,
+    measures: Callable[[], Sequence[Finding]] = tuple,
     executor: Executor | None = None,
     idle: Callable[[], None] = lambda: None,
     wrap: Callable[[TickHandler], TickHandler] = lambda handler: handler,
@@ -393,9 +391,10 @@ def run_on_rig(
         robot.connect()
         results, max_speed = preflight(request, rig, measures())
         for result in results:
-            columns = (result.name, result.verdict, result.found, result.cure)
+            columns = (result.name, result.status, result.text, result.remedy)
             tell(OperatorMessage("finding", "\t".join(map(printable, columns))))
-        require(results)
+        require(check_fit(request.policy, request.actuator, request.settings))
+        require(results, OutsideError)
         if max_speed < inf:
             text = f"{max_speed!r} m/s: the run stops when the flange reaches this speed."
             tell(OperatorMessage(SPEED_LIMIT, text))
@@ -403,13 +402,13 @@ def run_on_rig(
         for word, question in CHECKLIST:
             said = operator.ask(OperatorMessage("checklist", f"{question} Type {word}.", (word,)))
             if said != word:
-                return _unmoved(OPERATOR, f"{word} was not acknowledged")
+                return _unmoved(Outcome.OPERATOR, typed=printable(said))
         if request.dry_run:
             check_links()  # the answers may have been typed ahead
-            return _unmoved("dry run", "all steps before the motion passed")
+            return _unmoved(Outcome.DRY_RUN)
         question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
-        if operator.ask(OperatorMessage("move", question, ("y", "n"))) != "y":
-            return _unmoved(OPERATOR, "the move was not allowed")
+        if (said := operator.ask(OperatorMessage("move", question, ("y", "n")))) != "y":
+            return _unmoved(Outcome.OPERATOR, typed=printable(said))
         counts_per_rev = rig.sensor.counts_per_rev
         policy, kernel = tick_policy(request.policy), request.policy.kernel
         if kernel is None:
@@ -445,7 +444,8 @@ def run_on_rig(
             try:
                 robot.stop()
             except LinkError as error:
-                ending = ending._replace(fault=str(error), stoppable=False)
+                fault = End(Outcome.LINK_LOST, {"text": str(error)})
+                ending = ending._replace(fault=fault, stoppable=False)
         return run_end(controller, ending)
     finally:
         robot.close()
@@ -453,8 +453,8 @@ def run_on_rig(
 
 
 def preflight(
-    request: RunRequest, rig: Rig, measures: Sequence[RealtimeSetting] = ()
-) -> tuple[list[CheckResult], float]:
+    request: RunRequest, rig: Rig, measures: Sequence[Finding] = ()
+) -> tuple[list[Finding], float]:
     """Check a connected rig and a policy against each other; nothing moves.
 
     A bad result refuses the run; a warning goes into the log.
@@ -472,18 +472,18 @@ def preflight(
     """
     policy, settings = request.policy, request.settings
     draining = DrainingClock(rig.clock, rig.sensor)
-    trips = Spread.of(round_trips(rig.robot, draining, MEASURING_TIME))
+    trips = round_trips(rig.robot, draining, MEASURING_TIME)
     rule = rig.plugin.flange_speed
-    max_speed, reason = max_flange_speed(settings.described_arm, trips, request.t1, rule)
+    max_speed = max_flange_speed(settings.described_arm, trips, request.t1, rule)
     posture = check_posture(rig.robot.measured(), settings)
     reading = listen(rig.sensor, rig.clock, MEASURING_TIME)
     results = [
         *check_fit(policy, request.actuator, settings),
-        check_link(trips),
-        *check_speed(policy, max_speed, reason),
+        *check_link(trips),
+        *check_speed(policy, max_speed),
         posture,
-        *check_encoder(reading, settings.counts_per_rev),
-        *check_realtime(measures),
+        *check_encoder(reading, settings),
+        *measures,
     ]
     return results, max_speed
 
@@ -496,7 +496,7 @@ def check_request(request: RunRequest) -> None:
         SettingsError: The twin is unknown.
     """
     check_addresses(request.robot, request.encoder)
-    require(list(check_fit(request.policy, request.actuator, request.settings)))
+    require(check_fit(request.policy, request.actuator, request.settings))
 
 
 def describe_fit(policy: TaskPolicy, actuator: Actuator) -> str:
@@ -559,19 +559,20 @@ def warm_up(request: RunRequest) -> None:
         )
 
 
-def _unmoved(cause: str, reason: str) -> RunEnd:
-    return RunEnd(cause=cause, reason=f"{reason}; nothing has moved", lasted=0.0)
+def _unmoved(outcome: Outcome, **evidence: float | str) -> RunEnd:
+    return RunEnd(outcome=outcome, evidence=evidence, lasted=0.0)
 
 
 def run_end(controller: RunController, ending: LoopResult) -> RunEnd:
     """Return the end of a run from the states of its controller and its loop."""
-    cause = controller.state.cause or Cause("fault", "the run ended without a cause")
+    end = controller.state.cause or End(Outcome.FAULT, {"text": "the run ended without a cause"})
     if ending.fault is not None:
-        cause = Cause("fault" if ending.stoppable else "link lost", ending.fault)
+        outcome = ending.fault.outcome if ending.stoppable else Outcome.LINK_LOST
+        end = ending.fault._replace(outcome=outcome)
     timing = ending.timing
     return RunEnd(
-        cause=cause.name,
-        reason=cause.reason,
+        outcome=end.outcome,
+        evidence=dict(end.evidence),
         lasted=controller.lasted,
         stoppable=ending.stoppable,
         zero=controller.zero,
@@ -622,7 +623,7 @@ def run_virtually(
         end = run_on_rig(request, rig, operators, recorder, idle=idle, wrap=wrap)
         return end
     except EquipoiseError as error:
-        end = RunEnd(fault=str(error))
+        end = RunEnd(evidence={"text": str(error)})
         raise
     finally:
         if writer is not None:
@@ -652,7 +653,7 @@ def rehearse_t1(
     in_t1 = nominal.settings.model_copy(
         update={"t1": True, "counts_per_rev": request.settings.counts_per_rev}
     )
-    ended = Counter[str]()
+    ended = Counter[Outcome]()
     for seed in range(trials):
         run = simulate_run(
             request.policy,
@@ -661,23 +662,12 @@ def rehearse_t1(
             seed=seed,
             duration=duration,
         )
-        ended[run.guard or run.cause] += 1
+        ended[run.outcome] += 1
     least = ceil(T1_SHARE * trials)
-    if ended[LASTED] < least:
-        others = ", ".join(f"{cause} {n}" for cause, n in ended.items() if cause != LASTED)
+    if ended[Outcome.LASTED] < least:
+        others = ", ".join(f"{each} {n}" for each, n in ended.items() if each != Outcome.LASTED)
         raise InputError(
-            f"on the twin in T1 this policy lasts {duration:g} s in {ended[LASTED]} of "
+            f"on the twin in T1 this policy lasts {duration:g} s in {ended[Outcome.LASTED]} of "
             f"{trials} trials, expected {least} (ended by: {others}); train one for "
-            f"this limit: equipoise train --max-speed {T1_SPEED:g}"
+            f"this limit: equipoise train --set plant.max_speed={T1_SPEED:g}"
         )
-
-
-EXIT_CODES: Final = {LASTED: 0, "dry run": 0, OPERATOR: 130} | dict.fromkeys(
-    ("fault", "link lost", Rule.LINK.value, Rule.MEASUREMENT_STALE.value), 3
-)
-"""Exit codes of the causes other than a fall or a violated rule."""
-
-
-def exit_code(outcome: RunEnd) -> int:
-    """Return the exit code of the command: 0, 1 (fall or violated rule), 3 or 130."""
-    return EXIT_CODES.get(outcome.cause or "", 1) if outcome.stoppable else 3

@@ -33,7 +33,7 @@ from equipoise.control.controller import Controller, FlangeKinematics, FlangePos
 from equipoise.control.minimum_jerk import Path, path_within
 from equipoise.control.policy import Policy
 from equipoise.control.self_test import MOVE_TIME, SWING_TIME, SelfTest, SelfTestVerdict
-from equipoise.control.states import Cause, Phase, RunState
+from equipoise.control.states import RunState
 from equipoise.control.ticks import (
     OK,
     OperatorMessage,
@@ -44,6 +44,7 @@ from equipoise.control.ticks import (
 )
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
+from equipoise.outcomes import End, Outcome, Phase, describe
 from equipoise.printable import printable
 from equipoise.rig.release import ReleaseDetector, ReleaseState
 from equipoise.safety import rules
@@ -79,12 +80,6 @@ MAX_SWINGS: Final = 4
 """Maximum number of swings of a self-test, repeated until the zero's interval is small."""
 NUDGE_INTERVAL: Final = 5.0
 """Interval of the reminders to release an armed pendulum [s]."""
-POLICY: Final = "policy"
-"""Cause of a stop by the policy: it raised, was late, or returned no finite number."""
-FAILED: Final = "the policy failed"
-"""First words of the reason of such a stop."""
-LATE: Final = "it took"
-"""Words after them for a late policy."""
 POLICY_TIME_SHARE: Final = 0.5
 """Maximum computing time of the policy, as a share of a tick [-]: later, the second setpoint, due
 after half a tick, would be late too."""
@@ -111,9 +106,7 @@ HISTORY: Final = 64
 ACTUATOR: Final = "actuator"
 """Name of the message with the selected actuator."""
 IDENTIFIED: Final = "identified"
-"""Name of the message with the identified actuator, and cause of a stop without a usable one."""
-UNIDENTIFIED: Final = "the arm is not identified"
-"""First words of the reason of such a stop."""
+"""Name of the message with the identified actuator."""
 REST_AFTER_EXCITATION: Final = 0.3
 """Record after the excitation [s]."""
 
@@ -267,7 +260,7 @@ class RunController:
         self._take_input(inputs.lines)
         self._result, self._job = inputs.result, None
         for fault in inputs.faults:
-            self._stop(Cause("fault", fault))
+            self._stop(fault)
         self._check_rules(now, inputs.lateness)
         self._record = TickRecord(estimated_phi=self._phi())
         before, stalls = self.phase, self._overdue > MAX_UNANSWERED and self.phase in MOVING
@@ -338,8 +331,8 @@ class RunController:
 
     def _interrupt_excitation(self, what: str) -> None:
         """Stop: an excitation with a gap identifies nothing."""
-        reason = f"{UNIDENTIFIED}: {what} stood still during the excitation; run again"
-        self._stop(Cause(IDENTIFIED, reason))
+        text = f"{what} stood still during the excitation; run again"
+        self._stop(End(Outcome.UNIDENTIFIED, {"text": text}))
 
     def _take_samples(self, samples: Sequence[ticks.Sample]) -> None:
         held = self.phase in (Phase.LIFTING, Phase.ARMED)
@@ -407,8 +400,9 @@ class RunController:
             inputs = inputs._replace(x_dot=estimate.v, phi=estimate.phi)
         broken = list(rules.violations(params, self._monitor, inputs))
         for violation in broken:
-            self._stop(Cause(violation.rule.value, violation.reason, violation.from_measured))
-        self._forbidden = next((each.reason for each in broken if not each.from_measured), "")
+            self._stop(violation)
+        others = (each for each in broken if each.outcome not in rules.FROM_MEASURED)
+        self._forbidden = next(map(describe, others), "")
         if not broken and bridged and not warned:
             self._warned = True
             lost = "An encoder sample was lost on its way. Look at its cable later."
@@ -516,8 +510,7 @@ class RunController:
             if answer in self._answers:
                 self._answer = answer
             elif answer != OK or self.phase in MOVING:
-                reason = f"stopped by the operator ({line.strip() or 'Enter'})"
-                self._stop(Cause("operator", reason))
+                self._stop(End(Outcome.OPERATOR, {"typed": line.strip() or "Enter"}))
 
     def _phi(self) -> float:
         """Return the newest angle from upright, in [-pi, pi) [rad]; NaN without a zero."""
@@ -546,17 +539,17 @@ class RunController:
         self._ticks = 0
         self._answers, self._pressed = (), False
 
-    def _stop(self, cause: Cause) -> None:
+    def _stop(self, cause: End) -> None:
         """Latch a stop; the ramp begins with this tick's setpoints."""
         latched, before = self.state.latched, self.phase
-        self.state = states.stop(self.state, cause)
+        self.state = states.stop(self.state, cause, cause.outcome in rules.FROM_MEASURED)
         if latched:
             return
         if before is Phase.BALANCING and self.began is not None:
             self.ended = self.began + self._ticks * self._h
         self.phase_before = before
         self._begin_phase()
-        self._notify("stopping", cause.reason)
+        self._notify("stopping", describe(cause))
 
     def _still(self) -> Setpoints:
         self._dq = (0.0,) * len(self._q)
@@ -604,7 +597,7 @@ class RunController:
             self._rest = _Rest()
             self._notify("hang", "Let the pendulum hang, and steady it with a finger.")
         elif self._answer == "n":
-            self._stop(Cause("operator", "the operator did not confirm home"))
+            self._stop(End(Outcome.OPERATOR, {"typed": "n"}))
             return self._come_to_rest(now)
         return self._still()
 
@@ -645,7 +638,7 @@ class RunController:
                 delay=0.0,
             )
         if swing.asked and isinstance(self._result, Exception):
-            self._stop(Cause("self-test", f"the self-test failed ({self._result})"))
+            self._stop(End(Outcome.SELF_TEST, {"text": f"it failed ({self._result})"}))
             return self._come_to_rest(now)
         if swing.asked and self._result is not None:
             result: SelfTest = self._result
@@ -662,15 +655,15 @@ class RunController:
                 swing.path = Path((self._controller.x,), (0.0,), RETURN_TIME)
                 swing.begin = self._ticks * h + h
             else:
-                self._stop(Cause("self-test", result.reason))
+                self._stop(End(Outcome.SELF_TEST, {"text": result.reason}))
                 return self._come_to_rest(now)
         return self._glide(Path((0.0,), (0.0,), 0.0), 1.0)
 
     def _after_test(self, now: float, result: SelfTest) -> Setpoints:
         t = self._ticks * self._h - self._swing.begin
         if self._selects and isinstance(self._result, Exception):
-            reason = f"the selection of an actuator failed ({self._result})"
-            self._stop(Cause("self-test", reason))
+            text = f"the selection of an actuator failed ({self._result})"
+            self._stop(End(Outcome.SELF_TEST, {"text": text}))
             return self._come_to_rest(now)
         if self._selects and self._result is not None:
             self._selects, self._choice = False, self._result
@@ -728,7 +721,7 @@ class RunController:
                 self.identified = self._result
                 response, text = plan.respond(self._result)
             except Exception as error:  # the arm comes to rest, whatever failed
-                self._stop(Cause(IDENTIFIED, f"{UNIDENTIFIED}: {printable(str(error))}"))
+                self._stop(End(Outcome.UNIDENTIFIED, {"text": printable(str(error))}))
                 return self._come_to_rest(now)
             self._notify(IDENTIFIED, text)
             self._assume(response)
@@ -787,11 +780,11 @@ class RunController:
 
     def _balance(self, now: float) -> Setpoints:
         if not self._samples or self.zero is None:  # balancing follows from a reference
-            self._stop(Cause("fault", "the encoder shows nothing"))
+            self._stop(End(Outcome.ENCODER_LOST, {"text": "the encoder shows nothing"}))
         elif self._controller.limit_exceeded:
-            self._stop(Cause("joint limit", "the policy asks for more than a joint can do"))
+            self._stop(End(Outcome.JOINT_LIMIT))
         elif self._ticks * self._h >= self._duration - 0.5 * self._h:
-            self._stop(Cause("lasted", f"It stood for {self._duration:g} s. Catch the pendulum."))
+            self._stop(End(Outcome.LASTED, {"duration": self._duration}))
         if self.state.latched:
             return self._come_to_rest(now)
         return self._decide(now)
@@ -808,13 +801,13 @@ class RunController:
             failure = printable(str(error)) or type(error).__name__
         took, limit = self._clock() - began, POLICY_TIME_SHARE * self._h
         if not failure and took > limit:
-            failure = f"{LATE} {1e3 * took:.1f} ms, expected at most {1e3 * limit:.1f} ms"
+            failure = f"it took {1e3 * took:.1f} ms, expected at most {1e3 * limit:.1f} ms"
         u, estimate = 0.0 if failure else u, self._controller.estimate
         self._record = TickRecord(
             *self._controller.observation, self._controller.box, u, *estimate[:3]
         )
         if failure:
-            self._stop(Cause(POLICY, f"{FAILED}: {failure}"))
+            self._stop(End(Outcome.POLICY, {"text": failure, "took": took, "limit": limit}))
             return self._come_to_rest(now)
         return self._command(u)
 

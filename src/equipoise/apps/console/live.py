@@ -18,9 +18,9 @@ from equipoise.apps.console.panel import RigPanel
 from equipoise.apps.console.plots import QUANTITIES, Plots
 from equipoise.apps.console.watch import Observation, RunWatch
 from equipoise.apps.style import BLUE, GREEN, GREY, INK, VERMILION
-from equipoise.control.states import Phase
 from equipoise.control.ticks import OK
 from equipoise.logs.recorder import LoggedEvent, Question
+from equipoise.outcomes import Phase
 from equipoise.rig.processes import HEARTBEAT_TIMEOUT
 
 if TYPE_CHECKING:

@@ -15,13 +15,14 @@ from equipoise.apps.console.scenes import PolicyChoice, Scene
 from equipoise.artefacts import Estimate
 from equipoise.control.bound_policy import load_policy
 from equipoise.control.control_step import horizon
-from equipoise.control.grid import TRUNCATED, box_indices, cause_named, partition
+from equipoise.control.grid import TRUNCATED, box_indices, partition
 from equipoise.control.policy import LearningPoint, TabularPolicy, TaskPolicy, shipped_policy
 from equipoise.errors import EquipoiseError
 from equipoise.learning.train import TrainingObserver, train
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.random import DEPLOYMENT
 from equipoise.model.worlds import World, read_world
+from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.paper import PHI_LIMIT_DEG, U_MAX, X_LIMIT
 from equipoise.settings import BoxSettings, resolve
 from equipoise.worlds import predicted, setup_of
@@ -184,7 +185,7 @@ class Playground:
         cause = loop.step(u)
         self._tick += 1
         if cause != TRUNCATED and not self._cause:
-            self._cause, self._fell = cause_named(cause), self._tick
+            self._cause, self._fell = TRIAL_OUTCOMES[cause], self._tick
         x, _, phi, _ = loop.state().tolist()
         box = -1
         self.used *= exp(-self.h / FADE)
