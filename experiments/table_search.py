@@ -29,7 +29,7 @@ import equipoise as eq
 from equipoise import paper
 from equipoise.control.baselines import lqr_gains
 from equipoise.executors import available_cores
-from equipoise.learning.selection import Candidate, race, trial_plants
+from equipoise.learning.select import Candidate, race, trial_plants
 from equipoise.settings import BoxSettings
 
 LEVELS = np.array(paper.ACTIONS)

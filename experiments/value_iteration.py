@@ -25,7 +25,7 @@ import equipoise.envs
 from equipoise import paper
 from equipoise.control.grid import box_indices, partition
 from equipoise.executors import available_cores
-from equipoise.learning.selection import Candidate, race, trial_plants
+from equipoise.learning.select import Candidate, race, trial_plants
 
 LEVELS = np.array(paper.ACTIONS)
 """Accelerations of the actions [m/s^2], shape (8,), rising."""
