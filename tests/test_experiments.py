@@ -61,9 +61,11 @@ def module(name):
     return runpy.run_path(str(EXPERIMENTS / f"{name}.py"))
 
 
-@pytest.mark.slow
 @pytest.mark.compiled_only
-@pytest.mark.parametrize("name", SMALLEST)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name == "compare")) for name in SMALLEST],
+)
 def test_an_experiment_runs_and_writes_its_result(experiment, tmp_path, name):
     assert experiment(name, *SMALLEST[name]).strip()
     written = tmp_path / WRITES.get(name, f"{name}.png")
@@ -72,7 +74,6 @@ def test_an_experiment_runs_and_writes_its_result(experiment, tmp_path, name):
         assert eq.TabularPolicy.load(written).settings.boxes.count == 270
 
 
-@pytest.mark.slow
 @pytest.mark.compiled_only
 def test_a_sweep_continues_in_its_storage(experiment):
     first = experiment("sweep", *SMALLEST["sweep"])
@@ -142,7 +143,6 @@ def test_the_first_table_is_the_snapped_lqr_at_the_centre_of_each_box(pendulum):
     assert table.tolist() == (-table[::-1]).tolist()
 
 
-@pytest.mark.slow
 @pytest.mark.compiled_only
 def test_the_search_does_not_return_a_worse_table_than_a_start():
     searched, policy = module("table_search"), eq.shipped_policy()
