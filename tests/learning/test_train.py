@@ -353,13 +353,13 @@ def test_several_learners_tell_whose_progress_it_is(pendulum, workers):
 
 def test_a_pendulum_that_no_controller_balances_is_refused_before_the_training(pendulum):
     late = shipped_actuator().model_copy(update={"delay": Estimate.around(0.25, 0.0, "assumed")})
-    with pytest.raises(SettingsError, match="no controller balances this pendulum"):
+    with pytest.raises(SettingsError, match="no controller"):
         train(pendulum, ARM, settings(), actuator=late)
     assert check_task(pendulum, ARM, settings()) is None
     part = late.model_copy(update={"delay": Estimate.around(0.1, 0.0, "assumed")})
     assert "% of the releases" in check_task(pendulum, ARM, settings(), part)
     tested = settings("selection.test_trials=2000")
-    with pytest.raises(SettingsError, match="% of the releases: .* expected at most 1 %"):
+    with pytest.raises(SettingsError, match="% of the releases"):
         train_to_target(pendulum, ARM, tested, actuator=part, target=0.99)
 
 
