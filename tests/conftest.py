@@ -76,7 +76,8 @@ def rig_log(tmp_path_factory):
     """The log of a whole run on an emulated rig: home, self-test, lift, 1.5 s of balancing."""
     from equipoise.control.policy import shipped_policy
     from equipoise.model.worlds import pendulum_on, read_world
-    from equipoise.rig.config import RigSettings, emulated_rig
+    from equipoise.rig.config import RigSettings
+    from equipoise.rig.connection import emulated_rig
     from equipoise.rig.run import RunRequest, run_virtually
 
     path, policy = tmp_path_factory.mktemp("rig") / "run.mcap", shipped_policy()

@@ -11,13 +11,13 @@ import pytest
 from equipoise.control.baselines import baselines
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.errors import ArtefactError, InputError
+from equipoise.identification.recording import read_swing
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.worlds import read_world
 from equipoise.rig.config import read_rig
 from equipoise.settings import resolve
-from equipoise.trajectory import read_swing
 from equipoise.worlds.certification import Certificate, certify, make_claim
 from equipoise.worlds.evaluation import Evaluation, evaluate
 from tests.cli.damage import DAMAGE, digest, mutations, outcomes
@@ -46,7 +46,6 @@ encoder = "serial:///dev/ttyACM0"
 home_deg = [90.0, 30.0, 0.0, -70.0, 0.0, 80.0, 0.0]
 counts_per_rev = 8192
 encoder_sign = -1
-base_tilt_deg = [0.1, -0.2]
 """
 WORLD = """\
 transport = 0.012
@@ -64,7 +63,7 @@ def swing_text():
 
 def certified():
     claim = make_claim(0.9, 0.9, 0.05, trials=30)
-    return certify(shipped_policy(), claim)[0]
+    return certify(shipped_policy(), claim)
 
 
 def evaluated():

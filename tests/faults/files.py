@@ -1,6 +1,5 @@
 """Faults of the machine and of files: full disk, power loss, date, damaged input files."""
 
-import io
 import re
 import shutil
 import tempfile
@@ -56,16 +55,10 @@ def _readable(suffix: str) -> Callable[[FaultHarness], Sequence[str]]:
     """Return a check that a log reaches to just before the fault."""
 
     def check(harness: FaultHarness) -> Sequence[str]:
-        from mcap.exceptions import McapError
-        from mcap.stream_reader import StreamReader
-
         path = _log(harness).with_suffix(suffix)
         try:
-            # MCAP's own reader is strict.
-            for _ in StreamReader(io.BytesIO(path.read_bytes()), validate_crcs=True).records:
-                pass
             ticks = RunLog.load(path, damaged=True).tables["tick"]["time"]
-        except (EquipoiseError, McapError) as error:
+        except EquipoiseError as error:
             return (f"the log cannot be read: {error}",)
         finally:
             shutil.rmtree(path.parent)

@@ -17,10 +17,12 @@ from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.control.ticks import OperatorMessage, TickHandler, TickInputs, TickOutput
 from equipoise.errors import EquipoiseError
-from equipoise.identification.motion import identify_motion
+from equipoise.identification.actuator import identify_motion
 from equipoise.logs.conditions import RunEnd
 from equipoise.model.worlds import pendulum_on, read_world
-from equipoise.rig.config import DrainingClock, EmulatedRig, RigSettings, emulated_rig
+from equipoise.rig.clocks import DrainingClock
+from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import EmulatedRig, emulated_rig
 from equipoise.rig.interfaces import Clock, Transport
 from equipoise.rig.run import RunRequest, run_virtually
 
@@ -171,7 +173,7 @@ class FaultHarness:
             world, scenario.settings, pendulum, robot=ROBOT, seed=seed
         )
         """Drivers, simulated rig, server, board and links."""
-        self.bench, self.board = self.parts.bench, self.parts.sensor.board
+        self.bench, self.board = self.parts.bench, self.parts.sensor.emulator
         """Simulated rig, and emulator of the encoder's board."""
         clock = self.parts.rig.clock
         self.clock = StallingClock(clock)

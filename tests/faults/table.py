@@ -231,7 +231,7 @@ TIME: Final = (
 
 
 def _change_server(harness: FaultHarness, **faults: Any) -> None:
-    server = harness.parts.robot.server
+    server = harness.parts.robot.emulator
     server.faults = replace(server.faults, **faults)
 
 
@@ -286,7 +286,7 @@ def _singular(scenario: Scenario) -> Scenario:
 
 
 def _at_home(scenario: Scenario, home_deg: Sequence[float]) -> Scenario:
-    return replace(scenario, settings=scenario.settings.changed(home_deg=tuple(home_deg)))
+    return replace(scenario, settings=RigSettings(home_deg=tuple(home_deg)))
 
 
 def _setpoint(change: Callable[[Setpoint, float], Setpoint]) -> Inject:
@@ -644,7 +644,7 @@ OPERATOR: Final = (
 INPUTS: Final = (
     Fault("policy of another rig", "the policy was trained on one arm, the rig has another",
           "the run is refused", _ends("error"), trigger=AT_START, scenario=_other_arm,
-          says="trained on"),
+          says="policy and arm"),
     Fault("unit slip", "home in rig.toml is given in radians", "the run is refused",
           _ends("error"), trigger=AT_START, says="home",
           scenario=lambda base: _at_home(base, base.settings.described_arm.home)),

@@ -8,7 +8,9 @@ import pytest
 from equipoise.control.policy import shipped_policy
 from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.outcomes import Outcome
-from equipoise.rig.config import DrainingClock, RigSettings, emulated_rig
+from equipoise.rig.clocks import DrainingClock
+from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import emulated_rig
 from equipoise.rig.run import RunRequest, run_virtually
 from equipoise.safety.rules import MAX_STALL
 from tests.faults.harness import StallingClock, TransportTap

@@ -87,7 +87,7 @@ def test_a_run_that_ended_before_balancing_counts_from_its_first_tick(run):
 
 def test_an_angle_without_a_zero_is_unknown(run):
     lifted = changed_table(run, "tick", state=LIFTING)
-    motion = Motion.of(replace(lifted, end=RunEnd(outcome=Outcome.OPERATOR, reason="Enough.")))
+    motion = Motion.of(replace(lifted, end=RunEnd(outcome=Outcome.OPERATOR)))
     assert np.isnan(motion.at(0.5).phi)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import ArtefactError, RecordingError
-from equipoise.identification.refinement import read_motion, thinned
+from equipoise.identification.refine import read_motion, thinned
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.recorder import Recorder, push_event
 from equipoise.logs.run_log import RunLog

@@ -7,7 +7,8 @@ from equipoise import paper
 from equipoise.apps.report.page import build
 from equipoise.artefacts import read_document
 from equipoise.errors import ArtefactError, OutsideError, RecordingError
-from equipoise.identification import identify
+from equipoise.identification.recording import Trajectory
+from equipoise.identification.swing import identify
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.worlds import MODEL
@@ -21,7 +22,6 @@ from equipoise.reproduction.results import (
 )
 from equipoise.reproduction.synthetic_swing import SyntheticSwing, synthetic_swing
 from equipoise.settings import resolve
-from equipoise.trajectory import Trajectory
 from tests.apps.report import made_up
 from tests.arms import without_masses
 from tests.model.arms.witnesses import ELBOW

@@ -10,19 +10,19 @@ from typing import NamedTuple
 import numpy as np
 
 from equipoise.control.baselines import pd_gains
-from equipoise.control.controller import Controller
 from equipoise.control.policy import LINEAR, KernelPolicy, PolicyKernel, shipped_policy
-from equipoise.control.states import RunState
 from equipoise.logs.recorder import Recorder
 from equipoise.logs.writer import RunWriter
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import pendulum_on, read_world
-from equipoise.outcomes import Outcome, Phase
+from equipoise.outcomes import Outcome
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.explanation import RootCause
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.loop import run_loop
+from equipoise.rig.phases.balancing import Balancing
+from equipoise.rig.phases.context import ArmResponse
 from equipoise.rig.run import RunRequest, run_end
 from equipoise.rig.run_controller import RunController
 from equipoise.rig.simulated_rig import SimulatedRig
@@ -121,7 +121,6 @@ def run_with(fault, seed, path):
     """Let a run fail, and write its log."""
     stage = Stage(seed, fault.start)
     request, bench, clock = stage.request, stage.bench, stage.clock
-    arm = request.settings.described_arm
     guard, controller = request.guard(8192), request.controller(8192)
     if fault.limits is not None:
         controller = controller._replace(limits=fault.limits(controller.limits))
@@ -131,14 +130,11 @@ def run_with(fault, seed, path):
     robot.connect()
     stage.sensor.samples()
     robot.start()
+    policy = KernelPolicy(fault.policy or request.policy.kernel)
     pilot = RunController(
-        arm,
-        controller,
-        request.policy.settings.boxes,
-        KernelPolicy(fault.policy or request.policy.kernel),
-        guard,
+        request.parts(policy, lambda: 0.0, 8192),
+        ArmResponse(request.actuator, controller, guard),
         robot.started_at,
-        duration=request.duration,
     )
     phi, phi_dot = fault.start
     bodies = bench.twin.kernel.bodies
@@ -176,13 +172,13 @@ def begin_balancing(pilot, now, fault, stage):
     """Let a pilot balance at once, as after a release."""
     phi, phi_dot = fault.start
     counts_per_radian = 8192 / (2.0 * pi)
-    pilot.zero = -(pi - phi) * counts_per_radian + (fault.zero + stage.zero) * counts_per_radian
-    lane: Controller = pilot._controller
-    lane.begin(phi, phi_dot)
-    pilot._measured_at = now
-    pilot._at_home = np.array(stage.bench.body.torques(True))
-    pilot.state = RunState(Phase.BALANCING)
-    pilot.began = now
+    zero = -(pi - phi) * counts_per_radian + (fault.zero + stage.zero) * counts_per_radian
+    run = pilot._run
+    run.encoder.zero = zero
+    run.controller.begin(phi, phi_dot)
+    run.joints.time = now
+    run.joints.torque_at_home = np.array(stage.bench.body.torques(True))
+    run.phase, run.began = Balancing(run), now
 
 
 def draw_fault(kind, seed):

@@ -22,7 +22,7 @@ from equipoise.control.controller import Controller
 from equipoise.control.policy import TaskPolicy, tick_policy
 from equipoise.control.ticks import TickInputs, TickOutput, TickRecord
 from equipoise.errors import ArtefactError
-from equipoise.identification.motion import identify_motion
+from equipoise.identification.actuator import identify_motion
 from equipoise.logs.conditions import IDEAL
 from equipoise.logs.recorder import FAILED as DEVICE_FAILED
 from equipoise.logs.recorder import WORD_TYPED
@@ -31,12 +31,10 @@ from equipoise.model.actuator import Actuator
 from equipoise.outcomes import End, Outcome
 from equipoise.rig.config import RigSettings
 from equipoise.rig.interfaces import Reply, Sample
+from equipoise.rig.phases.exciting import IDENTIFIED
+from equipoise.rig.phases.self_test import ACTUATOR
 from equipoise.rig.run import SPEED_LIMIT, RunRequest
-from equipoise.rig.run_controller import (
-    ACTUATOR,
-    IDENTIFIED,
-    RunController,
-)
+from equipoise.rig.run_controller import RunController
 
 Array = npt.NDArray[np.float64]
 
@@ -154,16 +152,9 @@ def _of_rig(run: RunLog, policy: TaskPolicy, carried: Sequence[Actuator]) -> Row
     clock = _PolicyClock()
     max_speed = _logged_speed_limit(run)
     controller = RunController(
-        settings.described_arm,
-        request.controller(counts_per_rev),
-        policy.settings.boxes,
-        tick_policy(policy),
-        request.guard(counts_per_rev, max_speed),
+        request.parts(tick_policy(policy), clock, counts_per_rev, max_speed),
+        request.response(actuator, counts_per_rev, max_speed),
         began["q"][0].tolist(),
-        duration=request.duration,
-        clock=clock,
-        alternatives=request.responses(counts_per_rev, max_speed),
-        excitation=request.excitation(counts_per_rev, max_speed),
     )
     return _run_ticks(run, controller, clock)
 

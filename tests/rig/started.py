@@ -14,7 +14,8 @@ from equipoise.control.policy import shipped_policy
 from equipoise.control.self_test import SelfTestVerdict
 from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.outcomes import Phase
-from equipoise.rig.config import RigSettings, emulated_rig
+from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import emulated_rig
 from equipoise.rig.emulated_operator import EmulatedOperator
 from equipoise.rig.run import RunRequest, run_virtually
 from equipoise.rig.run_controller import PHASES
@@ -197,7 +198,7 @@ def start(seed, **given):
 
 
 def _attribute(name, value):
-    return lambda emulated: setattr(emulated.sensor.board, name, value)
+    return lambda emulated: setattr(emulated.sensor.emulator, name, value)
 
 
 def _late(emulated):

@@ -11,7 +11,7 @@ from equipoise.errors import LinkError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.outcomes import Outcome
 from equipoise.rig.guarded import GuardedRobot
-from equipoise.rig.interfaces import Reply, Robot
+from equipoise.rig.interfaces import Reply
 from equipoise.safety.rules import FIRST_LIMIT, limits_of
 from equipoise.safety.stop import ramp
 
@@ -91,17 +91,6 @@ def check_sent(sent):
     assert (np.abs(steps) <= VELOCITY * PERIOD * (1.0 + 1e-5) + 1e-12).all()
     jolts = np.diff(steps, axis=0, prepend=np.zeros((1, 7)))
     assert (np.abs(jolts) <= ACCELERATION * PERIOD**2 * (1.0 + 1e-5) + 1e-12).all()
-
-
-def test_it_is_a_robot():
-    robot, tape = guarded()
-    assert isinstance(robot, Robot)
-    assert robot.joints == 7
-    assert robot.replies() == tape.replies()
-    np.testing.assert_array_equal(robot.measured(), HOME)
-    robot.stop()
-    robot.close()
-    assert tape.calls == ["connect", "start", "stop", "close"]
 
 
 def test_a_way_to_rest_that_ends_at_a_limit_is_not_taken_over():
@@ -231,14 +220,6 @@ def test_rest_ramps_from_what_was_sent_last_and_says_what_leaves():
     assert tape.sent[-1] == ramp[-1]
     assert list(robot.rest()) == []
     check_sent(tape.sent)
-
-
-def test_rest_of_an_arm_that_stands_is_nothing():
-    robot, tape = guarded()
-    for _ in range(3):
-        robot.send(HOME)
-    assert list(robot.rest()) == []
-    assert len(tape.sent) == 3
 
 
 def test_a_link_that_fails_is_not_hidden():

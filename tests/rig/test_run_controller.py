@@ -15,12 +15,8 @@ from equipoise.control.self_test import ParameterInterval, SelfTest, SelfTestVer
 from equipoise.control.ticks import TickInputs, missed_ticks
 from equipoise.errors import InputError, RecordingError
 from equipoise.outcomes import Outcome, Phase, describe
-from equipoise.rig.run_controller import (
-    UNCERTAIN_TORQUE_FACTOR,
-    Alternative,
-    Excitation,
-    RunController,
-)
+from equipoise.rig.phases.context import ArmResponse, Excitation, RunParts
+from equipoise.rig.run_controller import UNCERTAIN_TORQUE_FACTOR, RunController
 from equipoise.safety.rules import (
     ANGLE_RULE_LIMIT,
     MAX_MEASUREMENT_AGE,
@@ -85,10 +81,9 @@ class Course:
         )  # fmt: skip
         self.guard = guard
         boxes, policy = POLICY.settings.boxes, tick_policy(POLICY)
-        self.alternative = Alternative(POLICY.actuator, controller, guard)
-        self.pilot = RunController(
-            ARM, controller, boxes, policy, guard, q, duration=60.0, excitation=excitation
-        )
+        self.response = ArmResponse(POLICY.actuator, controller, guard)
+        parts = RunParts(ARM, boxes, policy, duration=60.0, excitation=excitation)
+        self.pilot = RunController(parts, self.response, q)
         self.tick_number, self.now = 0, 0.0
         self.theta = lambda time: 0.0
         self.samples_lost = frozenset()
@@ -173,15 +168,15 @@ class Course:
             self.tick()
             if self.pilot.phase is phase:
                 return self
-        raise AssertionError(f"{self.pilot.phase} after {longest} s: {self.pilot.state.cause}")
+        raise AssertionError(f"{self.pilot.phase} after {longest} s: {self.pilot.end}")
 
     @property
     def cause(self):
-        return None if self.pilot.state.cause is None else self.pilot.state.cause.outcome
+        return None if self.pilot.end is None else self.pilot.end.outcome
 
     @property
     def reason(self):
-        return "" if self.pilot.state.cause is None else describe(self.pilot.state.cause)
+        return "" if self.pilot.end is None else describe(self.pilot.end)
 
 
 def balancing():
@@ -247,7 +242,7 @@ def test_an_excitation_identifies_the_arm_before_the_lift():
         records.append((sent, measured))
         return found
 
-    course = exciting(identify, lambda _: (course.alternative, "it fits"))
+    course = exciting(identify, lambda _: (course.response, "it fits"))
     course.until(Phase.LIFTING)
     order = ["self-test", "excitation", "identified", "lift"]
     assert [name for name in course.told if name in order] == order
@@ -421,7 +416,7 @@ def test_a_stall_on_the_way_back_from_the_self_test_leaves_the_arm_at_home():
         course.tick()
     for _ in range(80):
         course.tick()
-    away = abs(course.pilot._controller.x)
+    away = abs(course.pilot._run.controller.x)
     course.tick(0.04)
     course.until(Phase.LIFTING)
     assert away > 0.01
@@ -535,7 +530,7 @@ def run_off(course, joint, rate, most=1.5):
 
 def after_stop(course):
     """Let a course stop and come to rest; return the setpoints since the last one before."""
-    while not course.pilot.state.latched:
+    while course.pilot.end is None:
         number = len(course.sent) - 1
         course.tick()
     for _ in range(1000):
@@ -691,7 +686,7 @@ def test_a_contact_on_the_way_home_stops_it(joint, sign):
         course.tick()
     assert course.cause == Outcome.TORQUE
     assert course.now - began <= (TORQUE_EVERY + 1) * H
-    assert course.pilot.state.from_measured
+    assert course.pilot._run.from_measured
 
 
 def test_what_hangs_on_the_flange_pulls_differently_on_the_way_home():
@@ -748,7 +743,7 @@ def test_measurements_that_are_none_do_not_reach_the_observer(course, spoilt):
     course.tick()
     samples = [Sample(spoilt, 0)]
     output = course.tick(samples=samples)
-    assert course.pilot.state.latched
+    assert course.pilot.end is not None
     for _ in range(200):
         if output.done:
             break

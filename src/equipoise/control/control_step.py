@@ -46,6 +46,7 @@ from equipoise.model.actuator import (
     CYCLE,
     Actuator,
     ActuatorParameters,
+    DelayedSetpoint,
     follow_setpoint,
     lag_share,
     leading_setpoint,
@@ -611,7 +612,7 @@ def advance_arm_model(
                 for n in range(lanes):
                     velocity = at(state.dq, i, n) - left * at(state.ddq, i, n)
                     reference = at(target, i, n)
-                    setpoint = leading_setpoint(
+                    leading = leading_setpoint(
                         at(q, i, n),
                         at(dq, i, n),
                         reference,
@@ -620,11 +621,10 @@ def advance_arm_model(
                         controller.actuator,
                         cycles,
                     )
-                    put(target, i, n, setpoint)
-                    put(state.leads, 6 * s + i, n, setpoint - reference)
-        follow_setpoint(
-            q, dq, target, target, share, False, share, controller.actuator, cycles, scratch, lanes
-        )
+                    put(target, i, n, leading)
+                    put(state.leads, 6 * s + i, n, leading - reference)
+        setpoint = DelayedSetpoint(target, target, share, False)
+        follow_setpoint(q, dq, setpoint, share, controller.actuator, cycles, scratch, lanes)
     state.newest[0] = (state.newest[0] + 1) % HISTORY_TICKS
     entry = _entry(state.newest[0], 0)
     for i in range(6):

@@ -18,7 +18,8 @@ from equipoise.artefacts import StrPath
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArmError
 from equipoise.executors import available_cores
-from equipoise.identification import identify
+from equipoise.identification.recording import Trajectory, read_swing, write_swing
+from equipoise.identification.swing import identify
 from equipoise.learning.target import LEARNERS, TARGET, train_to_target
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
@@ -51,7 +52,6 @@ from equipoise.reproduction.results import (
 from equipoise.reproduction.synthetic_swing import SyntheticSwing, synthetic_swing
 from equipoise.rig.simulate import simulate_run
 from equipoise.settings import Settings
-from equipoise.trajectory import Trajectory, read_swing, write_swing
 from equipoise.worlds.evaluation import Evaluation, evaluate
 
 T = TypeVar("T")

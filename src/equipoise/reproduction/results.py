@@ -18,12 +18,12 @@ from equipoise import paper
 from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Value
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError
+from equipoise.identification.recording import Trajectory, read_swing
 from equipoise.logs.run_log import RunLog, TruthColumns
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import MODEL
 from equipoise.outcomes import Outcome
 from equipoise.reproduction.synthetic_swing import SyntheticSwing
-from equipoise.trajectory import Trajectory, read_swing
 from equipoise.worlds.evaluation import Evaluation
 from equipoise.worlds.formatting import format_end, format_failures, percent, plus_minus
 

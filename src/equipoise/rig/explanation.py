@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.errors import ArtefactError, RecordingError
-from equipoise.identification.refinement import read_motion
+from equipoise.identification.refine import read_motion
 from equipoise.logs.run_log import RunLog
 from equipoise.logs.runs import ending, pendulum_of
 from equipoise.model.pendulum import PendulumParameters
@@ -108,7 +108,7 @@ ADVICE: Final = {
     Outcome.FOLLOWING: _PANEL,
     Outcome.FIRST: _PANEL,
     Outcome.TORQUE: "find what the arm touched before it moves again",
-    Outcome.SPEED: "train with --max-speed, leave T1, or make the link to the robot faster",
+    Outcome.SPEED: "train with --set plant.max_speed=0.23, leave T1, or make the link faster",
     Outcome.DRIFT: _MOUNTING,
     Outcome.TILT: _MOUNTING,
     Outcome.TICK: "find with `equipoise rig doctor` what delays this machine",

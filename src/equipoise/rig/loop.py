@@ -30,8 +30,7 @@ from equipoise.errors import LinkError
 from equipoise.logs.recorder import PULSE, Recorder, push_event
 from equipoise.outcomes import End, Outcome, describe
 from equipoise.rig.guarded import GuardedRobot
-from equipoise.rig.interfaces import AngleSensor, Clock, Sample
-from equipoise.rig.operator import Operator
+from equipoise.rig.interfaces import AngleSensor, Clock, Operator, Sample
 
 Array = npt.NDArray[np.float64]
 

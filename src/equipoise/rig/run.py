@@ -27,7 +27,7 @@ from equipoise.control.policy import (
     tick_policy,
 )
 from equipoise.control.ticks import OperatorMessage, TickHandler
-from equipoise.errors import EquipoiseError, InputError, LinkError
+from equipoise.errors import EquipoiseError, InputError, LinkError, OutsideError
 from equipoise.logs.conditions import RunConditions, RunEnd, named
 from equipoise.logs.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
 from equipoise.logs.writer import RunWriter
@@ -35,30 +35,26 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.worlds import PivotFriction, pivot_friction, read_world
 from equipoise.outcomes import End, Outcome
 from equipoise.printable import printable
-from equipoise.rig.checks.encoder import check_encoder, listen
-from equipoise.rig.checks.fit import (
+from equipoise.rig.checks import (
+    check_encoder,
     check_fit,
+    check_link,
     check_posture,
     check_speed,
     fitting_actuators,
     max_flange_speed,
 )
-from equipoise.rig.checks.host import check_realtime
-from equipoise.rig.checks.link import check_link, round_trips
-from equipoise.rig.checks.results import CheckResult, Spread, require
-from equipoise.rig.config import DrainingClock, Rig, RigSettings, check_addresses, connect, world_of
+from equipoise.rig.clocks import DrainingClock
+from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import Rig, check_addresses, connect, world_of
+from equipoise.rig.findings import Finding, require
 from equipoise.rig.guarded import GuardedRobot
-from equipoise.rig.interfaces import Clock
+from equipoise.rig.interfaces import Clock, Operator
 from equipoise.rig.loop import Executor, LoopResult, run_loop
-from equipoise.rig.operator import Operator
-from equipoise.rig.realtime import RealtimeSetting
-from equipoise.rig.run_controller import (
-    PHASES,
-    POLICY_TIME_SHARE,
-    Alternative,
-    Excitation,
-    RunController,
-)
+from equipoise.rig.phases.balancing import POLICY_TIME_SHARE
+from equipoise.rig.phases.context import ArmResponse, Excitation, RunParts
+from equipoise.rig.probes import listen, round_trips
+from equipoise.rig.run_controller import PHASES, RunController
 from equipoise.rig.simulate import simulate_run
 from equipoise.safety.rules import T1_SPEED, SafetyParams, make_safety_params
 from equipoise.worlds.twin.excitation import excitation
@@ -135,7 +131,7 @@ class RunRequest:
     """Further actuators: with any, the run selects one of all from the move of the self-test."""
     identify: Callable[[Array, Array], Actuator] | None = None
     """Identification of the arm from an excitation before the lift, such as
-    `equipoise.identification.motion.identify_motion`; None without one."""
+    `equipoise.identification.actuator.identify_motion`; None without one."""
     anyway: bool = False
     """Whether a policy also runs that does not fit the identified arm."""
 
@@ -176,7 +172,7 @@ class RunRequest:
             torque_share=self.settings.torque_share,
         )
 
-    def responses(self, counts_per_rev: int, max_speed: float = inf) -> list[Alternative]:
+    def responses(self, counts_per_rev: int, max_speed: float = inf) -> tuple[ArmResponse, ...]:
         """Return the responses of the arm of which the run selects one; empty without alternatives.
 
         Args:
@@ -184,13 +180,13 @@ class RunRequest:
             max_speed: Flange speed limit from the pre-flight [m/s].
         """
         carried = (self.actuator, *self.alternatives) if self.alternatives else ()
-        return [self._response(actuator, counts_per_rev, max_speed) for actuator in carried]
+        return tuple(self.response(each, counts_per_rev, max_speed) for each in carried)
 
-    def _response(self, actuator: Actuator, counts_per_rev: int, max_speed: float) -> Alternative:
+    def response(self, actuator: Actuator, counts_per_rev: int, max_speed: float) -> ArmResponse:
         """Return the response of the arm with an actuator; further arguments as of `responses`."""
         one = replace(self, actuator=actuator)
         parts = one.controller(counts_per_rev), one.guard(counts_per_rev, max_speed)
-        return Alternative(actuator, *parts)
+        return ArmResponse(actuator, *parts)
 
     def excitation(self, counts_per_rev: int, max_speed: float = inf) -> Excitation | None:
         """Return the excitation before the lift; None without one. Arguments as of `responses`.
@@ -204,14 +200,39 @@ class RunRequest:
         free = excitation(arm, period=self.policy.h / 2.0)
         free = arm.home_free + EXCITATION_SHARE * (free - arm.home_free)
 
-        def respond(actuator: Actuator) -> tuple[Alternative, str]:
+        def respond(actuator: Actuator) -> tuple[ArmResponse, str]:
             text = describe_fit(self.policy, actuator)
             if not (fitting_actuators(self.policy, actuator) or self.anyway):
                 raise InputError(text)
-            return self._response(actuator, counts_per_rev, max_speed), text
+            return self.response(actuator, counts_per_rev, max_speed), text
 
         setpoints = np.array([arm.with_held(q) for q in free])
         return Excitation(setpoints, self.identify, respond)
+
+    def parts(
+        self,
+        policy: Policy,
+        clock: Callable[[], float],
+        counts_per_rev: int,
+        max_speed: float = inf,
+    ) -> RunParts:
+        """Return the parts of the run controller.
+
+        Args:
+            policy: The policy, as it decides tick by tick.
+            clock: Clock for its computing time [s].
+            counts_per_rev: Counts per revolution that the rig's encoder reports.
+            max_speed: Flange speed limit from the pre-flight [m/s].
+        """
+        return RunParts(
+            self.settings.described_arm,
+            self.policy.settings.boxes,
+            policy,
+            self.duration,
+            clock,
+            self.responses(counts_per_rev, max_speed),
+            self.excitation(counts_per_rev, max_speed),
+        )
 
     def conditions(self) -> RunConditions:
         """Return the run conditions for the log.
@@ -250,7 +271,7 @@ class RunRequest:
         """Return the rig.
 
         Args:
-            callbacks: `tell` and `attend` of `equipoise.rig.config.connect`.
+            callbacks: `tell` and `attend` of `equipoise.rig.connection.connect`.
 
         Raises:
             InputError: An address is invalid.
@@ -351,7 +372,7 @@ def run_on_rig(
     operators: Sequence[Operator],
     recorder: Recorder,
     *,
-    measures: Callable[[], Sequence[RealtimeSetting]] = tuple,
+    measures: Callable[[], Sequence[Finding]] = tuple,
     executor: Executor | None = None,
     idle: Callable[[], None] = lambda: None,
     wrap: Callable[[TickHandler], TickHandler] = lambda handler: handler,
@@ -391,9 +412,10 @@ def run_on_rig(
         robot.connect()
         results, max_speed = preflight(request, rig, measures())
         for result in results:
-            columns = (result.name, result.verdict, result.found, result.cure)
+            columns = (result.name, result.status, result.text, result.remedy)
             tell(OperatorMessage("finding", "\t".join(map(printable, columns))))
-        require(results)
+        require(check_fit(request.policy, request.actuator, request.settings))
+        require(results, OutsideError)
         if max_speed < inf:
             text = f"{max_speed!r} m/s: the run stops when the flange reaches this speed."
             tell(OperatorMessage(SPEED_LIMIT, text))
@@ -417,16 +439,14 @@ def run_on_rig(
         began = rig.clock.now()
         recorder.reply.push(began, nan, robot.started_at, recorder.unknown, began)
         controller = RunController(
-            request.settings.described_arm,
-            request.controller(counts_per_rev),
-            request.policy.settings.boxes,
-            policy,
-            request.guard(counts_per_rev, max_speed),
+            request.parts(
+                policy,
+                rig.clock.now if kernel is None else lambda: 0.0,  # it takes the computer's time
+                counts_per_rev,
+                max_speed,
+            ),
+            request.response(request.actuator, counts_per_rev, max_speed),
             robot.started_at,
-            duration=request.duration,
-            clock=rig.clock.now if kernel is None else lambda: 0.0,  # it takes the computer's time
-            alternatives=request.responses(counts_per_rev, max_speed),
-            excitation=request.excitation(counts_per_rev, max_speed),
         )
         ending = run_loop(
             robot,
@@ -452,8 +472,8 @@ def run_on_rig(
 
 
 def preflight(
-    request: RunRequest, rig: Rig, measures: Sequence[RealtimeSetting] = ()
-) -> tuple[list[CheckResult], float]:
+    request: RunRequest, rig: Rig, measures: Sequence[Finding] = ()
+) -> tuple[list[Finding], float]:
     """Check a connected rig and a policy against each other; nothing moves.
 
     A bad result refuses the run; a warning goes into the log.
@@ -471,18 +491,18 @@ def preflight(
     """
     policy, settings = request.policy, request.settings
     draining = DrainingClock(rig.clock, rig.sensor)
-    trips = Spread.of(round_trips(rig.robot, draining, MEASURING_TIME))
+    trips = round_trips(rig.robot, draining, MEASURING_TIME)
     rule = rig.plugin.flange_speed
-    max_speed, reason = max_flange_speed(settings.described_arm, trips, request.t1, rule)
+    max_speed = max_flange_speed(settings.described_arm, trips, request.t1, rule)
     posture = check_posture(rig.robot.measured(), settings)
     reading = listen(rig.sensor, rig.clock, MEASURING_TIME)
     results = [
         *check_fit(policy, request.actuator, settings),
-        check_link(trips),
-        *check_speed(policy, max_speed, reason),
+        *check_link(trips),
+        *check_speed(policy, max_speed),
         posture,
-        *check_encoder(reading, settings.counts_per_rev),
-        *check_realtime(measures),
+        *check_encoder(reading, settings),
+        *measures,
     ]
     return results, max_speed
 
@@ -495,7 +515,7 @@ def check_request(request: RunRequest) -> None:
         SettingsError: The twin is unknown.
     """
     check_addresses(request.robot, request.encoder)
-    require(list(check_fit(request.policy, request.actuator, request.settings)))
+    require(check_fit(request.policy, request.actuator, request.settings))
 
 
 def describe_fit(policy: TaskPolicy, actuator: Actuator) -> str:
@@ -564,7 +584,7 @@ def _unmoved(outcome: Outcome, **evidence: float | str) -> RunEnd:
 
 def run_end(controller: RunController, ending: LoopResult) -> RunEnd:
     """Return the end of a run from the states of its controller and its loop."""
-    end = controller.state.cause or End(Outcome.FAULT, {"text": "the run ended without a cause"})
+    end = controller.end or End(Outcome.FAULT, {"text": "the run ended without a cause"})
     if ending.fault is not None:
         outcome = ending.fault.outcome if ending.stoppable else Outcome.LINK_LOST
         end = ending.fault._replace(outcome=outcome)
@@ -668,5 +688,5 @@ def rehearse_t1(
         raise InputError(
             f"on the twin in T1 this policy lasts {duration:g} s in {ended[Outcome.LASTED]} of "
             f"{trials} trials, expected {least} (ended by: {others}); train one for "
-            f"this limit: equipoise train --max-speed {T1_SPEED:g}"
+            f"this limit: equipoise train --set plant.max_speed={T1_SPEED:g}"
         )

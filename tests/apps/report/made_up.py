@@ -5,6 +5,7 @@ import numpy as np
 from equipoise import paper
 from equipoise.artefacts import Estimate, Provenance
 from equipoise.control.policy import Checkpoint, LearningPoint, TabularPolicy
+from equipoise.identification.recording import Trajectory
 from equipoise.logs.conditions import IDEAL, RunConditions, RunEnd
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
@@ -15,7 +16,6 @@ from equipoise.outcomes import Outcome
 from equipoise.reproduction.results import PipelineStage, ReproductionRecord, Results, digests
 from equipoise.reproduction.synthetic_swing import SyntheticSwing
 from equipoise.settings import resolve
-from equipoise.trajectory import Trajectory
 from equipoise.worlds.evaluation import Evaluation, TrialResults
 
 W2, C, RELEASE = 70.2, 0.15, 0.5

@@ -9,11 +9,11 @@ from equipoise import film, paper
 from equipoise.apps.report import page as page_module
 from equipoise.apps.report.page import FIGURES, PAGE, build, page
 from equipoise.errors import ArtefactError, OutsideError
+from equipoise.identification.recording import write_swing
 from equipoise.model.worlds import MODEL, TwinSettings
 from equipoise.outcomes import Outcome
 from equipoise.reproduction import results as files
 from equipoise.settings import Settings
-from equipoise.trajectory import write_swing
 from tests.apps.report import made_up
 
 HOSTILE = "<script>alert('x')</script>&\x1b[2J.csv"

@@ -12,10 +12,11 @@ from equipoise import paper
 from equipoise.apps import style
 from equipoise.apps.style import new_figure, plain, styled, typeset
 from equipoise.control.policy import TabularPolicy
+from equipoise.identification.fitted import fit_of, fitted_curve
+from equipoise.identification.recording import Trajectory
 from equipoise.logs.run_log import RunLog
-from equipoise.model.pendulum import Pendulum, fit_of, fitted_curve
+from equipoise.model.pendulum import Pendulum
 from equipoise.outcomes import Outcome
-from equipoise.trajectory import Trajectory
 from equipoise.worlds.evaluation import Evaluation, TrialResults
 
 if TYPE_CHECKING:
