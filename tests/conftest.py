@@ -78,7 +78,8 @@ def rig_log(tmp_path_factory):
     from equipoise.model.worlds import pendulum_on, read_world
     from equipoise.rig.config import RigSettings
     from equipoise.rig.connection import emulated_rig
-    from equipoise.rig.run import RunRequest, run_virtually
+    from equipoise.rig.request import RunRequest
+    from equipoise.rig.run import run_virtually
 
     path, policy = tmp_path_factory.mktemp("rig") / "run.mcap", shipped_policy()
     settings = RigSettings()

@@ -15,7 +15,7 @@ from equipoise.cli.verb import Options, verb
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
-    from equipoise.rig.run import RunRequest
+    from equipoise.rig.request import RunRequest
 
 ACTUATOR = "-actuator.json"
 """End of the name of the actuator that a run identifies, after the log's."""
@@ -125,7 +125,8 @@ def _request(
     from equipoise.identification.actuator import identify_motion
     from equipoise.rig.config import read_rig
     from equipoise.rig.connection import world_of
-    from equipoise.rig.run import RunRequest, require_survival
+    from equipoise.rig.preflight import require_survival
+    from equipoise.rig.request import RunRequest
 
     if run.world != Run().world:
         raise InputError("--world is for a simulated run; leave it out, or leave out the rig")

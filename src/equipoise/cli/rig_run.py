@@ -12,7 +12,7 @@ from equipoise.errors import InputError
 from equipoise.user_code import guest_code
 
 if TYPE_CHECKING:
-    from equipoise.rig.run import RunRequest
+    from equipoise.rig.request import RunRequest
 
 
 class Spectator:
@@ -37,8 +37,9 @@ def run_on_rig(output: Output, request: "RunRequest", out: Path, *, console: boo
         console: Whether the run is shown in the browser, too.
     """
     from equipoise.rig.connection import world_of
+    from equipoise.rig.preflight import check_request, rehearse_t1
     from equipoise.rig.processes import run_in_processes
-    from equipoise.rig.run import check_request, rehearse_t1, run_virtually
+    from equipoise.rig.run import run_virtually
 
     check_request(request)
     if console and world_of(request.robot):
