@@ -6,7 +6,7 @@ QUICK = $(filter-out tests/test_bench.py, $(wildcard tests/test_*.py)) \
         tests/model tests/control tests/safety
 # Tests of the modules in which every branch has to be tested: [tool.coverage.run] names these.
 COVERING = $(patsubst %,tests/safety/test_%.py,rules trial dropouts plausibility stop) \
-           tests/control/test_states.py tests/rig/test_release.py \
+           tests/test_outcomes.py tests/rig/test_release.py \
            tests/robots/kst/test_codec.py tests/robots/encoder/test_codec.py
 
 .DEFAULT_GOAL := help
@@ -33,7 +33,7 @@ plain:  ## tests of model and control without compilation: the kernels as the Py
 	NUMBA_DISABLE_JIT=1 $(PYTHON) -m pytest -q -m 'not slow and not compiled_only' tests/model \
 	  tests/control $(addprefix --ignore=,$(COVERING))
 
-cover:  ## every branch of safety rules, codecs and state machine is tested; half a minute
+cover:  ## every branch of safety rules, release, codecs and outcomes is tested; half a minute
 	NUMBA_DISABLE_JIT=1 $(PYTHON) -m pytest -q --cov --cov-report=term-missing:skip-covered \
 	  -m 'not slow and not compiled_only' $(COVERING)
 

@@ -51,7 +51,7 @@ from equipoise.artefacts import Value
 from equipoise.control.policy import shipped_policy
 from equipoise.executors import available_cores
 from equipoise.jit import kernel
-from equipoise.learning.training import train
+from equipoise.learning.train import train
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.elementary import fma
@@ -636,14 +636,11 @@ def main() -> None:
     from equipoise.model.pendulum import shipped_pendulum
 
     parser = argparse.ArgumentParser(description="Steps per second beside Pinocchio and Gymnasium.")
-    parser.add_argument("--arm", default="iiwa7", help="iiwa7, iiwa14, or the URDF file of an arm")
-    parser.add_argument("--held", help="held joint of a URDF arm, by name or number")
-    parser.add_argument("--base", help="fixed link of a URDF arm")
-    parser.add_argument("--tip", help="flange link of a URDF arm")
+    parser.add_argument("--arm", default="iiwa7", help="iiwa7, iiwa14, a URDF or a rig.toml")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args()
     try:
-        arm = read_arm(given.arm, given.held, given.base, given.tip)
+        arm = read_arm(given.arm)
     except EquipoiseError as error:
         parser.error(str(error))
     _print_to_stderr("Measuring on one core, in alternating rounds, for about half a minute")

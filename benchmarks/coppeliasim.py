@@ -14,9 +14,9 @@ import time
 
 from equipoise.apps.coppeliasim.address import read_address
 from equipoise.apps.coppeliasim.world import CoppeliaSimulation
-from equipoise.control.grid import cause_named
 from equipoise.control.policy import KernelPolicy, shipped_policy
 from equipoise.model.random import TEST
+from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.worlds import run_trial, setup_of, simulate
 
 POLICY = shipped_policy()
@@ -36,7 +36,7 @@ def measure(world: str, seconds: float) -> dict[str, float | str]:
     return {
         "world": world,
         "steps": steps,
-        "cause": cause_named(cause),
+        "cause": TRIAL_OUTCOMES[cause],
         "steps_per_second": steps / wall,
         "calls_per_step": (sim.calls - calls) / steps,
         "share_in_client": (sim.seconds - inside) / wall,

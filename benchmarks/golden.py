@@ -12,8 +12,10 @@ import hashlib
 import json
 import sys
 from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +40,7 @@ def digest(*values: object) -> str:
 def trainings() -> dict[str, str]:
     """Short trainings of both recipes."""
     from equipoise.control.policy import shipped_policy
-    from equipoise.learning.training import train
+    from equipoise.learning.train import train
     from equipoise.settings import resolve
 
     policy, found = shipped_policy(), {}
@@ -54,24 +56,27 @@ def trainings() -> dict[str, str]:
 
 
 def evaluations() -> dict[str, str]:
-    """Trials of the shipped policy on plant and twins."""
+    """Trials of the shipped policy on plant and twins, with the codes of their ends."""
     from equipoise.control.policy import shipped_policy
-    from equipoise.worlds.evaluation import evaluate
+    from equipoise.worlds import evaluation
 
-    policy, found = shipped_policy(), {}
+    policy, found, codes, results = shipped_policy(), {}, {}, evaluation.trial_results
+
+    def recorded(name: str, trials: Any, h: float) -> Any:
+        names = ("lasted", "angle", "track", "joint limit", "guard")
+        codes[name] = [names[min(code, 4)] for code in trials.cause.tolist()]
+        return results(name, trials, h)
+
+    evaluation.trial_results = recorded
     parts = {"trials": TRIALS, "duration": 10.0}
-    evaluation = policy.settings.evaluation.model_copy(update=parts)
-    settings = policy.settings.model_copy(update={"evaluation": evaluation})
+    numbers = policy.settings.evaluation.model_copy(update=parts)
+    settings = policy.settings.model_copy(update={"evaluation": numbers})
     for world in ("ideal", "model", "twin:nominal", "twin:harsh"):
         for seed in SEEDS:
-            done = evaluate(policy, settings, world=world, seed=seed)
-            found[f"evaluation {world} {seed}"] = digest(
-                *(
-                    each
-                    for one in (done.results, *done.baselines)
-                    for each in (one.survival, *one.causes)
-                )
-            )
+            done = evaluation.evaluate(policy, settings, world=world, seed=seed)
+            each = ((one.survival, *codes[one.name]) for one in (done.results, *done.baselines))
+            found[f"evaluation {world} {seed}"] = digest(*chain.from_iterable(each))
+    evaluation.trial_results = results
     return found
 
 

@@ -68,7 +68,7 @@ def main() -> None:
         for console in both:
             for _ in range(ATTEMPTS if given.console else 1):
                 outcome = _run(given, number, console)
-                runs, lasted = runs + 1, lasted + (outcome.get("cause") == "lasted")
+                runs, lasted = runs + 1, lasted + (outcome.get("outcome") == "lasted")
                 print(json.dumps({"number": number, "console": console, **outcome}), flush=True)
                 if KINDS[0] in outcome:
                     break

@@ -18,7 +18,7 @@ from pathlib import Path
 from equipoise.control.policy import TabularPolicy
 from equipoise.executors import available_cores
 from equipoise.identification.actuator import identify_run
-from equipoise.learning.training import LEARNERS, train_to_target
+from equipoise.learning.target import LEARNERS, train_to_target
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
@@ -98,7 +98,7 @@ def main() -> None:
                     "seed": seed,
                     "survived": summary.survived,
                     "trials": summary.trials,
-                    "causes": summary.causes,
+                    "causes": summary.outcomes,
                     "learner": policy.learner,
                     "own_test": None if test is None else test.model_dump(mode="json"),
                     "train_s": round(trained),

@@ -150,7 +150,7 @@ check(
 
 # %%
 summary = displaced[3].summary()
-print(f"zero error of {np.degrees(zeros[3]):g}°: {summary.causes}, median {summary.median:.2f} s")
+print(f"zero error of {np.degrees(zeros[3]):g}°: {summary.outcomes}, median {summary.median:.2f} s")
 
 # %% [markdown]
 # ## Dry friction

@@ -160,11 +160,11 @@ claim = eq.make_claim(0.97, duration=10.0, world="twin:nominal")
 
 def decide(candidate):
     """Test the claim about a policy, and print the verdict."""
-    certificate, evaluation = eq.certify(candidate, claim, workers=2)
+    certificate = eq.certify(candidate, claim, workers=2)
     verdict = "granted" if certificate.granted else "refused"
-    print(f"{verdict}: {claim.text}")
+    print(f"{verdict}: {claim}")
     print(f"{certificate.failed} of {claim.trials} trials failed; bound {certificate.bound:.4f}")
-    return evaluation
+    return certificate.evaluation
 
 
 decide(policy)

@@ -14,7 +14,7 @@ policy = eq.TabularPolicy.load(Path(sys.argv[1])) if len(sys.argv) > 1 else eq.s
 run = eq.simulate_run(policy, world="twin:nominal", seed=1, duration=20.0)
 
 print(f"{run.conditions.world}: stood {run.lasted:g} of {run.conditions.duration:g} s")
-print(f"ended by: {run.cause}")
+print(f"ended by: {run.outcome}")
 print(f"flange: within {1e3 * abs(run.truth.x).max():.0f} mm of home")  # what a robot cannot tell
 print(f"pendulum: within {degrees(abs(run.truth.phi).max()):.1f} deg of upright")
 print(

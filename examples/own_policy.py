@@ -37,7 +37,7 @@ def main():
     evaluation = eq.evaluate(policy, settings, world="twin:nominal")
     summary = evaluation.results.summary()
     print(f"{summary.survived} of {summary.trials} trials lasted {evaluation.duration:g} s")
-    print("ended by:", summary.causes)
+    print("ended by:", summary.outcomes)
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ for results in (evaluation.results, *evaluation.baselines):
     low, high = summary.interval
     print(
         f"{results.name:12} lasted {summary.survived:3} of {summary.trials} trials "
-        f"(95 %: {low:.3f} to {high:.3f}), median {summary.median:.1f} s, {summary.causes}"
+        f"(95 %: {low:.3f} to {high:.3f}), median {summary.median:.1f} s, {summary.outcomes}"
     )
 
 policy.save(Path("policy.json"), command="examples/train_and_evaluate.py")

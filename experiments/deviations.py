@@ -9,7 +9,7 @@ import argparse
 import numpy as np
 
 from equipoise.executors import ThreadExecutor, available_cores
-from equipoise.learning.training import train
+from equipoise.learning.train import train
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
@@ -87,7 +87,7 @@ def main() -> None:
         summaries = [found for _, found in threads.completed(result, range(arguments.seeds))]
         survived = sum(s.survived for s in summaries)
         trials = sum(s.trials for s in summaries)
-        track = sum(s.causes.get("track", 0) for s in summaries)
+        track = sum(s.outcomes.get("track", 0) for s in summaries)
         low, high = exact_interval(survived, trials)
         rates = [s.rate for s in summaries]
         print(

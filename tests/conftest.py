@@ -7,7 +7,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-from equipoise.learning.training import train
+from equipoise.learning.train import train
 from equipoise.model.actuator import IDEAL_ACTUATOR
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
@@ -46,7 +46,6 @@ def quick_settings():
             "learning.episodes=120",
             "learning.episode_duration=2",
             "selection.every=40",
-            "selection.late=1",
             "selection.round_trials=20",
             "selection.rounds=3",
             "selection.duration=2",
@@ -77,8 +76,10 @@ def rig_log(tmp_path_factory):
     """The log of a whole run on an emulated rig: home, self-test, lift, 1.5 s of balancing."""
     from equipoise.control.policy import shipped_policy
     from equipoise.model.worlds import pendulum_on, read_world
-    from equipoise.rig.config import RigSettings, emulated_rig
-    from equipoise.rig.run import RunRequest, run_virtually
+    from equipoise.rig.config import RigSettings
+    from equipoise.rig.connection import emulated_rig
+    from equipoise.rig.request import RunRequest
+    from equipoise.rig.run import run_virtually
 
     path, policy = tmp_path_factory.mktemp("rig") / "run.mcap", shipped_policy()
     settings = RigSettings()
@@ -96,7 +97,7 @@ def rig_log(tmp_path_factory):
         dry_run=False,
         seed=3,
     )
-    assert run_virtually(request, path, rig=emulated.rig).cause == "lasted"
+    assert run_virtually(request, path, rig=emulated.rig).outcome == "lasted"
     return path
 
 

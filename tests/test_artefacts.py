@@ -11,14 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from equipoise import artefacts
 from equipoise.artefacts import (
     Artefact,
     Estimate,
     Value,
     read_document,
     value_digest,
-    write_whole,
 )
 from equipoise.errors import ArtefactError, EquipoiseError, OutsideError
 from equipoise.model.pendulum import Pendulum
@@ -98,11 +96,6 @@ def refusal(path, content, cls=Gauge):
 # What is written
 
 
-def test_a_value_comes_back_as_it_was(saved):
-    assert Gauge.load(saved) == GAUGE
-    assert Gauge.load(saved).digest == GAUGE.digest
-
-
 @given(
     row=st.lists(finite).map(tuple),
     label=st.text(st.characters(codec="utf-8")),
@@ -132,12 +125,6 @@ def test_the_digest_does_not_depend_on_the_order_of_keys_or_on_white_space(saved
     assert Gauge.load(saved) == GAUGE
 
 
-def test_equal_values_have_equal_digests_and_others_do_not():
-    assert GAUGE.digest == GAUGE.model_copy().digest
-    assert GAUGE.digest != GAUGE.model_copy(update={"count": 4}).digest
-    assert Gauge(label="a", row=(1,)).digest == Gauge(label="a", row=(1.0,)).digest
-
-
 def test_a_file_says_what_it_is_and_where_it_comes_from(saved):
     document = read_document(saved)
     assert list(document) == ["format", "version", "digest", "provenance", "body"]
@@ -154,11 +141,6 @@ def test_a_file_can_be_read_by_a_person(saved):
     assert '  "count": 3,' in lines
     assert '  "row": [0.1, -0.0, 1e-300],' in lines  # a row of numbers stays on its line
     assert any("Ä" in line for line in lines)
-
-
-def test_missing_folders_are_made(tmp_path):
-    GAUGE.save(tmp_path / "a" / "b" / "gauge.json", command="test")
-    assert Gauge.load(tmp_path / "a" / "b" / "gauge.json") == GAUGE
 
 
 def test_values_refuse_unknown_fields_changes_nan_and_infinity():
@@ -188,79 +170,33 @@ def test_the_interval_of_a_normal_error_holds_95_percent_of_it():
 # What is refused
 
 
-def test_a_missing_file_is_refused(path):
-    with pytest.raises(ArtefactError, match=r"there is no file .*gauge\.json"):
-        Gauge.load(path)
-
-
-def test_a_folder_is_refused(tmp_path):
-    with pytest.raises(ArtefactError, match="cannot read"):
-        Gauge.load(tmp_path)
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"",
-        b"\n",
-        b"hello",
-        b"time_s,theta_rad\n0,1\n",
-        b"\x89PNG\r\n\x1a\n\0",
-        b"{",
-        b"{}}",
-        b"\xff{}",
-    ],
+FOREIGN = (
+    b"",
+    b"hello",
+    b"\x89PNG\0",
+    b"{",
+    b"\xff{}",
+    b"null",
+    b"3",
+    b"[]",
+    b"{}",
+    b"[" * 100_000,
 )
-def test_what_is_not_json_is_refused(path, content):
-    assert "not a file of Equipoise" in refusal(path, content)
+KINDS = [("format", 3), ("version", "3"), ("version", True), ("provenance", []), ("body", [])]
 
 
-@pytest.mark.parametrize("content", [b"null", b"3", b'"text"', b"[]", b"{}", b'{"format": 1}'])
-def test_json_of_somebody_else_is_refused(path, content):
-    assert "not a file of Equipoise" in refusal(path, content)
-
-
-def test_brackets_without_end_are_refused(path):
-    assert "not a file of Equipoise" in refusal(path, b"[" * 100_000)
-
-
-@pytest.mark.parametrize("key", ["format", "version", "digest", "provenance", "body"])
-def test_a_missing_key_is_refused(saved, key):
-    document = json.loads(saved.read_text())
-    del document[key]
-    assert "expected the keys format, version" in refusal(saved, json.dumps(document))
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("format", 3),
-        ("version", "3"),
-        ("version", 3.0),
-        ("version", True),
-        ("digest", None),
-        ("provenance", []),
-        ("body", []),
-    ],
-)
-def test_a_key_of_another_type_is_refused(saved, key, value):
-    document = json.loads(saved.read_text())
-    document[key] = value
-    if key == "body":
-        document["digest"] = canonical_digest(value)
-    assert "not a file of Equipoise" in refusal(saved, json.dumps(document))
-
-
-@pytest.mark.parametrize("tenths", range(10))
-def test_a_file_that_was_cut_short_is_refused(saved, tenths):
-    content = saved.read_bytes()
-    refusal(saved, content[: len(content) * tenths // 10])
-
-
-def test_no_cut_of_a_file_is_read_as_a_file(saved):
-    content = saved.read_bytes()
-    for length in range(len(content) - 2):  # less than the last brace and the line's end
-        refusal(saved, content[:length])
+def test_what_is_no_file_of_equipoise_is_refused(tmp_path, saved):
+    whole = json.loads(saved.read_text())
+    for missing in (tmp_path / "nowhere.json", tmp_path):
+        with pytest.raises(ArtefactError):
+            Gauge.load(missing)
+    for key in whole:
+        refusal(saved, json.dumps({k: value for k, value in whole.items() if k != key}))
+    for key, value in KINDS:
+        digest = canonical_digest(value) if key == "body" else whole["digest"]
+        refusal(saved, json.dumps(whole | {"digest": digest, key: value}))
+    for content in FOREIGN:
+        refusal(saved, content)
 
 
 @pytest.mark.parametrize(
@@ -269,44 +205,21 @@ def test_no_cut_of_a_file_is_read_as_a_file(saved):
         ('"count": 3', '"count": 4'),
         ("0.1", "0.10000000000000002"),
         ("-0.0", "0.0"),
-        ('"size": 2.5', '"size": 2.50001'),
-        ('"kind": "round"', '"kind": "square"'),
         ("Ä", "A"),
         ('  "count": 3,\n', ""),
+        ("sha256:", "sha256:0"),
+        *(("2.5", constant) for constant in ("NaN", "Infinity", "-1e999")),
     ],
 )
-def test_an_edited_value_is_refused(saved, old, new):
+def test_an_edited_file_is_refused(saved, old, new):
     text = saved.read_text()
     assert old in text
-    assert "does not match its digest" in refusal(saved, text.replace(old, new))
+    refusal(saved, text.replace(old, new))
 
 
-def test_an_edited_digest_is_refused(saved):
-    text = saved.read_text()
-    digest = json.loads(text)["digest"]
-    other = digest[:-1] + ("0" if digest[-1] != "0" else "1")
-    assert "does not match its digest" in refusal(saved, text.replace(digest, other))
-
-
-@pytest.mark.parametrize("constant", ["NaN", "Infinity", "-Infinity", "1e999", "-1e999"])
-def test_a_number_that_is_not_finite_is_refused(saved, constant):
-    refusal(saved, saved.read_text().replace("2.5", constant))
-
-
-def test_a_file_of_another_format_is_refused_by_name(saved):
-    message = refusal(saved, saved.read_text(), cls=Pendulum)
-    assert "holds 'test-gauge', expected 'equipoise-pendulum'" in message
-
-
-def test_a_newer_version_is_refused(path):
-    message = refusal(path, signed({"label": "a"}, version=4))
-    assert "version 4" in message
-    assert "upgrade Equipoise" in message
-
-
-@pytest.mark.parametrize("version", [1, 0, -1])
-def test_an_older_version_is_refused(path, version):
-    assert "expected 3" in refusal(path, signed({"label": "old"}, version=version))
+@pytest.mark.parametrize("version", [4, 1, -1])
+def test_another_version_is_refused(path, version):
+    assert ("upgrade" in refusal(path, signed({"label": "a"}, version=version))) is (version == 4)
 
 
 @pytest.mark.parametrize(
@@ -314,27 +227,25 @@ def test_an_older_version_is_refused(path, version):
     [
         ({"colour": "red"}, "colour"),
         ({"count": "3"}, "count"),
-        ({"count": 3.5}, "count"),
         ({"row": [0.1, "0.2"]}, "row.1"),
         ({"part": {"size": 1.0, "width": 2.0}}, "part.width"),
         ({"part": {"kind": "round"}}, "part.size"),
-        ({"part": {"size": 1.0, "kind": "oval"}}, "part.kind"),
         ({"label": None}, "label"),
     ],
 )
 def test_a_body_that_does_not_fit_is_refused_and_says_where(path, change, where):
-    message = refusal(path, signed({"label": "a"} | change))
-    assert "not a valid 'test-gauge' file" in message
-    assert f": {where}: " in message
+    assert where in refusal(path, signed({"label": "a"} | change))
 
 
-def test_a_field_that_only_a_newer_program_knows_is_refused_by_name(path):
-    message = refusal(path, signed({"label": "a", "part": {"size": 1.0, "width": 2.0}}))
-    assert "part.width: this Equipoise does not know that field; upgrade it" in message
+def test_no_cut_of_a_file_is_read_as_a_file(saved):
+    content = saved.read_bytes()
+    for length in range(len(content) - 2):  # less than the last brace and the line's end
+        refusal(saved, content[:length])
 
 
-def test_a_field_that_is_missing_is_refused(path):
-    assert ": label: " in refusal(path, signed({"count": 3}))
+def test_a_file_of_another_format_is_refused_by_name(saved):
+    message = refusal(saved, saved.read_text(), cls=Pendulum)
+    assert "holds 'test-gauge', expected 'equipoise-pendulum'" in message
 
 
 # IntArray or not at all
@@ -392,29 +303,6 @@ def test_a_place_where_no_file_can_be_is_refused(tmp_path, monkeypatch, place):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["file", "folder"]
 
 
-@pytest.mark.skipif(
-    not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere"
-)
-def test_a_folder_that_may_not_be_written_is_an_outside_error(tmp_path):
-    tmp_path.chmod(0o500)
-    with pytest.raises(OutsideError, match="Permission denied"):
-        GAUGE.save(tmp_path / "gauge.json", command="test")
-
-
-def test_saving_again_replaces_the_file(saved):
-    other = GAUGE.model_copy(update={"count": 9})
-    other.save(saved, command="test")
-    assert Gauge.load(saved) == other
-    assert list(saved.parent.iterdir()) == [saved]
-
-
-def test_bytes_and_text_are_written_as_they_are(tmp_path):
-    write_whole(tmp_path / "text", "ä\n")
-    write_whole(tmp_path / "bytes", b"\0\r\n")
-    assert (tmp_path / "text").read_bytes() == "ä\n".encode()
-    assert (tmp_path / "bytes").read_bytes() == b"\0\r\n"
-
-
 def test_writers_at_the_same_time_leave_one_whole_file(tmp_path):
     path = tmp_path / "gauge.json"
     gauges = [Gauge(label=str(i), row=tuple(float(j * i) for j in range(2000))) for i in range(4)]
@@ -447,30 +335,3 @@ def test_writers_at_the_same_time_leave_one_whole_file(tmp_path):
     assert errors == []
     assert Gauge.load(path) in gauges
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_the_temporary_file_lies_beside_the_file_so_that_the_rename_cannot_cross_disks(
-    path, monkeypatch
-):
-    seen = []
-    replace = Path.replace
-    monkeypatch.setattr(Path, "replace", lambda a, b: (seen.append((a, b)), replace(a, b)))
-    write_whole(path, "x")
-    ((temporary, target),) = seen
-    assert temporary.parent == target.parent == path.parent
-    assert temporary.name.startswith(".")
-
-
-def test_every_message_says_what_to_do(saved):
-    document = json.loads(saved.read_text())
-    for content in ("hello", "{}", json.dumps(document | {"digest": "sha256:0"})):
-        assert refusal(saved, content).rsplit("; ", 1)[1].startswith(("make", "give"))
-
-
-def test_a_version_of_a_library_that_is_missing_is_said_so(monkeypatch, path):
-    def missing(package):
-        raise artefacts.metadata.PackageNotFoundError(package)
-
-    monkeypatch.setattr(artefacts.metadata, "version", missing)
-    GAUGE.save(path, command="test")
-    assert read_document(path)["provenance"]["software"]["mujoco"] == "not installed"

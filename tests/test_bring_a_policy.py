@@ -43,7 +43,7 @@ def test_the_page_runs_as_it_is_printed(tmp_path, monkeypatch):
     policy = load_policy("own_policy:balance")
     evaluation = Evaluation.load(tmp_path / "evaluation.json")
     assert (evaluation.policy, evaluation.results.name) == (policy.digest, policy.name)
-    assert Certificate.load(tmp_path / "certificate.json").policy == policy.digest
+    assert Certificate.load(tmp_path / "certificate.json").evaluation.policy == policy.digest
     assert RunLog.load(tmp_path / "run.mcap").conditions.policy == policy.digest
     sys.modules.pop("own_policy")
 

@@ -89,7 +89,7 @@ def test_the_story_runs_as_it_is_printed(folder, monkeypatch, capsys):
     assert policy.arm.joints[3].link.mass == 1.0
     evaluation = said["evaluate policy.json"]
     assert evaluation["median_s"] > 2.0
-    assert "sensor" not in evaluation["causes"]
+    assert "sensor" not in evaluation["outcomes"]
     assert said["deploy policy.json"]["lasted_s"] > 1.0
     scenario = Scenario(settings=read_rig(Path("rig.toml")), policy=policy)
     for fault in (fault for fault in FAULTS if fault.name in ("TCP drop", "joint limit")):

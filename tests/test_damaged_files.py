@@ -11,16 +11,13 @@ import pytest
 from equipoise.control.baselines import baselines
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.errors import ArtefactError, InputError
-from equipoise.learning.checkpoint import ResumePoint
-from equipoise.learning.training import train
+from equipoise.identification.recording import read_swing
 from equipoise.model.actuator import Actuator, shipped_actuator
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.worlds import read_world
 from equipoise.rig.config import read_rig
 from equipoise.settings import resolve
-from equipoise.trajectory import read_swing
 from equipoise.worlds.certification import Certificate, certify, make_claim
 from equipoise.worlds.evaluation import Evaluation, evaluate
 from tests.cli.damage import DAMAGE, digest, mutations, outcomes
@@ -40,7 +37,6 @@ hold_action = true
 duration = 60.0
 [identification]
 friction = "coulomb"
-horizons = [0.08, 0.25]
 """
 RIG = """\
 name = "bench 3"
@@ -50,7 +46,6 @@ encoder = "serial:///dev/ttyACM0"
 home_deg = [90.0, 30.0, 0.0, -70.0, 0.0, 80.0, 0.0]
 counts_per_rev = 8192
 encoder_sign = -1
-base_tilt_deg = [0.1, -0.2]
 """
 WORLD = """\
 transport = 0.012
@@ -68,27 +63,13 @@ def swing_text():
 
 def certified():
     claim = make_claim(0.9, 0.9, 0.05, trials=30)
-    return certify(shipped_policy(), claim)[0]
+    return certify(shipped_policy(), claim)
 
 
 def evaluated():
     settings = shipped_policy().settings
     few = settings.evaluation.model_copy(update={"trials": 20, "duration": 0.3})
     return evaluate(shipped_policy(), settings.model_copy(update={"evaluation": few}))
-
-
-class Unfinished:
-    """A training that was interrupted; its file is the checkpoint."""
-
-    def save(self, path, *, command):
-        quick = ["learning.episodes=60", "selection.every=0", "learning.episode_duration=0.5"]
-        settings = resolve("paper", overrides=quick)
-
-        def interrupt(_):
-            raise KeyboardInterrupt
-
-        with pytest.raises(KeyboardInterrupt):
-            train(shipped_pendulum(), iiwa(7), settings, partial=path, report=interrupt)
 
 
 FORMATS = {
@@ -101,7 +82,6 @@ FORMATS = {
     "actuator.json": (shipped_actuator(), Actuator.load),
     "policy.json": (shipped_policy(), TabularPolicy.load),
     "certificate.json": (certified, Certificate.load),
-    "policy.partial.json": (Unfinished, ResumePoint.load),
     "evaluation.json": (evaluated, Evaluation.load),
 }
 

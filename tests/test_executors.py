@@ -16,7 +16,7 @@ from equipoise.control.bound_policy import load_policy
 from equipoise.errors import EquipoiseError, InputError, MissingExtraError, SettingsError
 from equipoise.executors import ThreadExecutor, available_cores
 from equipoise.jit import kernel_sources_digest
-from equipoise.learning.training import train_to_target
+from equipoise.learning.target import train_to_target
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.settings import resolve
@@ -104,8 +104,8 @@ def evaluated(world, workers):
     return evaluate(policy, settings, **given).results
 
 
-def trained(population, workers):
-    given = {"target": 0.9, "learners": 4, "population": population, "seed": 2}
+def trained(target, workers):
+    given = {"target": target, "learners": 4, "seed": 2}
     task = shipped_pendulum(), iiwa(7), resolve(overrides=SHORT)
     found = train_to_target(*task, workers=workers, **given)
     return found.policy.digest, found.learners
@@ -116,7 +116,7 @@ def trained(population, workers):
     ("work", "of"),
     [
         *((evaluated, world) for world in ("ideal", "model", "twin:nominal")),
-        *((trained, population) for population in (False, True)),
+        (trained, 0.9),
     ],
 )
 def test_other_processes_give_the_same_bits(work, of):
@@ -156,10 +156,6 @@ def test_an_address_without_a_cluster_is_one_error(address, monkeypatch):
         RayExecutor(address)
 
 
-def refuse(_):
-    raise SettingsError("seven is odd")
-
-
 @pytest.mark.slow
 @pytest.mark.compiled_only
 def test_a_cluster_of_two_nodes_gives_the_same_bits():
@@ -170,9 +166,9 @@ def test_a_cluster_of_two_nodes_gives_the_same_bits():
     try:
         executor = RayExecutor(nodes.address)
         assert executor.workers == 2
-        assert trained(True, executor) == trained(True, 2)
-        with pytest.raises(SettingsError, match="seven"):
-            list(executor.completed(refuse, [7]))
+        assert trained(0.9, executor) == trained(0.9, 2)
+        with pytest.raises(SettingsError):  # there is no such recipe
+            list(executor.completed(resolve, ["seven"]))
     finally:
         utils.ray.shutdown()
         nodes.shutdown()

@@ -53,7 +53,8 @@ def equipoise(run, *arguments, code=0):
 
 CONFORMANCE = """
 from equipoise.rig.paced import PacedStream
-from equipoise.rig.config import RigSettings, emulated_rig
+from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import emulated_rig
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.testing import RobotConformance
@@ -74,7 +75,7 @@ class TestGuest(RobotConformance):
 
 def test_its_robot_passes_the_conformance_suite(run, tmp_path):
     (tmp_path / "test_robot.py").write_text(CONFORMANCE)
-    assert "9 passed" in run("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_robot.py").stdout
+    assert "7 passed" in run("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_robot.py").stdout
 
 
 PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "bring-a-robot.md"
@@ -95,7 +96,7 @@ def test_the_page_shows_this_package_whose_robot_balances_over_its_own_wires(run
     (commands,) = (block for kind, block in blocks if kind == "sh")
     deploy, explain = (shlex.split(command)[1:] for command in commands.splitlines())
     told = equipoise(run, *deploy)
-    assert (told["cause"], told["missed"]) == ("lasted", 0)
+    assert (told["outcome"], told["missed"]) == ("lasted", 0)
     assert told["lasted_s"] == pytest.approx(5.0, abs=0.02)
     assert equipoise(run, *explain)["cause"] == "lasted"
 
@@ -105,7 +106,7 @@ def test_its_addresses_are_checked_and_its_robot_is_missed(run, tmp_path):
     ran = run("-m", "equipoise", "deploy", "--robot", "guest://nowhere", code=2)
     assert "expected guest://HOST:4000" in ran.stderr
     ran = run("-m", "equipoise", "deploy", "--robot", "other://x", code=2)
-    assert "expected guest://HOST:4000 or kst://HOST:30001 or twin:nominal" in ran.stderr
+    assert "guest:, kst:, twin:" in ran.stderr
     ran = run(
         "-m", "equipoise", "rig", "doctor", "--robot", "guest://127.0.0.1:1", "--seconds", 1, code=1
     )

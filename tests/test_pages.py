@@ -15,8 +15,8 @@ import pytest
 import equipoise
 from equipoise.cli import main
 from equipoise.control.policy import TabularPolicy, shipped_policy
+from equipoise.identification.recording import write_swing
 from equipoise.reproduction.synthetic_swing import SyntheticSwing, synthetic_swing
-from equipoise.trajectory import write_swing
 from tests.cli.conftest import parse
 from tests.reference.onnx_network import FLOAT, linear_network
 
@@ -271,7 +271,7 @@ def forced(line):
     words = shlex.split(first.split("&&")[0].split("||")[0])[1:]
     if words[:1] == ["-m"]:
         words = words[2:]
-    known = "force" in parse(words) and not {"--resume", "--verify"} & set(words)
+    known = "force" in parse(words)
     return re.sub(r"( &&| \|\||$)", r" --force\1", first, count=1) if known else first
 
 
@@ -305,5 +305,5 @@ def test_the_tutorial_ends_with_a_balanced_twin_on_an_empty_machine(tmp_path):
     )
     assert ran.returncode == 0, (ran.stdout[-3000:], ran.stderr[-3000:])
     run = equipoise.RunLog.load(clone / "lesson" / "run.mcap")
-    assert run.cause == "lasted"
+    assert run.outcome == "lasted"
     assert equipoise.Certificate.load(clone / "lesson" / "certificate.json").granted

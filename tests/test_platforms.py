@@ -73,20 +73,16 @@ def test_every_module_imports_without_what_only_unix_has():
 
 
 @pytest.mark.parametrize(
-    ("value", "hidden", "expected"),
+    ("value", "hidden"),
     [
-        (
-            "osmesa",
-            HIDE_LIBRARIES,
-            "mujoco.osmesa needs the library OSMesa",
-        ),
-        pytest.param("glfw", "", "mujoco.glfw says: ", marks=pytest.mark.slow),
-        ("nonsense", "", "MUJOCO_GL is 'nonsense'"),
+        ("osmesa", HIDE_LIBRARIES),
+        pytest.param("glfw", "", marks=pytest.mark.slow),
+        ("nonsense", ""),
     ],
 )
-def test_opengl_that_is_not_there_stops_only_drawing_with_one_sentence(value, hidden, expected):
+def test_opengl_that_is_not_there_stops_only_drawing_with_one_sentence(value, hidden):
     printed = said(hidden + DRAW, MUJOCO_GL=value)
-    assert expected in printed
+    assert f"MUJOCO_GL={value!r}" in printed
     assert printed.count("\n") == 1
     assert "set MUJOCO_GL to egl, osmesa" in printed
 

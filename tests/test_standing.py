@@ -5,11 +5,11 @@ from scipy.stats import binomtest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.executors import available_cores
-from equipoise.identification import identify
-from equipoise.learning.training import LEARNERS, train_to_target
+from equipoise.identification.recording import read_swing
+from equipoise.identification.swing import identify
+from equipoise.learning.target import LEARNERS, train_to_target
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
-from equipoise.trajectory import read_swing
 from equipoise.worlds.evaluation import evaluate
 
 TESTS = resolve(overrides=["evaluation.trials=1000"])

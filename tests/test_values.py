@@ -33,7 +33,7 @@ def values(small_policy, pendulum):
             "evaluation",
             r"<Evaluation of 'policy' in 'model': \d of 4 trials lasted 1 s .*>",
         ),
-        ("run", r"<RunLog of 'iiwa14' in 'model': lasted \S+ of 1 s, ended '[a-z ]+'>"),
+        ("run", r"<RunLog of 'iiwa14' in 'model': lasted \S+ of 1 s, ended [a-z ]+>"),
     ],
 )
 def test_a_value_is_one_line(values, name, expected):

@@ -17,21 +17,26 @@ if TYPE_CHECKING:
     from equipoise.control.bound_policy import bind_policy, load_policy
     from equipoise.control.policy import Policy, TabularPolicy, shipped_policy
     from equipoise.errors import EquipoiseError
-    from equipoise.identification import identify
     from equipoise.identification.actuator import identify_run
-    from equipoise.learning.training import train, train_to_target
+    from equipoise.identification.recording import (
+        Trajectory,
+        read_swing,
+        simulate_swing,
+        write_swing,
+    )
+    from equipoise.identification.swing import identify
+    from equipoise.learning.target import train_to_target
+    from equipoise.learning.train import train
     from equipoise.logs.run_log import RunLog
     from equipoise.model.actuator import Actuator, shipped_actuator
     from equipoise.model.arms.arm import Arm
     from equipoise.model.arms.iiwa import iiwa
     from equipoise.model.arms.urdf import read_urdf
-    from equipoise.model.encoder import simulate_swing
     from equipoise.model.pendulum import Pendulum, PendulumParameters, shipped_pendulum
     from equipoise.model.worlds import read_world
     from equipoise.reproduction.pipeline import reproduce
     from equipoise.rig.simulate import excite, simulate_run
     from equipoise.settings import Settings, resolve
-    from equipoise.trajectory import Trajectory, read_swing, write_swing
     from equipoise.worlds.certification import Certificate, certify, make_claim
     from equipoise.worlds.evaluation import Evaluation, evaluate
 
@@ -53,21 +58,21 @@ _HOMES = {
     "rig.simulate": ("excite", "simulate_run"),
     "errors": ("EquipoiseError",),
     "worlds.evaluation": ("Evaluation", "evaluate"),
-    "identification": ("identify",),
     "identification.actuator": ("identify_run",),
+    "identification.recording": ("Trajectory", "read_swing", "simulate_swing", "write_swing"),
+    "identification.swing": ("identify",),
     "model.actuator": ("Actuator", "shipped_actuator"),
     "model.arms.arm": ("Arm",),
     "model.arms.iiwa": ("iiwa",),
     "model.arms.urdf": ("read_urdf",),
-    "model.encoder": ("simulate_swing",),
     "model.pendulum": ("Pendulum", "PendulumParameters", "shipped_pendulum"),
     "model.worlds": ("read_world",),
     "logs.run_log": ("RunLog",),
     "settings": ("Settings", "resolve"),
     "worlds.certification": ("Certificate", "certify", "make_claim"),
     "reproduction.pipeline": ("reproduce",),
-    "learning.training": ("train", "train_to_target"),
-    "trajectory": ("Trajectory", "read_swing", "write_swing"),
+    "learning.target": ("train_to_target",),
+    "learning.train": ("train",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

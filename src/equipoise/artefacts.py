@@ -8,7 +8,6 @@ another version are rejected. Files are written atomically.
 
 import hashlib
 import json
-import math
 import os
 import platform
 import reprlib
@@ -190,12 +189,10 @@ class Artefact(Value):
         try:
             return cls.model_validate_json(json.dumps(document["body"]), strict=True)
         except ValidationError as error:
-            fault, cure = first_fault(error), "make the file again"
-            what = fault.what
-            if fault.unknown:  # the digest excludes a damaged file
-                what, cure = "this Equipoise does not know that field", f"upgrade it, or {cure}"
+            fault = first_fault(error)
+            cure = "upgrade Equipoise, or make the file again"  # the digest excludes a damaged file
             where = f"{cls.FORMAT!r} file: {fault.where or 'body'}"
-            raise ArtefactError(f"{path} is not a valid {where}: {what}; {cure}") from None
+            raise ArtefactError(f"{path} is not a valid {where}: {fault.what}; {cure}") from None
 
 
 def check_version(path: StrPath, name: str, version: int, expected: int, cure: str) -> None:
@@ -221,25 +218,17 @@ def read_document(path: Path) -> dict[str, Any]:
     """
     data = read_bytes(path, MAX_FILE_SIZE, "a file of Equipoise", ArtefactError)
     kinds = {"format": str, "version": int, "digest": str, "provenance": dict, "body": dict}
+    cure = "make the file again, or give a file that Equipoise wrote"
     try:
-        read: Any = json.loads(data.decode("utf-8"), parse_constant=_refuse, parse_float=_finite)
-        document = read if isinstance(read, dict) else {}
-        matches = document.get("digest") == _digest(document.get("body"))
-    except (ValueError, RecursionError) as error:
-        raise ArtefactError(
-            f"{path} is not a file of Equipoise, or was cut short ({shortened(str(error))}); "
-            "make the file again"
-        ) from None
-    if any(type(document.get(key)) is not kind for key, kind in kinds.items()):
-        raise ArtefactError(
-            f"{path} is not a file of Equipoise: expected the keys {', '.join(kinds)}; "
-            "give a file that Equipoise wrote"
-        )
+        document: Any = json.loads(data)
+        if any(type(document[key]) is not kind for key, kind in kinds.items()):
+            raise ValueError(f"expected the keys {', '.join(kinds)}")
+        matches = document["digest"] == _digest(document["body"])
+    except (ValueError, LookupError, TypeError, RecursionError) as error:
+        what = f"is not a file of Equipoise, or was cut short ({shortened(str(error))})"
+        raise ArtefactError(f"{path} {what}; {cure}") from None
     if not matches:
-        raise ArtefactError(
-            f"{path} does not match its digest: it was edited or damaged after it was written; "
-            "make the file again"
-        )
+        raise ArtefactError(f"{path} does not match its digest: it was edited or damaged; {cure}")
     return document
 
 
@@ -255,22 +244,18 @@ def read_bytes(path: Path, limit: int, kind: str, error: type[InputError]) -> by
     Raises:
         InputError: The file is missing, unreadable or too large; an instance of `error`.
     """
-    pieces: list[bytes] = []
-    left = limit + 1
     try:
         with Path(path).open("rb") as file:
-            while left > 0 and (piece := file.read(min(MEBIBYTE, left))):
-                pieces.append(piece)
-                left -= len(piece)
+            data = file.read(limit + 1)
     except FileNotFoundError:
         raise error(f"there is no file {path}; check the path") from None
     except (OSError, ValueError) as refusal:
         reason = getattr(refusal, "strerror", None) or refusal
         raise error(f"cannot read {path}: {reason}; give {kind}") from None
-    if left <= 0:
-        size = f"{limit // MEBIBYTE} MiB" if limit >= MEBIBYTE else f"{limit // 1024} KiB"
+    if len(data) > limit:
+        size = f"{limit / MEBIBYTE:.2g} MiB"
         raise error(f"{path} is larger than {size}, the limit for {kind}; give a smaller one")
-    return b"".join(pieces)
+    return data
 
 
 class FieldError(NamedTuple):
@@ -421,15 +406,6 @@ def value_digest(value: BaseModel, *, exclude: dict[str, Any] | None = None) -> 
 def _digest(body: Any) -> str:
     canonical = json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return DIGEST_PREFIX + hashlib.sha256(canonical.encode()).hexdigest()
-
-
-def _refuse(constant: str) -> float:
-    raise ValueError(f"{constant} is not allowed")
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    return value if math.isfinite(value) else _refuse(text)
 
 
 def _software() -> dict[str, str]:

@@ -10,7 +10,6 @@ The tree, with the exit code of the command line in brackets::
     │   ├── ArmError                             invalid arm description or posture
     │   └── MissingExtraError (ImportError)      optional dependency is not installed
     └── OutsideError (OSError)               [3] failure of disk, link or device
-        ├── ClosedPipeError                  [141] reader of the output has gone
         └── LinkError (ConnectionError)          no valid answer from robot or sensor
 
 A message gives the fault with its value, the expected value, and a remedy.
@@ -20,6 +19,8 @@ from typing import Any, Final
 
 INTERRUPTED: Final = 130
 """Exit code of an interrupted command."""
+CLOSED_PIPE: Final = 141
+"""Exit code of a command whose reader has gone: that of a program ended by SIGPIPE."""
 
 
 class EquipoiseError(Exception):
@@ -71,12 +72,6 @@ class OutsideError(EquipoiseError, OSError):
     """Failure outside the program: disk full, link lost, device disconnected."""
 
     exit_code = 3
-
-
-class ClosedPipeError(OutsideError):
-    """Reader of the output that has gone; the exit code is that of a program ended by SIGPIPE."""
-
-    exit_code = 141
 
 
 class LinkError(OutsideError, ConnectionError):

@@ -7,6 +7,7 @@ OSMesa or GLFW.
 """
 
 import io
+import os
 import tempfile
 from collections.abc import Callable, Iterator
 from importlib import import_module
@@ -170,10 +171,11 @@ class RigRenderer:
         try:
             self._renderer: Any = mj.Renderer(rig.model, height, width)
         except Exception as error:  # each backend and driver fails in its own way
+            chosen = os.environ.get("MUJOCO_GL", "")
             raise OutsideError(
-                f"cannot draw pictures, expected OpenGL: {error}; install EGL (Debian and Ubuntu: "
-                "libegl1 and libgl1-mesa-dri), or set MUJOCO_GL to egl, osmesa, or, with a "
-                "display, glfw"
+                f"cannot draw pictures with MUJOCO_GL={chosen!r}: {error}; install EGL (Debian and "
+                "Ubuntu: libegl1 and libgl1-mesa-dri), or set MUJOCO_GL to egl, osmesa, or, with "
+                "a display, glfw"
             ) from None
 
     def draw(self, q: Floats, phi: float, u: float = 0.0) -> Picture:

@@ -6,9 +6,9 @@ bits; and a cache on disk.
 
 Numba's own cache depends only on the file of a kernel, but a kernel also contains the code of the
 kernels that it calls. This cache depends on a digest of *all* files with kernels, in the user's
-cache directory (`EQUIPOISE_CACHE_DIR` moves it). Loading cached code runs it, so a folder that
-others can write to is not used (`equipoise.private_folder`). Without a usable folder, kernels
-compile in each process, after one warning.
+cache directory (`EQUIPOISE_CACHE_DIR` moves it). Loading cached code runs it, so the folder is
+created for this user alone. If it cannot be written, kernels compile in each process, after one
+warning.
 
 `@compilable` keeps a function in Python and lets kernels call it.
 
@@ -19,11 +19,13 @@ Python to a kernel takes a microsecond, passing its parts takes a hundred.
 that one training loop serves every arm (a dispatcher as an argument would always miss the cache).
 """
 
+import atexit
 import ctypes
 import functools
 import hashlib
 import logging
 import os
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Generator, Sequence
@@ -36,7 +38,6 @@ import platformdirs
 from numba.core import caching, config, event
 
 from equipoise.printable import printable
-from equipoise.private_folder import make_private_folder, writable_by_others
 
 logger = logging.getLogger(__name__)
 
@@ -64,46 +65,24 @@ def kernel_sources_digest() -> str:
 
 
 @functools.cache
-def _usable(folder: Path, contents: bool) -> bool:
-    """Create a cache folder; return whether this user alone can write to it."""
+def cache_folder(name: str) -> Path:
+    """Return a folder of the cache, or a temporary one, with a warning, if it cannot be written."""
+    folder = cache_directory() / name
     try:
-        make_private_folder(folder)
+        cache_directory().mkdir(mode=0o700, parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
-        problem = writable_by_others(folder, contents=contents)
+        return folder
     except OSError as error:
-        problem = f"cannot write {folder}: {error.strerror or error}"
-    if problem:
-        warn_of_cache(cache_directory(), problem)
-    return not problem
-
-
-@functools.cache
-def warn_of_cache(cache: Path, problem: str) -> None:
-    """Warn of a problem with the cache, once."""
-    logger.warning(
-        "the cache %s is not used: %s. Code is compiled anew in each process; set "
-        "EQUIPOISE_CACHE_DIR to a folder of your own that can be written",
-        printable(str(cache)),
-        printable(problem),
-    )
-
-
-def cache_folder(*names: str) -> Path | None:
-    """Return a folder of the cache; warn and return None if it cannot be used."""
-    top = cache_directory()
-    folder = top.joinpath(*names)
-    return folder if _usable(top, False) and _usable(folder, True) else None
-
-
-@functools.cache
-def _machine_code_directory() -> Path | None:
-    return cache_folder("kernels", kernel_sources_digest())
-
-
-def cache_is_empty() -> bool:
-    """Return whether the cache is in use and holds no kernels yet."""
-    directory = None if disabled() else _machine_code_directory()
-    return directory is not None and not any(directory.glob("*.nbi"))
+        logger.warning(
+            "cannot write the cache %s (%s): code is compiled anew in each process; set "
+            "EQUIPOISE_CACHE_DIR to a folder of your own that can be written",
+            printable(str(folder)),
+            error.strerror,
+        )
+    temporary = Path(tempfile.mkdtemp(prefix="equipoise-"))
+    atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+    return temporary
 
 
 @contextmanager
@@ -127,8 +106,8 @@ class _Locator(caching._CacheLocator):
     The types of Numba's base methods, which only raise, lack the return values.
     """
 
-    def __init__(self, py_func: Callable[..., Any], py_file: str, directory: Path) -> None:
-        self._directory = directory
+    def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
+        self._directory = cache_folder(f"kernels/{kernel_sources_digest()}")
         # Files of equal name share the directory: the path distinguishes them.
         place = hashlib.sha256(py_file.encode()).hexdigest()[:8]
         self._place = f"{py_func.__code__.co_firstlineno}-{place}"
@@ -144,9 +123,8 @@ class _Locator(caching._CacheLocator):
         return self._place
 
     @classmethod
-    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> "_Locator | None":
-        directory = _machine_code_directory()
-        return None if directory is None else cls(py_func, py_file, directory)
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> "_Locator":
+        return cls(py_func, py_file)
 
 
 class _CacheImpl(caching.CompileResultCacheImpl):
@@ -171,14 +149,12 @@ class _KernelCache(caching.FunctionCache):
         try:
             super().save_overload(sig, data)
         except OSError as error:
-            warn_of_cache(cache_directory(), f"the disk takes no more ({error.strerror})")
+            logger.warning("cannot write the cache: %s", error.strerror)
 
 
 def _cached(compiled: Any) -> None:
-    if _machine_code_directory() is not None:
-        compiled._cache = _KernelCache(
-            compiled.py_func if hasattr(compiled, "py_func") else compiled._pyfunc
-        )
+    function = compiled.py_func if hasattr(compiled, "py_func") else compiled._pyfunc
+    compiled._cache = _KernelCache(function)
 
 
 def disabled() -> bool:

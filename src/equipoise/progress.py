@@ -2,15 +2,14 @@
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from functools import partial
 from threading import Lock
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from equipoise.control.bound_policy import bind_policy
 from equipoise.control.policy import LearningPoint, TaskPolicy
 from equipoise.jit import watching_compilation
-from equipoise.learning.checkpoint import LearnerResult
-from equipoise.learning.training import TargetProgress, train
+from equipoise.learning.target import LearnerResult, TargetObserver
+from equipoise.learning.train import train
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.worlds import MODEL, World
@@ -61,32 +60,24 @@ def counted(stage: str, total: int, show: Show) -> Callable[[int], None]:
     return done
 
 
-class TrainingProgress(TargetProgress):
+class TrainingProgress(TargetObserver):
     """Progress of a training to a target.
 
-    The first learner has a stage each for its episodes, its race and its test. Further learners,
-    and those of a population, are counted in one stage.
+    The first learner has a stage each for its episodes, its race and its test. Further learners
+    are counted in one stage.
     """
 
-    def __init__(
-        self, settings: Settings, show: Show, learners: int = 1, *, population: bool = False
-    ) -> None:
+    def __init__(self, settings: Settings, show: Show, learners: int = 1) -> None:
         """Begin with the episodes.
 
         Args:
             settings: Settings of the training.
             show: Called with the progress.
             learners: Maximum number of learners.
-            population: Whether all learners are trained in parallel.
         """
-        self._show, self._learners, self._population = show, learners, population
+        self._show, self._learners = show, learners
         self._episodes, self._finished, self._lock = settings.learning.episodes, 0, Lock()
-        if not population:
-            show(StageProgress("train", 0, self._episodes, "episodes"))
-
-    def of_learner(self) -> dict[str, Any]:
-        """Return the callbacks `report` and `selecting` of a training of one learner."""
-        return {"report": partial(self.report, 0), "selecting": partial(self.selecting, 0)}
+        show(StageProgress("train", 0, self._episodes, "episodes"))
 
     def report(self, learner: int, point: LearningPoint) -> None:
         """Show a point of a learning curve."""
@@ -105,20 +96,20 @@ class TrainingProgress(TargetProgress):
         """Count a tested learner, unless the first one suffices."""
         with self._lock:
             self._finished += 1
-            if self._population or self._finished > 1 or not result.test.met:
+            if self._finished > 1 or not result.test.met:
                 done = min(self._finished, self._learners - 0.01)  # `ended` closes the stage
                 self._show(StageProgress("learners", done, self._learners, "learners"))
 
     def ended(self) -> None:
         """Close the stage of further learners."""
-        if self._population or self._finished > 1:
+        if self._finished > 1:
             count = self._finished
             self._show(StageProgress("learners", count, count, "learners"))
 
     def _show_first(
         self, learner: int, stage: str, done: int, of: int, unit: str = "trials", text: str = ""
     ) -> None:
-        if learner == 0 and not self._population:
+        if learner == 0:
             self._show(StageProgress(stage, done, of, unit, text))
 
 

@@ -15,13 +15,13 @@ hold for hardware as well: the first joint moves by 0.02 rad.
 
 from collections.abc import Callable, Iterable
 from itertools import pairwise
-from math import inf, nan, pi
+from math import nan, pi
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from equipoise import paper
-from equipoise.control.grid import ANGLE, PHI_LIMIT, TRUNCATED
+from equipoise.control.grid import ANGLE, TRUNCATED
 from equipoise.errors import EquipoiseError, InputError, LinkError
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Array, Clock, Reply, Robot
 from equipoise.worlds import ClosedLoop, Setup, Simulation, predicted
@@ -30,22 +30,10 @@ MOVE: Final = 0.02
 """Motion of the first joint [rad]."""
 CLOSE: Final = 2e-3
 """Error of position that a servo with a soft dead band leaves after a second [rad]."""
-
-
 PUSH: Final = 1.0
 """Acceleration that a world is asked for [m/s^2]."""
 PUSH_TIME: Final = 0.2
 """Duration of that push [s]; the response of an arm is a tenth of it to a half."""
-
-
-def expect(condition: object, otherwise: str) -> None:
-    """Fail a test unless a condition holds.
-
-    Raises:
-        AssertionError: It does not hold.
-    """
-    if not condition:
-        raise AssertionError(otherwise)
 
 
 def expect_error(kind: type[Exception], call: Callable[..., Any], *arguments: Any) -> None:
@@ -59,6 +47,11 @@ def expect_error(kind: type[Exception], call: Callable[..., Any], *arguments: An
     except kind:
         return
     raise AssertionError(f"{call} with {arguments} returned, expected {kind.__name__}")
+
+
+def _near(q: Any, expected: Any, tolerance: float = CLOSE) -> None:
+    error = float(np.abs(np.subtract(q, expected)).max())
+    assert error <= tolerance, f"{error:.2g} off, expected at most {tolerance:g}"
 
 
 class RobotSession:
@@ -96,10 +89,7 @@ class RobotSession:
             if len(self.replies) < len(self.sent):
                 self.wait(0.001)
                 self.replies += self.robot.replies()
-        expect(
-            len(self.replies) == len(self.sent),
-            f"{len(self.sent)} setpoints had {len(self.replies)} replies, expected one each",
-        )
+        assert len(self.replies) == len(self.sent), "expected one reply to each setpoint"
 
     def path(self) -> Array:
         """Return a smooth motion of the first joint, and a second of rest at its end [rad]."""
@@ -111,11 +101,6 @@ class RobotSession:
     def joints(self) -> Array:
         """Return the measured joints of all replies that have them [rad], shape (n, joints)."""
         return np.array([reply.q for reply in self.replies if reply.q is not None])
-
-
-def _near(q: Any, expected: Any, tolerance: float = CLOSE) -> None:
-    error = float(np.abs(np.subtract(q, expected)).max())
-    expect(error <= tolerance, f"joints are {error:.2g} rad off, expected at most {tolerance:g}")
 
 
 class RobotConformance:
@@ -130,16 +115,16 @@ class RobotConformance:
         return RobotSession(*self.make())
 
     def test_it_is_a_robot_with_a_clock(self) -> None:
-        made: tuple[Any, Any] = self.make()
-        for one, protocol in zip(made, (Robot, Clock), strict=True):
-            expect(isinstance(one, protocol), f"{one!r} lacks a method of {protocol.__name__}")
-        made[0].close()  # without connect it does nothing
+        robot, clock = self.make()
+        assert isinstance(robot, Robot)
+        assert isinstance(clock, Clock)
+        robot.close()  # without connect it does nothing
 
     def test_joints_are_measured_before_the_servo_runs(self) -> None:
         robot, clock = self.make()
         robot.connect()
         q = robot.measured()
-        expect(q.shape == (robot.joints,), f"shape {q.shape}, expected ({robot.joints},)")
+        assert q.shape == (robot.joints,)
         clock.wait_until(clock.now() + 0.5)
         _near(robot.measured(), q, 1e-4)
         expect_error(LinkError, robot.send, q)  # no servo runs
@@ -147,42 +132,33 @@ class RobotConformance:
         _near(robot.measured(), q, 1e-4)
         robot.close()
 
-    def test_start_holds_the_arm_where_it_is(self) -> None:
+    def test_setpoints_are_followed_without_a_way_back(self) -> None:
         with self.session() as session:
             session.stream([session.home] * 40)
             _near(session.joints(), session.home)
-
-    def test_setpoints_are_followed_without_a_way_back(self) -> None:
-        with self.session() as session:
             session.stream(session.path())
             q = session.joints()
             _near(q[-1], session.path()[-1])
-            back = -float(np.diff(q[:, 0]).min())
-            expect(back < 5e-4, f"the joint went back by {back:.2g} rad on its way")
+            assert np.diff(q[40:, 0]).min() > -5e-4, "the joint went back on its way"
 
     def test_each_setpoint_has_its_reply_in_order_with_its_times(self) -> None:
         with self.session() as session:
+            assert session.robot.replies() == []
             session.stream(session.path())
+            session.wait(0.5)
+            assert session.robot.replies() == [], "a setpoint has two replies"
             replies = session.replies
-            expect([reply.sent for reply in replies] == session.sent, "times sent are others")
+            assert [reply.sent for reply in replies] == session.sent
             received = [reply.received for reply in replies]
-            expect(received == sorted(received), "replies are not in the order of their times")
-            expect(received[-1] <= session.clock.now(), "a reply comes from the future")
+            assert received == sorted(received)
+            assert received[-1] <= session.clock.now()
+            assert any(reply.torque for reply in replies), "torques never came"
             for reply in replies:
                 given = [part for part in (reply.q, reply.torque) if part is not None]
-                expect(given, "a reply has neither joints nor torques")
-                for part in given:
-                    expect(len(part) == session.robot.joints, "a reply has too few or many joints")
-                    expect(np.isfinite(part).all(), "a reply has numbers that are not finite")
-                expect(reply.sent <= reply.received, "a reply came before its setpoint")
-            expect(any(reply.torque for reply in replies), "torques never came")
-
-    def test_there_is_no_reply_without_a_setpoint(self) -> None:
-        with self.session() as session:
-            expect(session.robot.replies() == [], "a reply came before the first setpoint")
-            session.stream([session.home] * 3)
-            session.wait(0.5)
-            expect(session.robot.replies() == [], "a setpoint has two replies")
+                assert given, "a reply has neither joints nor torques"
+                assert np.isfinite(given).all()
+                assert {len(part) for part in given} == {session.robot.joints}
+                assert reply.sent <= reply.received
 
     def test_stop_leaves_the_arm_where_it_is_and_another_start_holds_it_there(self) -> None:
         with self.session() as session:
@@ -201,13 +177,12 @@ class RobotConformance:
     def test_a_wrong_setpoint_is_refused_and_not_sent(self) -> None:
         with self.session() as session:
             robot, n = session.robot, session.robot.joints
-            for value in (nan, inf, -inf):
-                for i in range(n):
-                    expect_error(InputError, robot.send, np.where(np.arange(n) == i, value, 0.0))
+            for i in range(n):
+                expect_error(InputError, robot.send, np.where(np.arange(n) == i, nan, 0.0))
             for count in (0, n - 1, n + 1):
                 expect_error(InputError, robot.send, [0.0] * count)
             session.wait(0.1)
-            expect(robot.replies() == [], "a refused setpoint has a reply")
+            assert robot.replies() == [], "a refused setpoint has a reply"
             session.stream([session.home] * 10)
             _near(session.joints()[-1], session.home)
 
@@ -264,14 +239,13 @@ class SensorConformance:
         return spindle
 
     def test_it_is_an_angle_sensor_that_gives_nothing_unless_connected(self) -> None:
-        sensor: Any = self.make().sensor
-        expect(isinstance(sensor, AngleSensor), f"{sensor!r} lacks a method of AngleSensor")
+        sensor = self.make().sensor
+        assert isinstance(sensor, AngleSensor)
         expect_error(LinkError, sensor.samples)
         sensor.connect()
-        expect(len(sensor.samples()) > 0, "a connected sensor has no sample at once")
-        expect(
-            sensor.counts_per_rev > 0 and sensor.description, "it has no description or resolution"
-        )
+        assert sensor.samples(), "a connected sensor has no sample at once"
+        assert sensor.counts_per_rev > 0
+        assert sensor.description
         sensor.close()
         sensor.close()
         expect_error(LinkError, sensor.samples)
@@ -279,18 +253,16 @@ class SensorConformance:
     def test_times_are_the_clocks_and_increase(self) -> None:
         spindle = self.connected()
         samples, read = spindle.watch(1.0)
-        expect(len(samples) > 100, f"{len(samples)} samples in a second, expected over 100")
-        expect(all(b.time > a.time for a, b in pairwise(samples)), "times do not increase")
+        assert len(samples) > 100
+        assert all(b.time > a.time for a, b in pairwise(samples))
         ages = [now - sample.time for sample, now in zip(samples, read, strict=True)]
-        most = spindle.age + 0.005
-        expect(min(ages) >= -0.001 and max(ages) <= most, f"ages are {min(ages)} to {max(ages)} s")
-
-    def test_no_sample_is_given_twice_and_reading_does_not_wait(self) -> None:
-        spindle = self.connected()
-        spindle.watch(0.1)
+        assert min(ages) >= -0.001
+        assert max(ages) <= spindle.age + 0.005
+        assert not any(s.missing or s.illegal or s.pressed for s in samples)
+        assert spindle.sensor.rejected == 0
         before = spindle.clock.now()
-        expect(spindle.sensor.samples() == [], "a sample was given twice")
-        expect(spindle.clock.now() - before < 1e-3, "reading takes time")
+        assert spindle.sensor.samples() == [], "a sample was given twice"
+        assert spindle.clock.now() - before < 1e-3, "reading takes time"
 
     def test_counts_grow_with_theta_by_their_number_per_revolution(self) -> None:
         spindle = self.connected()
@@ -298,11 +270,10 @@ class SensorConformance:
         began = spindle.clock.now()
         spindle.turn(lambda time: min(5.0 * (time - began), pi / 2.0))
         counts = [sample.counts - start for sample in spindle.watch(0.5)[0]]
-        expect(counts == sorted(counts), "counts fall while theta grows")
-        expect(abs(counts[-1] - quarter) <= 1, f"{counts[-1]} counts for 90 deg, not {quarter}")
+        assert counts == sorted(counts)
+        assert abs(counts[-1] - quarter) <= 1
         spindle.turn(lambda time: max(pi / 2.0 - 5.0 * (time - began - 0.5), -pi / 2.0))
-        counted = spindle.watch(0.8)[0][-1].counts - start
-        expect(abs(counted + quarter) <= 1, f"{counted} counts for -90 deg, not {-quarter}")
+        assert abs(spindle.watch(0.8)[0][-1].counts - start + quarter) <= 1
 
     def test_each_count_is_that_of_its_time(self) -> None:
         spindle = self.connected()
@@ -312,21 +283,14 @@ class SensorConformance:
         step = 2.0 * pi / spindle.sensor.counts_per_rev
         for sample in spindle.watch(0.5)[0][20:]:
             error = abs((sample.counts - start) * step - 10.0 * (sample.time - began))
-            expect(error < 10.0 * spindle.age + step, f"a count is {error:.2g} rad off its time")
-
-    def test_nothing_is_missing_illegal_or_pressed_where_nothing_happens(self) -> None:
-        spindle = self.connected()
-        samples, _ = spindle.watch(0.5)
-        expect(not any(s.missing or s.illegal or s.pressed for s in samples), "something happened")
-        expect(spindle.sensor.rejected == 0, "readings were rejected")
+            assert error < 10.0 * spindle.age + step
 
     def test_a_press_is_reported_once(self) -> None:
         spindle = self.connected()
         spindle.watch(0.05)
         if spindle.press is not None:
             spindle.press()
-            pressed = sum(sample.pressed for sample in spindle.watch(0.2)[0])
-            expect(pressed == 1, f"a press was reported {pressed} times")
+            assert sum(sample.pressed for sample in spindle.watch(0.2)[0]) == 1
 
     def test_a_cut_link_is_an_error_that_stays(self) -> None:
         spindle = self.connected()
@@ -355,57 +319,51 @@ class WorldConformance:
 
     def test_conditions_depend_on_the_number_of_a_trial_alone(self) -> None:
         simulation, _ = self.make()
-        many, later = simulation.draw(5), simulation.draw(1, first=3)
-        expect(many.trial(3) == later.trial(0), "trial 3 is another one if it is drawn alone")
+        assert simulation.draw(5).trial(3) == simulation.draw(1, first=3).trial(0)
 
     def test_a_release_leaves_the_arm_at_rest_at_home_and_the_pendulum_as_drawn(self) -> None:
         loop, simulation, setup = self.released()
         start, state = simulation.draw(1, first=3).start[0], loop.state()
-        _near(state[:2], start[:2], 2e-3)
-        _near(state[2], start[2], 2e-3)
+        _near(state[:3], start[:3], 2e-3)
         _near(state[3], start[3], 0.05)
         _near(loop.joints(), setup.arm.home, 2e-3)
-        expect(loop.now == 0.0, f"the time is {loop.now} s, expected 0")
+        assert loop.now == 0.0
 
     def test_the_controller_observes_what_is_true(self) -> None:
         loop, _, setup = self.released()
         for _ in range(5):
             loop.step(0.0)
-        seen, measured = predicted(loop), loop.measurement()
-        _near(seen, loop.state(), 0.2)
-        expect((measured is not None) == self.ENCODER, f"a measurement is {measured}")
+        measured = loop.measurement()
+        _near(predicted(loop), loop.state(), 0.2)
+        assert (measured is not None) == self.ENCODER
         if measured is not None:
             _near(measured.q, np.array(loop.joints())[list(setup.arm.free)], 2e-3)
             shown = pi - measured.counts * loop.params.resolution - (loop.zero or 0.0)
             _near(shown, loop.state()[2], 0.02)
-            expect(measured.counted_at <= loop.now + 1e-3, "a count comes from the future")
-            expect(measured.measured_at <= loop.now, "a measurement comes from the future")
+            assert measured.counted_at <= loop.now + 1e-3, "a count comes from the future"
+            assert measured.measured_at <= loop.now, "a measurement comes from the future"
 
     def test_the_flange_accelerates_as_commanded_and_the_pendulum_falls_the_other_way(self) -> None:
-        (free, _, _), ticks = self.released(), round(PUSH_TIME / paper.STEP)
-        for _ in range(ticks // 2):
-            free.step(0.0)
-        alone = free.state()
         loop, simulation, _ = self.released()
-        loop.reset(simulation.draw(1, first=3).trial(0))
-        for _ in range(ticks // 2):
-            loop.step(PUSH)
-        pushed = loop.state()
+        states: list[Any] = []
+        for u in (0.0, PUSH):
+            loop.reset(simulation.draw(1, first=3).trial(0))
+            for _ in range(round(PUSH_TIME / paper.STEP) // 2):
+                loop.step(u)
+            states.append(loop.state())
+        alone, pushed = states
         speed = 0.5 * PUSH * PUSH_TIME
-        expect(abs(alone[0]) < 1e-3, f"without a command the flange is at {alone[0]:.4f} m")
-        expect(
-            0.2 * speed < pushed[1] < 1.05 * speed,
-            f"the flange moves at {pushed[1]:.3f} m/s, commanded are {speed:.3f}",
-        )
-        expect(pushed[2] < alone[2], "the pendulum does not fall against the acceleration")
+        assert abs(alone[0]) < 1e-3
+        assert 0.2 * speed < pushed[1] < 1.05 * speed
+        assert pushed[2] < alone[2], "the pendulum does not fall against the acceleration"
 
     def test_a_pendulum_that_nobody_balances_falls_and_the_cause_says_so(self) -> None:
         loop, _, _ = self.released()
         cause, steps = TRUNCATED, 0
         while cause == TRUNCATED and steps < 200:
             cause, steps = loop.step(0.0), steps + 1
-        expect(cause >= ANGLE and 10 < steps < 200, f"cause {cause} after {steps} steps")
-        expect(abs(loop.state()[2]) > 0.9 * PHI_LIMIT, "the pendulum has not fallen")
+        assert cause >= ANGLE
+        assert 10 < steps < 200
 
     def test_the_same_trial_has_the_same_bits(self) -> None:
         loop, simulation, _ = self.released()
@@ -417,4 +375,4 @@ class WorldConformance:
                 loop.step(0.5 if tick % 2 else -0.5)
                 states.append(loop.state())
             runs.append(np.array(states).tobytes())
-        expect(runs[0] == runs[1], "the second run differs from the first")
+        assert runs[0] == runs[1]

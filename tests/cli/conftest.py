@@ -1,7 +1,6 @@
 """The command as a user sees it: exit code, stdout, stderr, and the files that are left."""
 
 import json
-import shlex
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,9 +10,6 @@ import typer
 
 from equipoise.cli import main
 from equipoise.cli.app import app
-from equipoise.model.encoder import simulate_swing
-from equipoise.trajectory import write_swing
-from equipoise.worlds.evaluation import evaluate
 
 
 class Ran(NamedTuple):
@@ -36,10 +32,26 @@ def equipoise(tmp_path, monkeypatch, capfd):
 
     def run(*arguments):
         code = main([str(argument) for argument in arguments])
-        ran = Ran(code, *capfd.readouterr())
-        for line in ran.out.splitlines():
-            if line.startswith("next: equipoise "):
-                parse(shlex.split(line)[2:])
+        return Ran(code, *capfd.readouterr())
+
+    return run
+
+
+@pytest.fixture
+def refused(equipoise, tmp_path):
+    """Run the command and expect a refusal: exit code 2, one message, no traceback, no file."""
+
+    def run(*arguments, saying=""):
+        before = contents(tmp_path)
+        ran = equipoise(*arguments)
+        assert ran.code == 2, ran
+        assert "Traceback" not in ran.err
+        assert saying in " ".join(ran.err.split())
+        # Lines of stages that were shown before begin with two blanks.
+        message = [line for line in ran.err.splitlines() if line.strip() and line[:2] != "  "]
+        assert message[0].startswith(("error: ", "Usage: "))
+        assert len(message) == 1 or message[0].startswith("Usage: ")
+        assert contents(tmp_path) == before
         return ran
 
     return run
@@ -65,26 +77,6 @@ def verbs():
     return found
 
 
-@pytest.fixture
-def refused(equipoise, tmp_path):
-    """Run the command and expect a refusal: exit code 2, one message, no traceback, no file."""
-
-    def run(*arguments, saying):
-        before = contents(tmp_path)
-        ran = equipoise(*arguments)
-        assert ran.code == 2, ran
-        assert "Traceback" not in ran.err
-        assert saying in ran.err
-        # Lines of stages that were done before begin with two blanks.
-        message = [x for x in ran.err.splitlines() if x.strip() and not x.startswith("  ")]
-        assert message[0].startswith("error: ") or message[0].startswith("Usage: ")
-        assert len(message) == 1 or message[0].startswith("Usage: ")
-        assert contents(tmp_path) == before
-        return ran
-
-    return run
-
-
 def contents(folder):
     return {
         str(path.relative_to(folder)): path.read_bytes()
@@ -94,22 +86,14 @@ def contents(folder):
 
 
 @pytest.fixture
-def swing(pendulum, tmp_path):
-    """A good recording of ten periods."""
+def swing(tmp_path):
+    """A good recording of ten periods of the paper's pendulum."""
+    time = np.arange(0.0, 7.5, 0.005)
+    theta = 0.5 * np.exp(-0.05 * time) * np.cos(2.0 * np.pi * time / 0.75)
     path = tmp_path / "swing.csv"
-    write_swing(path, recorded(pendulum))
+    rows = "".join(f"{t:.3f},{a:.5f}\n" for t, a in zip(time, theta, strict=True))
+    path.write_text("time_s,theta_rad\n" + rows)
     return path
-
-
-def recorded(pendulum):
-    return simulate_swing(
-        pendulum.parameters(),
-        theta0=0.6,
-        duration=7.5,
-        rate_hz=200.0,
-        counts_per_rev=8192,
-        noise=1e-4,
-    )
 
 
 @pytest.fixture
@@ -122,33 +106,6 @@ def pendulum_file(pendulum, tmp_path):
 @pytest.fixture
 def policy_file(small_policy, tmp_path):
     """A policy for an iiwa 14 that has hardly been trained; its trials last two seconds."""
-    path = tmp_path / "policy.json"
+    path = Path(tmp_path / "policy.json")
     small_policy.save(path, command="test")
     return path
-
-
-@pytest.fixture(scope="session")
-def small_evaluation(small_policy):
-    return evaluate(small_policy)
-
-
-@pytest.fixture
-def csv(tmp_path):
-    """Write a recording from columns of anything."""
-
-    def write(header, *columns, name="swing.csv"):
-        rows = [
-            header,
-            *(",".join(str(cell) for cell in row) for row in zip(*columns, strict=True)),
-        ]
-        path = Path(tmp_path / name)
-        path.write_text("\n".join(rows) + "\n")
-        return path
-
-    return write
-
-
-TIME = np.arange(0.0, 7.5, 0.005)
-"""Time stamps of made-up recordings [s]."""
-COSINE = 0.5 * np.cos(2.0 * np.pi * TIME / 0.75)
-"""A swing of the paper's period [rad]."""

@@ -84,8 +84,8 @@ DAMAGE = {
     edited: "does not match its digest",
     newer: "upgrade",
     foreign: "somebody-elses",
-    other_json: "expected the keys format",
-    not_a_number: "NaN is not allowed",
+    other_json: "not a file of Equipoise",
+    not_a_number: "not a file of Equipoise",
 }
 """Ways to damage a file, and what the refusal has to say."""
 

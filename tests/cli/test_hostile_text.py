@@ -9,19 +9,16 @@ from importlib.metadata import EntryPoint
 from itertools import count
 
 import pytest
-from rich.table import Table
 from rich.text import Text
 
-from equipoise.artefacts import read_document
 from equipoise.cli.output import Output
-from equipoise.cli.terminal_operator import TerminalOperator, key_names
+from equipoise.cli.terminal_operator import TerminalOperator
 from equipoise.control.ticks import OperatorMessage
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.recorder import Recorder, push_event
 from equipoise.logs.writer import RunWriter
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.rig import plugins
-from tests.cli.damage import rebuilt
 from tests.logs.made_up import made_up, rig_conditions
 
 ESCAPES = "\x1b[2J\x1b]0;owned\x07\x9b31m\x7f\u202e"
@@ -45,21 +42,14 @@ def check(ran, *, shown=SHOWN):
 
 def test_output_escapes_whatever_it_is_given(capsys):
     output = Output(as_json=False)
-    table = Table(HOSTILE)
-    table.add_row(HOSTILE)
     ways = (
         lambda: output.say(HOSTILE),
         lambda: output.say(Text(HOSTILE)),
-        lambda: output.say(table),
         lambda: output.tell(HOSTILE),
-        lambda: output.rows({HOSTILE: HOSTILE}),
-        lambda: output.points([HOSTILE]),
         lambda: output.warn(HOSTILE),
-        lambda: output.next(HOSTILE),
+        lambda: output.result(**{HOSTILE: HOSTILE}),
+        lambda: output.result(table={HOSTILE: {HOSTILE: HOSTILE}}, then=HOSTILE),
         lambda: TerminalOperator(output).notify(OperatorMessage("notice", HOSTILE)),
-        lambda: TerminalOperator(output).notify(
-            OperatorMessage("finding", f"{HOSTILE}\tgood\t{HOSTILE}\t{HOSTILE}")
-        ),
     )
     for way in ways:
         way()
@@ -91,7 +81,7 @@ def twin_log(tmp_path):
     made = made_up()
     texts = {"world": HOSTILE, "arm": HOSTILE_ARM, "policy_name": HOSTILE}
     conditions = made.conditions.model_copy(update=texts)
-    path, end = tmp_path / "twin.mcap", RunEnd(cause=HOSTILE, guard=HOSTILE, reason=HOSTILE)
+    path, end = tmp_path / "twin.mcap", RunEnd(evidence={"text": HOSTILE, HOSTILE: HOSTILE})
     dataclasses.replace(made, conditions=conditions, end=end).save(path, command=HOSTILE)
     return path
 
@@ -104,7 +94,7 @@ def rig_log(tmp_path):
     writer = RunWriter(path, rig_conditions(arm=HOSTILE_ARM, **texts), 0.0)
     push_event(recorder.event, 0.5, "stopping", (), HOSTILE)
     writer.drain(recorder)
-    writer.finish(1.0, RunEnd(cause=HOSTILE, reason=HOSTILE))
+    writer.finish(1.0, RunEnd(evidence={"text": HOSTILE, HOSTILE: HOSTILE}))
     return path
 
 
@@ -113,28 +103,14 @@ def test_a_log(equipoise, twin_log, rig_log, verb):
     for path in (twin_log, rig_log):
         ran = equipoise(*verb.split(), path)
         check(ran, shown=SHOWN if verb == "log explain" else "")
-        if equipoise(*verb.split(), path, "--json").out:
-            assert equipoise(*verb.split(), path, "--json").json
+        if (ran := equipoise(*verb.split(), path, "--json")).out:
+            assert ran.json
 
 
-def test_a_policy_and_a_pendulum(equipoise, tmp_path, policy_file, pendulum_file):
-    body = read_document(policy_file)["body"]
-    assert "reward" in body["settings"]["learning"]
-    rebuilt(policy_file, lambda body: body["settings"]["learning"].update(reward=HOSTILE))
-    check(equipoise("evaluate", policy_file), shown="")
-    rebuilt(pendulum_file, lambda body: body.update({HOSTILE: 1.0}))
-    check(equipoise("train", pendulum_file))
-    (tmp_path / "key.json").write_text(json.dumps({HOSTILE: 1}))
-    check(equipoise("evaluate", "key.json"), shown="")
-    document = json.loads(policy_file.read_text()) | {"format": HOSTILE}
-    policy_file.write_text(json.dumps(document))
-    check(equipoise("evaluate", policy_file), shown=r"evil\x1b[2J\x1b]0;owned\x07")
-
-
-def test_a_recording(equipoise, csv):
-    check(equipoise("identify", csv(f"time_s,evil{ESCAPES}", [0, 1], [0, 1])), shown="is not text")
+def test_a_recording(equipoise, tmp_path):
     name = f"evil{ESCAPES}.csv"
-    check(equipoise("identify", csv("time_s,theta_rad", [0, 1], [0, 1], name=name)))
+    (tmp_path / name).write_text("time_s,theta_rad\n0,0\n1,1\n")
+    check(equipoise("identify", name))
 
 
 def test_settings_worlds_and_rigs(equipoise, tmp_path):
@@ -146,15 +122,6 @@ def test_settings_worlds_and_rigs(equipoise, tmp_path):
         ("rig", "doctor", "--rig", "bad.toml"),
     ):
         check(equipoise(*arguments), shown=r"evil\x1b[2J\x1b]0;owned\x07")
-
-
-def test_an_arm(equipoise, tmp_path):
-    # XML knows no C0 characters; what it knows may still reverse a line.
-    name = "evil\x9b31m\x7f\u202egnp.exe\u2028"
-    joint = f'<joint name="{name}" type="revolute"><parent link="a"/><child link="b"/></joint>'
-    text = f'<robot name="{name}"><link name="a"/><link name="b"/>{joint}</robot>'
-    (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
-    check(equipoise("train", "--arm", "arm.urdf"), shown=r"evil\x9b31m\x7f\u202egnp.exe")
 
 
 def test_a_robot_server(equipoise):
@@ -186,7 +153,7 @@ def guest(tmp_path):
     return write
 
 
-@pytest.mark.parametrize("end", ENDS, ids=("exit", "base", "generator", "error"))
+@pytest.mark.parametrize("end", ENDS[:2], ids=("exit", "base"))
 @pytest.mark.parametrize(
     ("text", "command"),
     [
@@ -200,12 +167,12 @@ def guest(tmp_path):
 )
 def test_code_of_a_guest(equipoise, guest, tmp_path, text, command, end):
     ran = equipoise(*command.format(guest(text, end)).split())
-    check(ran, shown=" raised ")
+    check(ran, shown="hostile_guest")
     assert ran.code == 2
     assert not list(tmp_path.glob("*.json"))
 
 
-@pytest.mark.parametrize("end", ENDS, ids=("exit", "base", "generator", "error"))
+@pytest.mark.parametrize("end", ENDS[2:], ids=("generator", "error"))
 @pytest.mark.parametrize(
     "command",
     [
@@ -215,25 +182,12 @@ def test_code_of_a_guest(equipoise, guest, tmp_path, text, command, end):
     ],
 )
 def test_a_plugin_of_a_robot(equipoise, guest, monkeypatch, command, end):
-    for text in ("end()", "from equipoise.rig.plugins import *\nPLUGIN = RobotPlugin('', end)"):
-        entry = EntryPoint("own", f"{guest(text, end)}:PLUGIN", plugins.ROBOTS)
-        monkeypatch.setattr(plugins, "_registered", lambda _, entry=entry: {"own": entry})
+    for text in (
+        "end()",
+        "from equipoise.rig.plugins import *\nPLUGIN = RobotPlugin(end, end, end)",
+    ):
+        entry = EntryPoint("own", f"{guest(text, end)}:PLUGIN", "equipoise.robots")
+        monkeypatch.setattr(plugins, "entry_points", lambda group, entry=entry: [entry])
         ran = equipoise(*command.split())
         check(ran, shown="own")
         assert ran.code == 2
-
-
-def test_a_figure_takes_a_name_from_a_file_as_it_is(small_evaluation):
-    from equipoise.apps.report.figures import survival
-    from equipoise.apps.style import render
-
-    renamed = small_evaluation.results.model_copy(update={"name": HOSTILE})
-    svg = render(survival(small_evaluation.model_copy(update={"results": renamed})), "svg").decode()
-    assert not raw(svg)
-    assert SHOWN in svg
-
-
-def test_keys_without_a_character_have_names():
-    assert key_names("\x1bOB\x1b[C") == "down arrow right arrow"
-    assert key_names("\x1b[15~") == "a function key"
-    assert key_names("\x01") == "Ctrl-A"

@@ -1,6 +1,5 @@
 """Policies by name: every kind is read, checked, clipped, and sent to another process."""
 
-import hashlib
 import importlib.util
 import pickle
 import sys
@@ -9,9 +8,8 @@ import numpy as np
 import pytest
 
 from equipoise.control.baselines import lqr_gains
-from equipoise.control.bound_policy import BUILT_IN, bind_policy, load_policy
-from equipoise.control.policy import KernelPolicy, act, shipped_policy
-from equipoise.control.policy import TabularPolicy as Table
+from equipoise.control.bound_policy import BUILT_IN, load_policy
+from equipoise.control.policy import act, shipped_policy
 from equipoise.errors import ArtefactError, InputError, MissingExtraError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
@@ -141,25 +139,6 @@ def test_different_policies_have_different_digests(folder):
     assert len({load_policy(name).digest for name in kinds}) == len(kinds)
 
 
-def test_the_digest_of_python_follows_its_source_and_not_its_folder(folder, tmp_path):
-    policy = load_policy("guest:lqr")
-    assert bind_policy(sys.modules["guest"].lqr, name="mine").digest == policy.digest
-    (tmp_path / "guest.py").write_text(SOURCE + "# another\n")
-    with pytest.raises(InputError, match="has changed"):
-        pickle.loads(pickle.dumps(policy))
-
-
-@needs_onnx
-def test_the_digest_of_a_network_is_that_of_its_file(folder):
-    policy = load_policy("lqr.onnx")
-    written = (folder / "lqr.onnx").read_bytes()
-    assert policy.digest == "sha256:" + hashlib.sha256(written).hexdigest()
-    there = pickle.dumps(policy)
-    (folder / "lqr.onnx").write_bytes(linear_network([[0.0]] * 4))
-    with pytest.raises(InputError, match="has changed"):
-        pickle.loads(there)
-
-
 @pytest.mark.parametrize(
     ("name", "first", "third"), [("Counting", 0.1, 0.3), ("instance", 1.1, 1.3)]
 )
@@ -176,51 +155,29 @@ def test_u_is_clipped_to_the_largest_acceleration_and_may_be_an_array_of_one(fol
     assert load_policy("guest:array").act(OBSERVATION) == 0.25
 
 
-@pytest.mark.parametrize(
-    ("name", "says"),
-    [
-        ("raises", "guest:raises raised ZeroDivisionError.*guest.py, line .* x = 0.05"),
-        ("exits", "raised SystemExit.*guest.py, line .* x = 0.05"),
-        ("hides", r"raised GeneratorExit: \\x1b\[2J .* x = 0.05"),
-        ("mutates", "returned nan in the state x = 0.05"),
-        ("text", "returned '1.0'"),
-        ("huge", "finite number"),
-    ],
-)
-def test_a_policy_that_raises_or_returns_no_finite_number_is_named_with_the_state(
-    folder, name, says
-):
-    with pytest.raises(InputError, match=says):
+@pytest.mark.parametrize("name", ["raises", "exits", "hides", "mutates", "text", "huge"])
+def test_a_policy_that_raises_or_returns_no_finite_number_is_named_with_the_state(folder, name):
+    with pytest.raises(InputError, match=f"guest:{name} .* x = 0.05") as refusal:
         load_policy(f"guest:{name}").act(OBSERVATION.copy())
+    assert "\x1b" not in str(refusal.value)
 
 
 @pytest.mark.parametrize(
-    ("name", "says"),
+    "name",
     [
-        ("guest:number", "of type int, expected a function"),
-        ("guest:Actless", r"has no act\(observation\)"),
-        ("guest:Needy", "needs no arguments"),
-        ("guest:nothing", "has no 'nothing'"),
-        ("nowhere:act", "there is no module 'nowhere'"),
-        ("guest.py", "guest:NAME"),
-        ("guest:", "expected MODULE:NAME"),
-        ("missing.json", "missing.json"),
-        ("missing.onnx", "cannot read missing.onnx"),
+        *("guest:number", "guest:Actless", "guest:Needy", "guest:nothing", "nowhere:act"),
+        *("guest.py", "guest:", "missing.json", "missing.onnx"),
     ],
 )
-def test_a_name_that_is_no_policy_is_refused_with_a_reason(folder, name, says):
-    with pytest.raises(InputError, match=says):
+def test_an_impossible_name_is_refused(folder, name):
+    with pytest.raises(InputError, match=name.split(":")[0].removesuffix(".py")):
         load_policy(name)
 
 
 def test_a_table_is_refused_for_another_task_and_other_policies_take_it(folder):
     other = Pendulum.assumed(50.0, 0.1)
-    for task, says in (
-        ({"pendulum": other}, "another pendulum"),
-        ({"arm": iiwa(14)}, "trained on the iiwa7, not on this iiwa14"),
-        ({"settings": Settings()}, "has the settings of its training"),
-    ):
-        with pytest.raises((ArtefactError, InputError), match=says):
+    for task in ({"pendulum": other}, {"arm": iiwa(14)}, {"settings": Settings()}):
+        with pytest.raises((ArtefactError, InputError)):
             load_policy("table.json", **task)
         bound = load_policy("lqr", **task)
         assert all(getattr(bound, what) == value for what, value in task.items())
@@ -234,14 +191,6 @@ def test_random_actions_follow_the_tick_and_are_spread_over_all(folder):
     shares = [seen.count(u) / 400 for u in policy.kernel.actions]
     assert min(shares) > 0.07
     assert max(shares) < 0.18
-
-
-def test_a_table_commands_the_same_from_python_and_compiled():
-    table = shipped_policy()
-    compiled = KernelPolicy(table.kernel)
-    for observation in np.random.default_rng(0).uniform(-0.2, 0.2, (50, 4)):
-        assert compiled.act(observation) == table.act(observation)
-    assert isinstance(table, Table)
 
 
 # Networks
@@ -267,16 +216,16 @@ def test_a_linear_network_commands_what_the_same_law_in_python_does(
 
 @needs_onnx
 @pytest.mark.parametrize(
-    ("network", "says"),
+    "network",
     [
-        (linear_network([[1.0]] * 5, inputs=(1, 5)), "expected one input of 4 numbers"),
-        (linear_network([[1.0, 2.0]] * 4, outputs=(1, 2)), "one output of one number"),
-        (b"no network", "no network that ONNX Runtime reads"),
+        linear_network([[1.0]] * 5, inputs=(1, 5)),
+        linear_network([[1.0, 2.0]] * 4, outputs=(1, 2)),
+        b"no network",
     ],
 )
-def test_a_file_that_is_no_such_network_is_refused(folder, network, says):
+def test_another_network_is_refused(folder, network):
     (folder / "net.onnx").write_bytes(network)
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(InputError, match="net.onnx"):
         load_policy("net.onnx")
 
 

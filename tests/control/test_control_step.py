@@ -4,12 +4,11 @@ That all of it together equals a slow loop is shown in tests/worlds/test_plant.p
 """
 
 import copy
-from math import exp, pi
+from math import pi
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
 
 from equipoise.artefacts import Estimate
 from equipoise.control.baselines import lqr_gains
@@ -80,12 +79,6 @@ def test_the_horizon_is_the_delay_with_its_upper_end_or_the_margin_and_the_lag(h
     assert made(actuator).horizon == pytest.approx(delay + 0.008, abs=1e-12)
 
 
-def test_setpoints_that_lead_make_up_for_the_response():
-    slow = Actuator.assumed("kst", delay=0.010, lag=0.008, cycle=0.04)
-    assert made(slow, "controller.lead=true").horizon == pytest.approx(0.015, abs=1e-12)
-    assert made(slow).horizon > 0.06
-
-
 def test_the_lags_of_the_joints_count_by_what_they_do_to_the_flange():
     lags = (0.004, 0.030, 0.010, 0.002, 0.020, 0.007)
     actuator = Actuator.assumed("lag", delay=0.0).model_copy(
@@ -99,49 +92,12 @@ def test_the_lags_of_the_joints_count_by_what_they_do_to_the_flange():
     assert horizon(ARM, actuator, 0.0) == pytest.approx(behind[0] / x_dot, rel=1e-4)
 
 
-def test_the_shaping_law_takes_the_time_that_its_slope_says():
-    actuator = Actuator.assumed("kst", delay=0.010, lag=0.008)
-
-    def speed(e):
-        return 0.07 / 0.001 * (1.0 - exp(-((e / 0.0525) ** 2)))
-
-    e = brentq(lambda e: speed(e) - 0.1, 1e-6, 0.05)
-    slope = (speed(e + 1e-7) - speed(e - 1e-7)) / 2e-7
-    assert horizon(ARM, actuator, 0.005) == pytest.approx(0.015 + 0.008 + 1.0 / slope, rel=1e-6)
-
-
-def test_without_prediction_it_does_not_look_ahead():
-    actuator = Actuator.assumed("kst", delay=0.010, lag=0.008)
-    assert made(actuator, "controller.predict=false").horizon == 0.0
-    assert made(actuator).horizon > 0.03
-
-
 def test_a_delay_that_is_longer_than_the_memory_is_refused():
     made(Actuator.assumed("kst", delay=0.090, lag=0.008))
     with pytest.raises(SettingsError, match=r"delay is 91 ms, expected at most 90 ms, "):
         made(Actuator.assumed("kst", delay=0.091, lag=0.008))
     with pytest.raises(SettingsError, match="at most 45 ms"):
         made(Actuator.assumed("lag", delay=0.050), h=0.005)
-
-
-def test_there_may_be_no_time_between_delay_and_horizon():
-    controller = made(Actuator.assumed("lag", delay=0.01), "controller.margin=0")
-    assert controller.horizon == controller.delay
-    memory = new_controller_state()
-    start_controller(controller, memory, 0.0, 0.0, 0.02, 0.1, 0)
-    for _ in range(30):
-        memory.u[0] = 1.0
-        command(controller, memory, 1)
-        memory.counts[0] = round(
-            (pi - memory.estimate[EST_PHI * BATCH_SIZE]) / controller.resolution
-        )
-        memory.measured[:] = memory.model_q
-        observe(controller, memory, 0.0, 0.0, 1)
-    assert np.all(np.isfinite(memory.observation[::BATCH_SIZE]))
-    # The arm will be where it is sent: 0.3 s at 1 m/s^2.
-    np.testing.assert_allclose(
-        memory.observation[: 2 * BATCH_SIZE : BATCH_SIZE], [0.045, 0.3], atol=2e-4
-    )
 
 
 # What it makes of measurements
@@ -214,15 +170,6 @@ def swinging(age=0.0, revolutions=0, counts=FINE, ticks=300):
     return np.array(estimates), swing(times[1:]).T
 
 
-def test_the_estimate_follows_a_pendulum_through_hanging():
-    estimates, truth = swinging()
-    # It hangs at pi and passes there twice in each period of 0.75 s.
-    assert np.sum(np.diff(truth[:, 0] > pi)) > 6
-    # The bias is what upright makes of it; where the pendulum hangs it is another, and harmless.
-    np.testing.assert_allclose(estimates[:, EST_PHI], truth[:, 0], atol=2e-5)
-    np.testing.assert_allclose(estimates[:, EST_PHI_DOT], truth[:, 1], atol=1e-3)
-
-
 @pytest.mark.parametrize("revolutions", [-3, -1, 1, 2])
 def test_whole_revolutions_of_the_encoder_do_not_matter(revolutions):
     plain, _ = swinging(counts=8192)
@@ -273,21 +220,6 @@ def test_measured_joints_are_compared_with_the_model_of_their_own_time(delay, re
     _, wrong = moved(reply_age, np.zeros(6), actuator, believed_age=reply_age + 0.01)
     # 10 ms at 0.2 m/s, which is some 0.2 rad/s of a joint.
     assert np.abs(wrong).max() > 5e-4
-
-
-def test_a_sag_is_taken_up_slowly_and_moves_the_flange_that_is_seen():
-    sag = np.array([0.001, -0.002, 0.001, 0.003, -0.001, 0.002])
-    memory, offsets = moved(0.0, sag, Actuator.assumed("lag", delay=0.01, lag=0.02), ticks=200)
-    # A tenth of what is left with each tick: a time constant of 0.1 s.
-    for tick in (0, 5, 10):
-        np.testing.assert_allclose(offsets[tick], sag * (1.0 - 0.9 ** (tick + 1)), atol=5e-5)
-    np.testing.assert_allclose(offsets[-1], sag, atol=1e-8)
-    where = (
-        ARM.pose(memory.model_q[::BATCH_SIZE] + sag).position[0]
-        - ARM.pose(ARM.home_free).position[0]
-    )
-    # The flange moves at 0.2 m/s, and d later it will be there.
-    assert memory.observation[0] == pytest.approx(where - 0.01 * 0.2, abs=1e-4)
 
 
 # Whether that is true: on the plant, balanced by a linear policy on what the policy sees
@@ -360,26 +292,6 @@ def test_the_observer_finds_a_wrong_zero_within_seconds(actuator, zero):
     assert left[1000] < 0.05
     # The angle is then right, too, to a tenth of a degree.
     assert np.abs(rms(estimates[-200:, EST_PHI] - state[-200:, 2])) < np.radians(0.05)
-
-
-@pytest.mark.compiled_only
-def test_without_an_estimate_of_the_bias_the_zero_stays_wrong():
-    beta = np.radians(0.3)
-    state, estimates, _ = histories(
-        KST, NOMINAL._replace(zero=beta), "controller.estimate_bias=false", ticks=500
-    )
-    assert not estimates[:, EST_BIAS].any()
-    assert np.mean(estimates[100:, EST_PHI] - state[100:, 2]) == pytest.approx(beta, rel=0.1)
-
-
-@pytest.mark.compiled_only
-def test_the_estimate_is_no_worse_on_plants_that_differ():
-    other = DomainRandomization(1.04, 1.4, 0.004, 1.2, 0.0)
-    state, estimates, _ = histories(KST, other, ticks=400)
-    errors = (estimates[:, :2] - state[:, 2:4])[50:]
-    # 4 % of I, 40 % of b, 4 ms of delay, 20 % of the lag.
-    assert rms(errors[:, EST_PHI]) < 8e-4
-    assert rms(errors[:, EST_PHI_DOT]) < 0.04
 
 
 def later(plant, block, ticks):
@@ -464,27 +376,3 @@ def test_without_prediction_the_policy_sees_the_present(delay):
         np.testing.assert_allclose(seen[1], state[1], atol=1e-3 if exact else 0.01)
         np.testing.assert_allclose(seen[2], state[2], atol=1e-3)
         np.testing.assert_allclose(seen[3], state[3], atol=0.08)
-
-
-@pytest.mark.compiled_only
-@pytest.mark.parametrize("wrong_by", [-0.01, 0.0, 0.01])
-def test_a_prediction_over_the_wrong_delay_is_worse(wrong_by):
-    # Not a bound but an order: seen for the right delay is nearer to what comes.
-    follows = KST.response_time(0)
-    true = 0.05 - follows
-    overrides = [*QUIET, f"plant.counts_per_rev={FINE}", "controller.margin=0"]
-
-    def error(known):
-        actuator = Actuator.assumed("kst", delay=known, lag=0.008)
-        differs = NOMINAL._replace(delay=true - known)
-        errors = [
-            block.controller.observation.reshape(4, BATCH_SIZE)[2] - later(plant, block, 5)[2]
-            for tick, (plant, block) in enumerate(balance(actuator, differs, *overrides, ticks=100))
-            if tick >= 20 and tick % 10 == 0
-        ]
-        return rms(errors)
-
-    if wrong_by:
-        assert error(true + wrong_by) > 1.5 * error(true)
-    else:
-        assert error(true) < np.radians(0.05)

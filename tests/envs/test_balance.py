@@ -71,7 +71,7 @@ def test_a_table_in_the_environment_gives_the_trial_of_evaluate_bit_for_bit(worl
             observation, _, terminated, truncated, info = env.step(np.array([u]))
             steps, ended = steps + 1, terminated or truncated
         assert info["time"] == pytest.approx(results.survival[i])
-        assert info["cause"] == results.causes[i]
+        assert info["outcome"] == results.outcomes[i]
 
 
 @pytest.mark.parametrize("world", WORLDS)
@@ -98,7 +98,7 @@ def test_a_time_limit_truncates_and_a_failure_terminates():
     ends = [env.step(np.array([0.0]))[2:] for _ in range(5)]
     assert [truncated for _, truncated, _ in ends] == [False] * 4 + [True]
     assert not any(terminated for terminated, _, _ in ends)
-    assert ends[-1][2]["cause"] == "lasted"
+    assert ends[-1][2]["outcome"] == "lasted"
 
     env = make("ideal")
     env.reset(seed=0)
@@ -107,7 +107,7 @@ def test_a_time_limit_truncates_and_a_failure_terminates():
         _, reward, terminated, truncated, info = env.step(np.array([2.0]))
         assert not truncated
         rewards.append(reward)
-    assert info["cause"] == "angle"
+    assert info["outcome"] == "angle"
     assert rewards == [0.0] * (len(rewards) - 1) + [-1.0]
 
 

@@ -34,7 +34,7 @@ def single_episodes(count, world, **arguments):
             observation, reward, terminated, truncated, info = env.step(act(observation[None])[0])
             over = terminated or truncated
             seen.append(observation)
-        episodes.append((np.array(seen), reward, terminated, truncated, info["cause"]))
+        episodes.append((np.array(seen), reward, terminated, truncated, info["outcome"]))
     return episodes
 
 
@@ -69,7 +69,7 @@ def test_each_episode_has_the_bits_of_a_single_environments(world, count, mode):
             if not ended[i]:
                 continue
             facts = info["final_info"] if last else info
-            end = rewards[i], terminated[i], truncated[i], facts["cause"][i]
+            end = rewards[i], terminated[i], truncated[i], facts["outcome"][i]
             assert np.array_equal(np.array(seen[i]), expected[episode[i]][0])
             assert end == expected[episode[i]][1:]
             compared += 1

@@ -1,6 +1,5 @@
 """Faults of the machine and of files: full disk, power loss, date, damaged input files."""
 
-import io
 import re
 import shutil
 import tempfile
@@ -14,6 +13,7 @@ from typing import Any, Final
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.errors import EquipoiseError
 from equipoise.logs.run_log import RunLog
+from equipoise.outcomes import Outcome
 from equipoise.rig.config import read_rig
 from tests.faults.harness import FaultHarness, Scenario, Trigger
 from tests.faults.table import Fault, Inject
@@ -55,16 +55,10 @@ def _readable(suffix: str) -> Callable[[FaultHarness], Sequence[str]]:
     """Return a check that a log reaches to just before the fault."""
 
     def check(harness: FaultHarness) -> Sequence[str]:
-        from mcap.exceptions import McapError
-        from mcap.stream_reader import StreamReader
-
         path = _log(harness).with_suffix(suffix)
         try:
-            # MCAP's own reader is strict.
-            for _ in StreamReader(io.BytesIO(path.read_bytes()), validate_crcs=True).records:
-                pass
             ticks = RunLog.load(path, damaged=True).tables["tick"]["time"]
-        except (EquipoiseError, McapError) as error:
+        except EquipoiseError as error:
             return (f"the log cannot be read: {error}",)
         finally:
             shutil.rmtree(path.parent)
@@ -147,7 +141,7 @@ def _read_bad_settings() -> list[str]:
     return list(chain(*refused))
 
 
-LASTED: Final = frozenset({"lasted"})
+LASTED: Final = frozenset({Outcome.LASTED})
 
 
 def _with_log(name: str, injected: str, should: str, inject: Inject, suffix: str) -> Fault:

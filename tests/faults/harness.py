@@ -17,12 +17,15 @@ from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.control.ticks import OperatorMessage, TickHandler, TickInputs, TickOutput
 from equipoise.errors import EquipoiseError
-from equipoise.identification.motion import identify_motion
+from equipoise.identification.actuator import identify_motion
 from equipoise.logs.conditions import RunEnd
 from equipoise.model.worlds import pendulum_on, read_world
-from equipoise.rig.config import DrainingClock, EmulatedRig, RigSettings, emulated_rig
+from equipoise.rig.clocks import DrainingClock
+from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import EmulatedRig, emulated_rig
 from equipoise.rig.interfaces import Clock, Transport
-from equipoise.rig.run import RunRequest, run_virtually
+from equipoise.rig.request import RunRequest
+from equipoise.rig.run import run_virtually
 
 WORLD: Final = "twin:nominal"
 """World of all faults."""
@@ -34,10 +37,6 @@ SETTLING_TIME: Final = 0.5
 """Duration of the observation after a run [s]."""
 OBSERVATION_TICKS: Final = 2
 """Time between two observations of the twin [ms]."""
-REFUSED: Final = "refused"
-"""Cause of the end of a run that raised an error of Equipoise."""
-BROKEN: Final = "broken"
-"""Cause of the end of a run that raised an unexpected exception."""
 START: Final = "start"
 """Name of the event before the run."""
 MAX_RUN_TIME: Final = 90.0
@@ -175,7 +174,7 @@ class FaultHarness:
             world, scenario.settings, pendulum, robot=ROBOT, seed=seed
         )
         """Drivers, simulated rig, server, board and links."""
-        self.bench, self.board = self.parts.bench, self.parts.sensor.board
+        self.bench, self.board = self.parts.bench, self.parts.sensor.emulator
         """Simulated rig, and emulator of the encoder's board."""
         clock = self.parts.rig.clock
         self.clock = StallingClock(clock)
@@ -214,7 +213,7 @@ class FaultHarness:
         self._notice(START)
 
     def run(self) -> RunEnd:
-        """Run the policy, and return the result; its cause may be `REFUSED` or `BROKEN`."""
+        """Run the policy, and return the result; `Outcome.ERROR` for a refused run."""
         scenario, parts = self.scenario, self.parts
         sensor = parts.sensor.driver(self.encoder_tap.open, self.clock)
         rig = parts.rig._replace(
@@ -233,11 +232,7 @@ class FaultHarness:
             outcome = run_virtually(request, scenario.out, self, rig=rig, wrap=wrap)
         except EquipoiseError as error:
             self.messages.append(ReceivedMessage(self.clock.now(), "error", str(error)))
-            outcome = RunEnd(cause=REFUSED, reason=str(error))
-        except Exception as error:  # a defect of the run, which the verdict reports
-            outcome = RunEnd(
-                cause=BROKEN, reason=f"the run broke with {type(error).__name__}: {error}"
-            )
+            outcome = RunEnd(evidence={"text": str(error)})
         finally:
             while self.undo:
                 self.undo.pop()()

@@ -33,4 +33,4 @@ def run_fault(fault: Fault, scenario: Scenario | None = None) -> tuple[str, list
     )
     outcome = harness.run()
     problems = [*judge(harness, outcome, fault), *fault.check(harness)]
-    return f"{outcome.cause}: {outcome.reason}", problems
+    return f"{outcome.outcome}: {outcome.reason}", problems

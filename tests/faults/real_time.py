@@ -93,7 +93,7 @@ def live_run() -> Generator[LiveRun]:
         command = [
             *(sys.executable, "-m", "equipoise", "deploy"),
             *("--robot", f"kst://{HOST}:{ports[0]}"),
-            *("--encoder", f"serial://{emulation.terminal}"),
+            *("--encoder", f"serial://{emulation.terminal.path}"),
             *("--duration", str(BALANCE_TIME), "--out", str(log)),
         ]
         pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}

@@ -17,8 +17,8 @@ from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.ticks import TickInputs
 from equipoise.model.arms.arm import Joint
 from equipoise.model.arms.posture import condition
+from equipoise.outcomes import Outcome
 from equipoise.rig.config import RigSettings
-from equipoise.safety.rules import Rule
 from equipoise.worlds.twin.hand import draw_hand_params
 from tests.faults.harness import (
     START,
@@ -48,8 +48,8 @@ class Fault(NamedTuple):
     """Description of the fault and its time."""
     should: str
     """Description of the required end."""
-    ends: frozenset[str] = frozenset()
-    """Permitted causes of the end; `refused` for a run that must not begin."""
+    ends: frozenset[Outcome] = frozenset()
+    """Permitted outcomes; `ERROR` for a run that must not begin."""
     inject: Inject = lambda harness: None
     """Injects the fault; by default nothing, for a faulty scenario."""
     trigger: Trigger = BALANCING
@@ -72,11 +72,11 @@ class Fault(NamedTuple):
     """Runs a fault without the harness; returns a description of the end, and its problems."""
 
 
-def _ends(*causes: str | Rule) -> frozenset[str]:
-    return frozenset(cause.value if isinstance(cause, Rule) else cause for cause in causes)
+def _ends(*outcomes: str) -> frozenset[Outcome]:
+    return frozenset(map(Outcome, outcomes))
 
 
-FELL: Final = _ends(Rule.ANGLE, Rule.TRACK, Rule.SPEED)
+FELL: Final = _ends("angle", "track", "flange speed")
 """Ends of a balance without a true measurement: the arm stops on its track."""
 
 
@@ -137,22 +137,22 @@ def _slip_slowly(harness: FaultHarness) -> None:
 # fmt: off
 ENCODER: Final = (
     Fault("encoder unplugged", "its port is gone, while balancing",
-          "a stop within a tick, with a message that names the encoder", _ends("fault"),
+          "a stop within a tick, with a message that names the encoder", _ends("encoder lost"),
           _call("parts.sensor.link.close"), within=0.02, says="encoder"),
     Fault("encoder unplugged in the self-test", "its port is gone, while the flange moves by 40 mm",
-          "a stop within a tick", _ends("fault"), _call("parts.sensor.link.close"),
+          "a stop within a tick", _ends("encoder lost"), _call("parts.sensor.link.close"),
           Trigger("swing", 0.7), within=0.02, says="encoder"),
     Fault("encoder silent", "no line comes any more, while balancing",
-          "a stop once the newest sample is 70 ms old", _ends(Rule.ENCODER_STALE),
+          "a stop once the newest sample is 70 ms old", _ends("stale encoder"),
           _change("board", silent=True), within=0.09, says="its cable"),
     Fault("encoder frozen", "the count stands still, while balancing",
-          "the pendulum is lost; the arm stops on its track", FELL | _ends(Rule.ENCODER_JUMP),
+          "the pendulum is lost; the arm stops on its track", FELL | _ends("count jump"),
           _change("board", frozen=True), within=2.0),
     Fault("encoder frozen before the self-test", "the count stands still, from the reference on",
           "the self-test refuses", _ends("self-test"), _change("board", frozen=True),
           Trigger("swing")),
     Fault("count jump", "the count jumps by 5 deg, while balancing", "a stop within a tick",
-          _ends(Rule.ENCODER_JUMP, Rule.ENCODER_GAP, "fault"),
+          _ends("count jump", "encoder gap", "encoder lost"),
           _call("board.jump", round(8192 * 5 / 360)), within=0.02),
     Fault("slow count loss", "one of twenty upward counts is lost, from the start of balancing",
           "it balances while the zero can be estimated, then the arm stops on its track",
@@ -168,10 +168,10 @@ ENCODER: Final = (
           "the self-test names the counts", _ends("self-test"), _change("board", factor=1.1),
           AT_START, says="counts"),
     Fault("board of another encoder", "the board says 4096 counts per revolution, the rig 8192",
-          "the run is refused", _ends("refused"), _change("board", counts_per_rev=4096), AT_START,
+          "the run is refused", _ends("error"), _change("board", counts_per_rev=4096), AT_START,
           says="4096"),
     Fault("zeroed while swinging", "the board sets its count to zero, in the self-test",
-          "a stop within a tick", _ends(Rule.ENCODER_JUMP, Rule.ENCODER_GAP, "fault"),
+          "a stop within a tick", _ends("count jump", "encoder gap", "encoder lost"),
           _call("board.zero"), Trigger("swing", 1.4), within=0.03),
     Fault("zero error", "the encoder slips by 1 deg on its spindle, after the reference",
           "the self-test rejects the zero; after a new reference the run balances", _ends("lasted"),
@@ -180,23 +180,23 @@ ENCODER: Final = (
           "the zero is estimated and it balances, or the arm stops on its track",
           FELL | _ends("lasted"), _slip_slowly),
     Fault("stale samples", "lines come 100 ms late, while balancing",
-          "a stop once the newest sample is 70 ms old", _ends(Rule.ENCODER_STALE),
+          "a stop once the newest sample is 70 ms old", _ends("stale encoder"),
           _change("parts.sensor.link", delay=0.1), within=0.09, says="old"),
     Fault("stall of the encoder", "no line comes for 60 ms, then all at once, while balancing",
           "it goes on", _ends("lasted"), lambda harness: hold_back(harness, "sensor")),
     Fault("malformed lines", "one of fifty lines is damaged, while balancing",
-          "it is rejected; a stop once gaps repeat", _ends(Rule.ENCODER_GAP),
+          "it is rejected; a stop once gaps repeat", _ends("encoder gap"),
           _change("board", malformed=0.02), within=0.5, says="missing"),
     Fault("one lost line", "one line is lost, while balancing",
           "a warning; the run goes on, for counts are absolute", _ends("lasted"),
           _call("board.skip", 1), says="was lost"),
     Fault("lost lines", "three lines are lost, while balancing", "a stop within a tick",
-          _ends(Rule.ENCODER_GAP), _call("board.skip", 3), within=0.03),
+          _ends("encoder gap"), _call("board.skip", 3), within=0.03),
     Fault("illegal transition", "both lines of the encoder change at once, while balancing",
-          "a stop within a tick", _ends(Rule.ENCODER_ILLEGAL), _call("board.meet_illegal"),
+          "a stop within a tick", _ends("illegal transition"), _call("board.meet_illegal"),
           within=0.03, says="wiring"),
     Fault("board restarts", "the board loses its power for a moment, while balancing",
-          "a stop; the zero is void", _ends(Rule.ENCODER_STALE, Rule.ENCODER_GAP, "fault"),
+          "a stop; the zero is void", _ends("stale encoder", "encoder gap", "encoder lost"),
           _call("board.reboot"), within=0.09),
 )
 # fmt: on
@@ -214,14 +214,14 @@ def _stall(*times: float) -> Inject:
 # fmt: off
 TIME: Final = (
     Fault("late tick", "the loop is held up for 90 ms, while balancing", "a stop in the next tick",
-          _ends(Rule.TICK), _stall(0.09), within=0.11),
+          _ends("late tick"), _stall(0.09), within=0.11),
     Fault("stall of the loop", "the loop is held up for 60 ms, while balancing",
           "a warning; the arm rests meanwhile, and it goes on", _ends("lasted"), _stall(0.06),
           says="stood still"),
     Fault("one late tick", "the loop is held up for 8 ms, while balancing", "it goes on",
           _ends("lasted"), _stall(0.008)),
     Fault("late ticks", "the loop is late by 12 ms at three ticks in a row, while balancing",
-          "a stop at the third missed tick", _ends(Rule.TICK), _stall(*(3 * (0.012, 0.0, 0.0))),
+          "a stop at the third missed tick", _ends("late tick"), _stall(*(3 * (0.012, 0.0, 0.0))),
           within=0.08),
 )
 # fmt: on
@@ -231,7 +231,7 @@ TIME: Final = (
 
 
 def _change_server(harness: FaultHarness, **faults: Any) -> None:
-    server = harness.parts.robot.server
+    server = harness.parts.robot.emulator
     server.faults = replace(server.faults, **faults)
 
 
@@ -286,7 +286,7 @@ def _singular(scenario: Scenario) -> Scenario:
 
 
 def _at_home(scenario: Scenario, home_deg: Sequence[float]) -> Scenario:
-    return replace(scenario, settings=scenario.settings.changed(home_deg=tuple(home_deg)))
+    return replace(scenario, settings=RigSettings(home_deg=tuple(home_deg)))
 
 
 def _setpoint(change: Callable[[Setpoint, float], Setpoint]) -> Inject:
@@ -333,14 +333,19 @@ def _creep(row: int) -> Inject:
 
 
 def _held_back(
-    name: str, injected: str, inject: Inject, says: str = "", trigger: Trigger = BALANCING
+    name: str,
+    injected: str,
+    outcome: str,
+    inject: Inject,
+    says: str = "",
+    trigger: Trigger = BALANCING,
 ) -> Fault:
     """Return a fault of a setpoint, which the safety rules hold back."""
     should = "the setpoint is held back; the guard brings the arm to rest"
-    return Fault(name, injected, should, _ends("fault"), inject, trigger, within=0.03, says=says)
+    return Fault(name, injected, should, _ends(outcome), inject, trigger, within=0.03, says=says)
 
 
-MOVED_AWAY: Final = _ends("fault", Rule.FOLLOWING, Rule.DRIFT, Rule.TILT, Rule.TRACK)
+MOVED_AWAY: Final = _ends("following error", "flange drift", "flange tilt", "track")
 """Ends of a run whose setpoints leave the planned motion."""
 
 MOVES: Final = {
@@ -401,7 +406,7 @@ ROBOT: Final = (
           "a warning within 100 ms that software may be unable to stop it", _ends("link lost"),
           _half_open, stoppable=False, within=0.1),
     Fault("command backlog", "commands arrive 90 ms late, while balancing",
-          "a stop after 70 ms, and rest", _ends(Rule.LINK), _back_up, within=0.1,
+          "a stop after 70 ms, and rest", _ends("link overdue"), _back_up, within=0.1,
           says="has not answered"),
     Fault("stall of the link", "nothing arrives for 60 ms, then all at once, while balancing",
           "no setpoint is sent after 20 ms; it goes on", _ends("lasted"),
@@ -415,56 +420,61 @@ ROBOT: Final = (
           stoppable=False, within=0.02, check=_no_bytes_after),
     Fault("robot not following", "the drives stop the arm on its way home",
           "a latched stop; targets go on from where the arm is",
-          _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING),
+          _ends("robot not following", "following error"),
           _call("bench.body.stop", "the drives' protection"), Trigger("homing", 0.4), within=0.4),
     Fault("E-stop", "the E-stop is pressed, while balancing",
           "a latched stop; targets go on from where the arm is",
-          _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.ANGLE),
+          _ends("robot not following", "following error", "angle"),
           _call("bench.body.stop", "emergency stop"), within=0.4),
     Fault("E-stop before the release", "the E-stop is pressed, the pendulum held",
           "a latched stop as soon as the arm should move",
-          _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.ANGLE),
+          _ends("robot not following", "following error", "angle"),
           _call("bench.body.stop", "emergency stop"), Trigger("armed")),
     Fault("mode change", "another mode is selected, in the self-test",
           "a latched stop; targets go on from where the arm is",
-          _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING),
+          _ends("robot not following", "following error"),
           _call("bench.body.stop", "change of the operating mode"), Trigger("swing", 0.5),
           within=0.5),
     Fault("contact", "60 N press on the flange, along the track, while balancing",
-          "a stop at the next torques", _ends(Rule.TORQUE), _touch(60.0), within=0.1,
+          "a stop at the next torques", _ends("contact"), _touch(60.0), within=0.1,
           says="touches the arm"),
     Fault("contact on the way home", "150 N press on the flange on the way home",
-          "a stop at the next torques", _ends(Rule.TORQUE), _touch(150.0), Trigger("homing", 0.3),
-          within=0.1),
+          "a stop at the next torques", _ends("contact"), _touch(150.0),
+          Trigger("homing", 0.3), within=0.1),
     _held_back("joint limit", "a setpoint of the second joint near its limit, while balancing",
+               "joint position",
                _joint(1, lambda joint, q, since: joint.upper - radians(1.5)), "joint 2"),
     _held_back("velocity limit", "setpoints of the last joint jump at 1.3 times its top speed",
+               "joint velocity",
                _joint(-1, lambda joint, q, since: q + 1.3 * joint.velocity * PERIOD),
                "rad/s, expected"),
     _held_back("acceleration limit", "setpoints of the last joint run away at 3 x its limit",
+               "joint acceleration",
                _joint(-1, lambda joint, q, since: q + 1.5 * joint.acceleration * since**2),
                "rad/s^2, expected")._replace(within=0.04),
     Fault("runaway", "setpoints of the last joint run away by 5 rad/s^2, while balancing",
           "a stop once the arm is 0.03 rad from where it should be for 50 ms", MOVED_AWAY,
           _joint(-1, lambda joint, q, since: q + 2.5 * since**2), within=0.4),
     Fault("track limit", "a policy that pushes one way only",
-          "a stop from which the flange rests on its track", _ends(Rule.TRACK, Rule.ANGLE),
+          "a stop from which the flange rests on its track", _ends("track", "angle"),
           scenario=_pushing, trigger=Trigger("balancing"), within=1.0),
     Fault("too fast for T1", "the pendulum is pushed by 1 rad/s, in T1",
-          "a stop where the flange reaches 0.23 m/s", _ends(Rule.SPEED), _call("bench.push", 1.0),
-          scenario=_with(t1=True), within=0.5, says="0.23 m/s"),
+          "a stop where the flange reaches 0.23 m/s", _ends("flange speed"),
+          _call("bench.push", 1.0), scenario=_with(t1=True), within=0.5, says="0.23 m/s"),
     Fault("near singularity", "a home that is almost singular", "the run is refused",
-          _ends("refused"), trigger=AT_START, scenario=_singular, says="home"),
+          _ends("error"), trigger=AT_START, scenario=_singular, says="home"),
     Fault("flange drift", "setpoints creep, so that the flange leaves its line upwards",
-          "a stop at 15 mm", _ends(Rule.DRIFT), _creep(2), within=3.0, says="off its line"),
+          "a stop at 15 mm", _ends("flange drift"), _creep(2), within=3.0, says="off its line"),
     Fault("flange pitch error", "setpoints creep, so that the flange tilts",
-          "a stop at 2 deg, or at 15 mm", _ends(Rule.TILT, Rule.DRIFT), _creep(3), within=3.0),
+          "a stop at 2 deg, or at 15 mm", _ends("flange tilt", "flange drift"), _creep(3),
+          within=3.0),
     Fault("first command away from the measured pose",
           "the first setpoint is 0.02 rad from where the arm is", "nothing is sent",
-          _ends("fault", "link lost"),
+          _ends("first setpoint"),
           _setpoint(lambda q, since: tuple(angle + 0.02 for angle in q)), AT_START,
-          says="nothing was sent"),
+          says="first setpoint"),
     _held_back("unit slip in the setpoints", "setpoints become degrees, while balancing",
+               "joint position",
                _setpoint(lambda q, since: tuple(map(degrees, q)))),
     *(Fault(f"joints run off: {phase}", "replies report joint 1 at 10 rad/s up to 1.5 rad away",
             "a latched stop; the target holds, for no joint moves so", MOVED_AWAY,
@@ -473,10 +483,11 @@ ROBOT: Final = (
       for phase, (trigger, identify) in MOVES.items()),
     *(Fault(f"slow link: {phase}", "round trips become 30 ms, and the E-stop is pressed",
             "a stop once the measured joints are 120 ms old, or the excitation has a gap",
-            _ends(Rule.MEASUREMENT_STALE, "identified"), _stop_behind_slow_link, trigger,
+            _ends("stale joints", "arm not identified"), _stop_behind_slow_link, trigger,
             _with(identify=identify), within=0.135, says="link")
       for phase, (trigger, identify) in MOVES.items()),
     _held_back("setpoint lead", "setpoints lead their references by 4 deg, while balancing",
+               "setpoint lead",
                lambda harness: setattr(harness, "lead", radians(4.0)), "leads its reference"),
 )
 # fmt: on
@@ -522,25 +533,28 @@ def _damage(wire: str, line: bytes) -> Inject:
 NUMBERS: Final = (
     Fault("NaN from the encoder's line", "lines hold nan, while balancing",
           "they are rejected; a stop once the newest sample is 70 ms old",
-          _ends(Rule.ENCODER_STALE, Rule.ENCODER_GAP, "fault"),
+          _ends("stale encoder", "encoder gap", "encoder lost"),
           _damage("encoder_tap", b"E,nan,nan,nan,0*00\n"), within=0.09),
     Fault("NaN from the robot's line", "answers hold NaN, while balancing",
           "the link is given up; a warning within 100 ms that software cannot stop the robot",
           _ends("link lost"), _damage("robot_tap", b"_".join(7 * [b"NaN"]) + b"\n"),
           stoppable=False, within=0.03),
     Fault("NaN in a sample's time", "the encoder's driver gives NaN for a time, while balancing",
-          "a stop within a tick", _ends(Rule.NUMBER, Rule.ENCODER_JUMP, "fault"),
+          "a stop within a tick", _ends("not a number"),
           _inputs(_nan_times), within=0.02),
     Fault("NaN in measured joints", "the robot's driver gives NaN for joints, while balancing",
-          "a stop within a tick", _ends(Rule.NUMBER, "fault"), _nan_replies("q"), within=0.02),
+          "a stop within a tick", _ends("not a number"), _nan_replies("q"), within=0.02),
     Fault("NaN in torques", "the robot's driver gives NaN for torques, while balancing",
-          "a stop at the next torques", _ends(Rule.NUMBER, "fault"), _nan_replies("torque"),
+          "a stop at the next torques", _ends("not a number"), _nan_replies("torque"),
           within=0.08),
     _held_back("NaN in a setpoint", "the controller gives NaN, while balancing",
+               "not a number",
                _joint(0, lambda joint, q, since: nan), "finite"),
     _held_back("infinity in a setpoint", "the controller gives infinity, on the way home",
+               "not a number",
                _joint(2, lambda joint, q, since: inf), "finite", Trigger("homing", 0.3)),
     _held_back("six numbers in a setpoint", "the controller gives six joints, while balancing",
+               "wrong count",
                _setpoint(lambda q, since: q[:6]), "7"),
     Fault("controller fails", "the controller raises an exception, while balancing",
           "the guard brings the arm to rest", _ends("fault"),
@@ -603,7 +617,7 @@ RELEASE: Final = (
           "it balances, or falls and the arm stops", FELL | _ends("lasted"),
           _call("bench.push", radians(20.0))),
     Fault("hard push", "the pendulum is pushed by 250 deg/s, while balancing",
-          "it falls, and the arm stops on its track", FELL | _ends(Rule.ENCODER_JUMP),
+          "it falls, and the arm stops on its track", FELL | _ends("count jump"),
           _call("bench.push", radians(250.0)), within=0.6),
 )
 # fmt: on
@@ -629,10 +643,10 @@ OPERATOR: Final = (
 )
 INPUTS: Final = (
     Fault("policy of another rig", "the policy was trained on one arm, the rig has another",
-          "the run is refused", _ends("refused"), trigger=AT_START, scenario=_other_arm,
-          says="trained on"),
+          "the run is refused", _ends("error"), trigger=AT_START, scenario=_other_arm,
+          says="policy and arm"),
     Fault("unit slip", "home in rig.toml is given in radians", "the run is refused",
-          _ends("refused"), trigger=AT_START, says="home",
+          _ends("error"), trigger=AT_START, says="home",
           scenario=lambda base: _at_home(base, base.settings.described_arm.home)),
 )
 # fmt: on

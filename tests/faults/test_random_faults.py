@@ -91,11 +91,11 @@ def problems_of(seed, folder):
 @pytest.mark.parametrize("seed", QUICK)
 def test_whatever_fails_the_arm_stops_in_the_reach_of_its_ramp_and_says_why(seed, tmp_path):
     names, end, problems = problems_of(seed, tmp_path)
-    assert problems == [], (names, end.cause, end.reason)
+    assert problems == [], (names, end.outcome, end.reason)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", ALL)
 def test_whatever_fails_in_a_thousand_runs(seed, tmp_path):
     names, end, problems = problems_of(seed, tmp_path)
-    assert problems == [], (names, end.cause, end.reason)
+    assert problems == [], (names, end.outcome, end.reason)

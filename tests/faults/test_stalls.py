@@ -7,9 +7,13 @@ import pytest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.model.worlds import pendulum_on, read_world
-from equipoise.rig.config import DrainingClock, RigSettings, emulated_rig
-from equipoise.rig.run import RunRequest, run_virtually
-from equipoise.safety.rules import MAX_STALL, Rule
+from equipoise.outcomes import Outcome
+from equipoise.rig.clocks import DrainingClock
+from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import emulated_rig
+from equipoise.rig.request import RunRequest
+from equipoise.rig.run import run_virtually
+from equipoise.safety.rules import MAX_STALL
 from tests.faults.harness import StallingClock, TransportTap
 from tests.faults.verdicts import check_limits, setpoints_of
 
@@ -17,7 +21,7 @@ pytestmark = [pytest.mark.compiled_only, pytest.mark.slow]
 
 POLICY, SETTINGS = shipped_policy(), RigSettings()
 SPEEDS = np.array([joint.velocity for joint in SETTINGS.described_arm.joints])
-STOPS = {rule.value for rule in (Rule.TICK, Rule.ENCODER_STALE, Rule.LINK)}
+STOPS = {Outcome.TICK, Outcome.ENCODER_STALE, Outcome.LINK}
 STALLS = 100
 
 
@@ -76,12 +80,12 @@ def test_stalls_at_random_moments_end_as_the_rule_says(part, stall):
     while stalls < wanted:
         balance = Balance(part, stall, seed, min(60.0, 2.5 * (wanted - stalls) + 1.0))
         stalls, seed = stalls + balance.stalls, seed + 1
-        if balance.end.cause != "lasted":
-            lost.append(balance.end.cause)
+        if balance.end.outcome != "lasted":
+            lost.append(balance.end.outcome)
         assert balance.fastest < 1.0
         assert not check_limits(SETTINGS.described_arm, setpoints_of(balance.tap.sent))
     if stall > MAX_STALL:
         assert len(lost) == stalls
-        assert set(lost) <= STOPS | {"link lost"}
+        assert set(lost) <= STOPS | {Outcome.LINK_LOST}
     else:
         assert len(lost) <= 0.05 * stalls

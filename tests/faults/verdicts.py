@@ -19,13 +19,9 @@ from equipoise.errors import EquipoiseError
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
+from equipoise.outcomes import Outcome
 from equipoise.safety.rules import POSITION_MARGIN, STOP_DECELERATION
-from tests.faults.harness import (
-    BROKEN,
-    REFUSED,
-    FaultHarness,
-    ReceivedMessage,
-)
+from tests.faults.harness import FaultHarness, ReceivedMessage
 from tests.faults.table import Fault
 
 Array = npt.NDArray[np.float64]
@@ -161,11 +157,7 @@ def check_run(harness: FaultHarness, outcome: RunEnd) -> list[str]:
     arm, messages = harness.scenario.settings.described_arm, harness.messages
     sent = setpoints_of(harness.robot_tap.sent)
     problems = check_limits(arm, sent)
-    if outcome.cause == BROKEN:
-        return [*problems, outcome.reason]
-    if not (outcome.cause and outcome.reason):
-        problems.append(f"it ended without a cause or a reason: {outcome.cause} {outcome.reason}")
-    if outcome.cause == REFUSED:
+    if outcome.outcome is Outcome.ERROR:
         moved = [f"{len(sent)} setpoints were sent"] if len(sent) > 1 else []
         return [*problems, *moved, *_at_rest(harness)]
     problems += _on_track(harness) + _log_problems(harness)
@@ -200,15 +192,13 @@ def judge(harness: FaultHarness, outcome: RunEnd, fault: Fault) -> list[str]:
         fault: The fault, with the required end.
     """
     messages, problems = harness.messages, check_run(harness, outcome)
-    if outcome.cause == BROKEN:
-        return problems
-    if outcome.cause not in fault.ends:
-        problems.append(f"it ended with {outcome.cause} ({outcome.reason})")
+    if outcome.outcome not in fault.ends:
+        problems.append(f"it ended with {outcome.outcome} ({outcome.reason})")
     if harness.injected_at is None:
         return [*problems, "the run ended before the fault was injected"]
     if fault.says and not any(fault.says in one.text for one in messages):
         problems.append(f"no message contains {fault.says!r}")
-    if outcome.cause == REFUSED:
+    if outcome.outcome is Outcome.ERROR:
         return problems
     if harness.held_at_start and not fault.held_at_start:
         problems.append("the policy began while the hand held the pendulum")
@@ -253,7 +243,7 @@ def _log_problems(harness: FaultHarness) -> list[str]:
         end = RunLog.load(harness.scenario.out).end
     except EquipoiseError as error:
         return [f"the log cannot be read: {error}"]
-    return [] if end and end.cause else ["the log has no end"]
+    return [] if end else ["the log has no end"]
 
 
 def _on_track(harness: FaultHarness) -> list[str]:

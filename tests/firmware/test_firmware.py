@@ -14,16 +14,13 @@ import pytest
 
 from equipoise.errors import InputError
 from equipoise.robots.encoder.codec import (
-    MAX_LINE,
     Banner,
     Decoder,
     Flags,
     Reading,
     Requests,
-    crc8,
     encode,
 )
-from equipoise.robots.encoder.serial_port import BAUD
 
 HERE = Path(__file__).parent
 SKETCH = HERE.parents[1] / "firmware" / "equipoise_encoder"
@@ -98,11 +95,6 @@ def test_banners_are_the_codecs_or_refused_as_there(core):
     assert told(core, commands) == expected
 
 
-def test_the_checksum_of_each_byte_is_the_codecs(core):
-    expected = [crc8(bytes([byte])) for byte in range(256)]
-    assert [int(n) for n in told(core, [f"crc {b}" for b in range(256)]).split()] == expected
-
-
 def test_questions_are_found_as_the_codec_finds_them(core):
     rng = np.random.default_rng(2)
     letters = np.array([*b"??\n\rx"])
@@ -136,13 +128,6 @@ def test_a_long_walk_of_the_lines_is_counted(core):
         step, illegal = reference(before, after)
         counts += step
         assert (int(said[2 * i]), int(said[2 * i + 1])) == (counts, illegal)
-
-
-def test_lines_are_due_at_a_fixed_rate_through_the_wrap_of_the_clock(core):
-    start = 2**32 - 5500
-    times = [999, 1000, 1500, 2001, 2999, 6100, 6999, 7000, 50_000]
-    said = told(core, [f"pace {start}", *(f"due {(start + t) % 2**32}" for t in times)])
-    assert [int(n) for n in said.split()] == [0, 1, 0, 1, 0, 4, 0, 1, 43]
 
 
 # The sketch.
@@ -229,8 +214,3 @@ def test_a_late_board_counts_the_periods_it_missed(sketch):
         (7, 8000),
         (8, 9000),
     ]
-
-
-def test_host_and_sketch_agree_on_speed_and_length():
-    assert f"BAUD = {BAUD};" in (SKETCH / "equipoise_encoder.ino").read_text()
-    assert f"kLongest = {MAX_LINE + 1};" in (SKETCH / "eline.h").read_text()

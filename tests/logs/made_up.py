@@ -6,12 +6,12 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from equipoise.control.states import Phase
 from equipoise.logs.columns import tables
 from equipoise.logs.conditions import RunConditions, RunEnd
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x
+from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.run_controller import PHASES
 from equipoise.settings import resolve
 
@@ -83,7 +83,7 @@ def columns(ticks=40, rig=True):
 def made_up(count=40, rig=True, **changes):
     """A run of random numbers, with other tables where they are given."""
     given = columns(count, rig) | changes
-    end = RunEnd(cause="track", lasted=0.01 * count)
+    end = RunEnd(outcome=Outcome.TRACK, lasted=0.01 * count)
     return RunLog.simulated(conditions(), end, given.pop("ticks"), **given)
 
 
@@ -143,7 +143,7 @@ def balanced_on_a_rig():
     return RunLog(
         rig_conditions(),
         {"tick": tick, "reply": reply, "encoder": encoder},
-        RunEnd(cause="lasted", zero=RESTING),
+        RunEnd(outcome=Outcome.LASTED, zero=RESTING),
     )
 
 

@@ -12,7 +12,6 @@ from equipoise.logs.foxglove import RATE
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.urdf_writer import write_urdf
 from equipoise.rig.simulate import simulate_run
-from tests.logs.made_up import made_up
 
 STAMP = {
     "type": "object",
@@ -139,33 +138,17 @@ def check_messages(found):
     assert {topic: shown[topic] for topic in NAMES} == NAMES
 
 
-@pytest.fixture
-def found(tmp_path):
-    made_up(200).save(tmp_path / "run.mcap", command="test")
-    return messages(tmp_path / "run.mcap")
-
-
-def test_messages_have_the_published_schemas(found):
-    check_messages(found)
-
-
 def test_messages_of_a_rig_have_the_published_schemas(rig_log):
     found = messages(rig_log)
     check_messages(found)
     described = [c for _, channel, _, c in found if channel.topic == "/robot_description"]
-    arm = RunLog.load(rig_log).conditions.arm
-    assert described == [{"data": write_urdf(arm, pendulum=True)}]
+    urdf = write_urdf(RunLog.load(rig_log).conditions.arm, pendulum=True)
+    assert described == [{"data": urdf}]
+    (attached,) = make_reader(BytesIO(rig_log.read_bytes())).iter_attachments()
+    assert (attached.data.decode(), attached.media_type) == (urdf, "application/xml")
     stamps = [m.log_time for _, channel, m, _ in found if channel.topic == "/tf"]
     assert min(np.diff(stamps)) >= 1e9 / RATE
     assert np.median(np.diff(stamps)) < 1.3e9 / RATE
-
-
-def test_the_description_is_attached(tmp_path):
-    run = made_up()
-    run.save(tmp_path / "run.mcap", command="test")
-    (attached,) = make_reader(BytesIO((tmp_path / "run.mcap").read_bytes())).iter_attachments()
-    assert attached.data.decode() == write_urdf(run.conditions.arm, pendulum=True)
-    assert attached.media_type == "application/xml"
 
 
 def rotation(q):

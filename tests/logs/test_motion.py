@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from equipoise.control.states import Phase
 from equipoise.errors import InputError, RecordingError
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.motion import Motion
 from equipoise.logs.run_log import RunLog
+from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.run_controller import PHASES
 from tests.logs.made_up import (
     RELEASE,
@@ -87,7 +87,7 @@ def test_a_run_that_ended_before_balancing_counts_from_its_first_tick(run):
 
 def test_an_angle_without_a_zero_is_unknown(run):
     lifted = changed_table(run, "tick", state=LIFTING)
-    motion = Motion.of(replace(lifted, end=RunEnd(cause="operator", reason="Enough.")))
+    motion = Motion.of(replace(lifted, end=RunEnd(outcome=Outcome.OPERATOR)))
     assert np.isnan(motion.at(0.5).phi)
 
 
@@ -99,7 +99,7 @@ def test_without_a_reply_the_commanded_posture_is_shown(run):
 
 def test_a_run_with_nothing_to_show_is_refused(run):
     still = made_up()
-    excited = RunLog.simulated(still.conditions, RunEnd(cause="excited"), {})
+    excited = RunLog.simulated(still.conditions, RunEnd(outcome=Outcome.EXCITED), {})
     tables = dict(run.tables) | {"tick": run.tables["tick"][:0]}
     time = run.tables["tick"]["time"].copy()
     time[300] = 3.0

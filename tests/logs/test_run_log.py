@@ -15,6 +15,7 @@ from equipoise.logs.columns import TABLES
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.run_log import RunLog
 from equipoise.logs.writer import FORMAT
+from equipoise.outcomes import Outcome
 from tests.logs.made_up import arrays, columns, conditions, made_up
 
 
@@ -46,7 +47,7 @@ def excited():
     time = 0.005 * np.arange(30)
     q = np.tile(np.sin(time)[:, None], 7)
     replies = {"time": time[:-2] + 0.001, "q": q[:-2]}
-    end = RunEnd(cause="excited")
+    end = RunEnd(outcome=Outcome.EXCITED)
     return RunLog.simulated(conditions(), end, {}, stream={"time": time, "q": q}, replies=replies)
 
 
@@ -152,7 +153,7 @@ def conditions_with(entries, **changes):
 
 EDITS = {
     "a nicer state": lambda t, c: c | {"phi": 0.0} if t == "/tick" else c,
-    "another cause": lambda t, c: c | {"cause": "lasted"} if t == "/end" else c,
+    "another cause": lambda t, c: c | {"outcome": "lasted"} if t == "/end" else c,
     "another seed": lambda t, c: conditions_with(c, seed=5) if t == "metadata" else c,
     "no replies": lambda t, c: None if t == "/reply" else c,
     "half a count": lambda t, c: c | {"counts": 0.5} if t == "/encoder" else c,

@@ -8,13 +8,14 @@ import pytest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import ArtefactError, RecordingError
-from equipoise.identification.refinement import read_motion, thinned
+from equipoise.identification.refine import read_motion, thinned
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.recorder import Recorder, push_event
 from equipoise.logs.run_log import RunLog
 from equipoise.logs.runs import ending, export, load_run, pendulum_of
 from equipoise.logs.writer import RunWriter
 from equipoise.model.arms.iiwa import iiwa
+from equipoise.outcomes import Outcome
 from equipoise.rig.config import RigSettings
 from equipoise.rig.simulate import simulate_run
 
@@ -37,7 +38,7 @@ def table(path):
 def test_the_balancing_of_a_rig_is_a_run_log(rig_log):
     log, whole = load_run(rig_log), RunLog.load(rig_log, damaged=True)
     assert log.lasted == pytest.approx(1.5)
-    assert log.cause == "lasted"
+    assert log.outcome == "lasted"
     assert log.conditions.policy == shipped_policy().digest
     assert log.time == pytest.approx(0.01 * np.arange(150))
     # 1000 samples, 200 setpoints and (but for torques) 180 replies a second.
@@ -61,7 +62,7 @@ def test_counts_and_joints_of_a_rig_tell_what_the_observer_believed(rig_log):
 
 def test_a_log_that_breaks_off_is_read_to_its_last_chunk(broken_off, rig_log):
     log, whole = load_run(broken_off), load_run(rig_log)
-    assert ending(RunLog.load(broken_off, damaged=True))[::3] == ("log broken off", False)
+    assert ending(RunLog.load(broken_off, damaged=True)).outcome is Outcome.BROKEN_OFF
     assert 10 < len(log.time) < len(whole.time)
     assert log.phi.tolist() == whole.phi[: len(log.time)].tolist()
     # Nobody said where the zero is: the last angle in the hand does.
@@ -86,8 +87,8 @@ def test_a_run_that_did_not_balance_is_refused_with_its_reason(tmp_path, rig_log
     recorder = Recorder(7)
     push_event(recorder.event, 0.5, "move", ("y", "n"), "Move? y or n")
     writer.drain(recorder)
-    writer.finish(1.0, RunEnd(cause="operator", reason="the move was not allowed"))
-    with pytest.raises(RecordingError, match="the move was not allowed"):
+    writer.finish(1.0, RunEnd(outcome=Outcome.OPERATOR, evidence={"typed": "n"}))
+    with pytest.raises(RecordingError, match="stopped by the operator"):
         load_run(path)
 
 
@@ -126,9 +127,10 @@ def test_a_log_that_breaks_off_is_refused_where_all_of_it_is_needed(broken_off):
         RunLog.load(broken_off)
 
 
-@pytest.mark.parametrize("end", [RunEnd(), RunEnd(lost_rows=2), RunEnd(fault="no device")])
+@pytest.mark.parametrize(
+    "end", [RunEnd(), RunEnd(lost_rows=2), RunEnd(evidence={"text": "no device"})]
+)
 def test_a_run_that_ended_with_an_error_says_so(rig_log, end):
     whole = RunLog.load(rig_log, damaged=True)
     how = ending(dataclasses.replace(whole, end=end))
-    assert (how.cause, how.whole) == ("error", True)
-    assert how.reason == (end.fault or "an error ended the run; the output of deploy names it")
+    assert how == (Outcome.ERROR, end.evidence)

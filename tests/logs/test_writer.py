@@ -16,6 +16,7 @@ from equipoise.logs.conditions import RunEnd
 from equipoise.logs.recorder import CONNECTING, Recorder, push_event, read_events
 from equipoise.logs.run_log import RunLog
 from equipoise.logs.writer import RunWriter
+from equipoise.outcomes import Outcome
 from tests.logs.made_up import full_disk, rig_conditions
 
 CONDITIONS = rig_conditions()
@@ -51,9 +52,9 @@ def test_what_is_written_comes_back(tmp_path):
     recorder, writer = drained(path, 250)
     push_event(recorder.event, 2.5, "stopping", ("y", "n"), "stop – it fell")
     writer.drain(recorder)
-    writer.finish(2.5, RunEnd(cause="lasted"))
+    writer.finish(2.5, RunEnd(outcome=Outcome.LASTED))
     run = RunLog.load(path)
-    assert (run.conditions, run.end) == (CONDITIONS, RunEnd(cause="lasted"))
+    assert (run.conditions, run.end) == (CONDITIONS, RunEnd(outcome=Outcome.LASTED))
     assert run.events == ((2.5, "stopping", ("y", "n"), "stop – it fell"),)
     tick, reply = run.tables["tick"], run.tables["reply"]
     assert tick["time"] == pytest.approx(0.01 * np.arange(250))
@@ -112,7 +113,7 @@ def test_an_existing_log_is_replaced_once_the_run_is_connected(tmp_path):
     writer.finish(1.0, RunEnd())
     assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
     _, writer = drained(path, 10)
-    writer.finish(1.0, RunEnd(cause="lasted"))
+    writer.finish(1.0, RunEnd(outcome=Outcome.LASTED))
     assert len(RunLog.load(path).tables["tick"]) == 10
     assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
 
@@ -122,7 +123,7 @@ def test_a_full_disk_ends_the_log_and_leaves_what_was_written(tmp_path):
     with full_disk(room):
         recorder, writer = drained(path, 3000)
         assert writer.problem is not None
-        writer.finish(30.0, RunEnd(cause="lasted"))
+        writer.finish(30.0, RunEnd(outcome=Outcome.LASTED))
     assert path.stat().st_size <= room
     assert RunLog.load(path, damaged=True).end is None
     assert 100 < sound_ticks(path) < 2900

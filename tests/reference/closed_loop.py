@@ -11,6 +11,9 @@ from math import cos, exp, floor, pi, sin
 
 import numpy as np
 
+from equipoise.control.control_step import CORRECTION
+from equipoise.control.estimator import ACCELERATION_SIGMA, ANGLE_SIGMA, BIAS_DRIFT
+
 H = 0.01
 MILLISECOND = 1e-3
 TICK = 10
@@ -30,11 +33,11 @@ def gains(pendulum, settings, counts_per_rev, h=H):
         held += term * h / n
         term = term @ A * h / n
         F += term
-    shaken = held[:, 1] * settings.acceleration_sigma
+    shaken = held[:, 1] * ACCELERATION_SIGMA
     N = np.outer(shaken, shaken)
     drifts = 1.0 if settings.estimate_bias else 0.0
-    N[2, 2] = drifts * settings.bias_drift**2 * h
-    R = (2.0 * pi / counts_per_rev) ** 2 / 12.0 + settings.angle_sigma**2
+    N[2, 2] = drifts * BIAS_DRIFT**2 * h
+    R = (2.0 * pi / counts_per_rev) ** 2 / 12.0 + ANGLE_SIGMA**2
     C = np.array([1.0, 0.0, 1.0])
     P, L = np.diag([1e-2, 1.0, 1e-4 * drifts]), np.zeros(3)
     for _ in range(100_000):
@@ -202,7 +205,7 @@ class Loop:
         counts = floor(theta / self.count + 0.5)
 
         unmodelled = self.joints.q - self.modelled(1, self.now)
-        correction = self.settings.controller.correction
+        correction = CORRECTION
         self.offset = (1.0 - correction) * self.offset + correction * unmodelled
 
         v = self.modelled(2, self.now)

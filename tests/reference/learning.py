@@ -117,9 +117,11 @@ class Episode:
         return self.block.cause[0] != TRUNCATED
 
 
+TRACE_DECAY = 0.7
+
 REWARDS = {
-    "paper": lambda before, u, after, failed, failure: failure * failed,
-    "alive": lambda before, u, after, failed, failure: 1.0 - failed,
+    "paper": lambda failed: -1.0 * failed,
+    "alive": lambda failed: 1.0 - failed,
 }
 
 
@@ -172,7 +174,7 @@ def train(plant, pendulum, settings, until, seed, learner, reward=None):
             for pair in sorted(episode.traces):
                 Q[pair[0]][pair[1]] += alpha(*pair) * episode.traces[pair] * delta
                 mirror(Q, *pair)
-                episode.traces[pair] *= discount * s.trace_decay
+                episode.traces[pair] *= discount * TRACE_DECAY
             episode.traces = {p: e for p, e in episode.traces.items() if on and e >= 1e-3}
         elif s.learner == "double_q":
             sign = 1.0 if coin < 0.5 else -1.0
@@ -202,13 +204,11 @@ def train(plant, pendulum, settings, until, seed, learner, reward=None):
         for episode in running:
             if episode.held == 0 and not (ahead and episode.tick > 0):
                 episode.action = int(choose(episode))
-        before = [episode.observation() for episode in running]
         failed = [episode.advance() for episode in running]
         steps += len(running)
         for n in reversed(range(len(running))):
             episode = running[n]
-            u, after = paper.ACTIONS[episode.action], episode.observation()
-            r = reward(before[n], u, after, failed[n], s.reward_failure)
+            r = reward(failed[n])
             episode.gained += episode.discount * r
             episode.discount *= s.gamma
             episode.held += 1

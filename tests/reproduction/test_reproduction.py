@@ -7,10 +7,12 @@ from equipoise import paper
 from equipoise.apps.report.page import build
 from equipoise.artefacts import read_document
 from equipoise.errors import ArtefactError, OutsideError, RecordingError
-from equipoise.identification import identify
+from equipoise.identification.recording import Trajectory
+from equipoise.identification.swing import identify
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.worlds import MODEL
+from equipoise.outcomes import Outcome
 from equipoise.reproduction.pipeline import QUICK, TWIN, reproduce, shortened
 from equipoise.reproduction.results import (
     RECORD,
@@ -20,7 +22,6 @@ from equipoise.reproduction.results import (
 )
 from equipoise.reproduction.synthetic_swing import SyntheticSwing, synthetic_swing
 from equipoise.settings import resolve
-from equipoise.trajectory import Trajectory
 from tests.apps.report import made_up
 from tests.arms import without_masses
 from tests.model.arms.witnesses import ELBOW
@@ -176,7 +177,7 @@ def test_the_verdict_states_trials_with_their_interval_and_that_it_is_simulation
     # Clopper-Pearson for 18 of 20, from any table: 68.3 to 98.8 %.
     for words in ("18 of 20 trials", "68.3 % to 98.8 %", "LQR 100 %", "stood all 60 s", "simulat"):
         assert words in text
-    fell = " ".join(verdict(made_up.results(lasted=20.0, cause="track")))
+    fell = " ".join(verdict(made_up.results(lasted=20.0, cause=Outcome.TRACK)))
     assert "after 20 s of 60 s" in fell
     assert "stood all" not in fell
     assert len(verdict(made_up.results(world=MODEL))) == len(verdict(found)) - 1
@@ -191,5 +192,5 @@ def test_a_quick_reproduction_and_its_page(tmp_path):
     # Worse than half is worse than any of 20 seeds showed.
     assert summary.rate > 0.5
     assert results.twin_evaluation.results.summary().rate > 0.5
-    assert results.run.cause == "lasted"
+    assert results.run.outcome == "lasted"
     assert build(tmp_path).stat().st_size > 100_000

@@ -10,19 +10,21 @@ from typing import NamedTuple
 import numpy as np
 
 from equipoise.control.baselines import pd_gains
-from equipoise.control.controller import Controller
 from equipoise.control.policy import LINEAR, KernelPolicy, PolicyKernel, shipped_policy
-from equipoise.control.states import Phase, RunState
 from equipoise.logs.recorder import Recorder
 from equipoise.logs.writer import RunWriter
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.outcomes import Outcome
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import RigSettings
-from equipoise.rig.explanation import CauseName
+from equipoise.rig.explanation import RootCause
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.loop import run_loop
-from equipoise.rig.run import RunRequest, run_end
+from equipoise.rig.phases.balancing import Balancing
+from equipoise.rig.phases.context import ArmResponse
+from equipoise.rig.request import RunRequest
+from equipoise.rig.run import run_end
 from equipoise.rig.run_controller import RunController
 from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.rig.transports import memory_pipe
@@ -63,7 +65,7 @@ class Silent:
 class Fault(NamedTuple):
     """What goes wrong; each may be left out."""
 
-    name: CauseName
+    name: Outcome | RootCause
     """What has to be named."""
     start: tuple = (0.03, 0.2)
     """phi [rad] and phi_dot [rad/s] at the release."""
@@ -120,7 +122,6 @@ def run_with(fault, seed, path):
     """Let a run fail, and write its log."""
     stage = Stage(seed, fault.start)
     request, bench, clock = stage.request, stage.bench, stage.clock
-    arm = request.settings.described_arm
     guard, controller = request.guard(8192), request.controller(8192)
     if fault.limits is not None:
         controller = controller._replace(limits=fault.limits(controller.limits))
@@ -130,14 +131,11 @@ def run_with(fault, seed, path):
     robot.connect()
     stage.sensor.samples()
     robot.start()
+    policy = KernelPolicy(fault.policy or request.policy.kernel)
     pilot = RunController(
-        arm,
-        controller,
-        request.policy.settings.boxes,
-        KernelPolicy(fault.policy or request.policy.kernel),
-        guard,
+        request.parts(policy, lambda: 0.0, 8192),
+        ArmResponse(request.actuator, controller, guard),
         robot.started_at,
-        duration=request.duration,
     )
     phi, phi_dot = fault.start
     bodies = bench.twin.kernel.bodies
@@ -175,13 +173,13 @@ def begin_balancing(pilot, now, fault, stage):
     """Let a pilot balance at once, as after a release."""
     phi, phi_dot = fault.start
     counts_per_radian = 8192 / (2.0 * pi)
-    pilot.zero = -(pi - phi) * counts_per_radian + (fault.zero + stage.zero) * counts_per_radian
-    lane: Controller = pilot._controller
-    lane.begin(phi, phi_dot)
-    pilot._measured_at = now
-    pilot._at_home = np.array(stage.bench.body.torques(True))
-    pilot.state = RunState(Phase.BALANCING)
-    pilot.began = now
+    zero = -(pi - phi) * counts_per_radian + (fault.zero + stage.zero) * counts_per_radian
+    run = pilot._run
+    run.encoder.zero = zero
+    run.controller.begin(phi, phi_dot)
+    run.joints.time = now
+    run.joints.torque_at_home = np.array(stage.bench.body.torques(True))
+    run.phase, run.began = Balancing(run), now
 
 
 def draw_fault(kind, seed):
@@ -197,43 +195,45 @@ def draw_fault(kind, seed):
     if kind == "outside":
         out = sign * np.deg2rad(random.uniform(12.5, 17.0))
         share = float(random.uniform(0.2, 0.5))
-        return Fault(CauseName.OUTSIDE, start=(share * out, (1.0 - share) * out * 8.4))
-    plain = Fault(CauseName.UNKNOWN, start=start, at=at)
+        return Fault(RootCause.OUTSIDE, start=(share * out, (1.0 - share) * out * 8.4))
+    plain = Fault(Outcome.ERROR, start=start, at=at)
     if kind == "push":
         rate = either(2.0, 3.5)
-        return plain._replace(name=CauseName.PUSH, once=lambda s: s.bench.push(rate))
+        return plain._replace(name=RootCause.PUSH, once=lambda s: s.bench.push(rate))
     if kind == "track":
         gains = pd_gains(shipped_policy().pendulum.parameters())
         return plain._replace(
-            name=CauseName.TRACK, policy=PolicyKernel(LINEAR, gains=gains), u_max=2.0
+            name=Outcome.TRACK, policy=PolicyKernel(LINEAR, gains=gains), u_max=2.0
         )
     if kind == "late":
         late = float(random.uniform(0.08, 0.15))
-        return plain._replace(
-            name=CauseName.LATE, once=lambda s: setattr(s.clock, "oversleep", late)
-        )
+        return plain._replace(name=Outcome.TICK, once=lambda s: setattr(s.clock, "oversleep", late))
     if kind == "silent":
-        return plain._replace(name=CauseName.STALE, once=lambda s: setattr(s.board, "silent", True))
+        return plain._replace(
+            name=Outcome.ENCODER_STALE, once=lambda s: setattr(s.board, "silent", True)
+        )
     if kind == "frozen":
-        return plain._replace(name=CauseName.STALE, once=lambda s: setattr(s.board, "frozen", True))
+        return plain._replace(
+            name=Outcome.ENCODER_STALE, once=lambda s: setattr(s.board, "frozen", True)
+        )
     if kind == "jump":
         counts = round(either(20, 600))
-        return plain._replace(name=CauseName.JUMP, once=lambda s: s.board.jump(counts))
+        return plain._replace(name=Outcome.ENCODER_JUMP, once=lambda s: s.board.jump(counts))
     if kind == "lines":
-        return plain._replace(name=CauseName.JUMP, once=lambda s: s.board.skip(5))
+        return plain._replace(name=Outcome.ENCODER_JUMP, once=lambda s: s.board.skip(5))
     if kind == "zero":
-        return plain._replace(name=CauseName.ZERO, zero=float(np.deg2rad(either(3.0, 6.0))))
+        return plain._replace(name=RootCause.ZERO, zero=float(np.deg2rad(either(3.0, 6.0))))
     if kind == "creep":
         speed = np.deg2rad(either(3.0, 10.0)) * 1e-3
-        return plain._replace(name=CauseName.ZERO, each=lambda s: s.bench.slip(speed))
+        return plain._replace(name=RootCause.ZERO, each=lambda s: s.bench.slip(speed))
     if kind == "loss":
         share = float(random.uniform(0.35, 0.7))
-        return plain._replace(name=CauseName.ZERO, once=lambda s: setattr(s.board, "loss", share))
+        return plain._replace(name=RootCause.ZERO, once=lambda s: setattr(s.board, "loss", share))
     if kind == "weak":
         share = float(random.uniform(0.18, 0.24))
         kernel = shipped_policy().kernel
         return plain._replace(
-            name=CauseName.SATURATION,
+            name=RootCause.SATURATION,
             start=(sign * np.deg2rad(0.5), sign * np.deg2rad(3.0)),
             policy=kernel._replace(u_of_box=share * kernel.u_of_box),
             u_max=2.0 * share,
@@ -246,15 +246,13 @@ def draw_fault(kind, seed):
             limits[2:] *= share
             return limits
 
-        return plain._replace(name=CauseName.JOINT, limits=narrow)
+        return plain._replace(name=Outcome.JOINT_LIMIT, limits=narrow)
     if kind == "contact":
         force = either(120.0, 250.0)
-        return plain._replace(
-            name=CauseName.CONTACT, once=lambda s: s.bench.touch([0.0, force, 0.0])
-        )
+        return plain._replace(name=Outcome.TORQUE, once=lambda s: s.bench.touch([0.0, force, 0.0]))
     if kind == "stop":
         return plain._replace(
-            name=CauseName.NOT_FOLLOWING, once=lambda s: s.bench.body.stop("emergency stop")
+            name=Outcome.NOT_FOLLOWING, once=lambda s: s.bench.body.stop("emergency stop")
         )
     raise ValueError(kind)
 

@@ -7,7 +7,6 @@ from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.robots.twin.robot import TwinEncoder, TwinRobot
 from equipoise.settings import GRAVITY
-from tests.rig.model_robot import ModelRobot
 
 ARM = iiwa(7)
 PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15, coulomb=0.1)
@@ -34,11 +33,6 @@ def twin_robot(**more):
     bench, clock = stand(joint_noise=1e-5, **more)  # the suite asks for 0.1 mrad at rest
     clock.wait_until(1.0)  # what hangs on the flange has pulled it down by then
     return TwinRobot(bench, clock), clock
-
-
-def model_robot():
-    clock = VirtualClock()
-    return ModelRobot(ARM, clock), clock
 
 
 def twin_encoder(**more):

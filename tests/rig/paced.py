@@ -10,8 +10,7 @@ import numpy as np
 from equipoise.errors import LinkError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.rig.clocks import VirtualClock
-from equipoise.rig.interfaces import Request
-from equipoise.rig.setpoints import checked
+from equipoise.rig.interfaces import Request, checked_setpoint
 
 LAG = 0.004
 UNANSWERED = 3
@@ -62,7 +61,7 @@ class Paced:
     def answer(self, q):
         self.link()
         self.waiting.popleft()
-        self.goal = checked(q, self.joints)
+        self.goal = checked_setpoint(q, self.joints)
         self.answers.append((self.clock.now(), self.goal))
 
     def stop(self):

@@ -22,30 +22,26 @@ from equipoise.control.controller import Controller
 from equipoise.control.policy import TaskPolicy, tick_policy
 from equipoise.control.ticks import TickInputs, TickOutput, TickRecord
 from equipoise.errors import ArtefactError
-from equipoise.identification.motion import identify_motion
+from equipoise.identification.actuator import identify_motion
 from equipoise.logs.conditions import IDEAL
 from equipoise.logs.recorder import FAILED as DEVICE_FAILED
 from equipoise.logs.recorder import WORD_TYPED
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
+from equipoise.outcomes import End, Outcome
 from equipoise.rig.config import RigSettings
 from equipoise.rig.interfaces import Reply, Sample
-from equipoise.rig.run import SPEED_LIMIT, RunRequest
-from equipoise.rig.run_controller import (
-    ACTUATOR,
-    FAILED,
-    IDENTIFIED,
-    LATE,
-    UNIDENTIFIED,
-    RunController,
-)
+from equipoise.rig.phases.exciting import IDENTIFIED
+from equipoise.rig.phases.self_test import ACTUATOR
+from equipoise.rig.request import RunRequest
+from equipoise.rig.run_controller import RunController
 
 Array = npt.NDArray[np.float64]
 
 JOBS: Final = {"self-test", ACTUATOR, IDENTIFIED}
 """Names of events in ticks that receive the result of a job."""
-JOBS_FAILED: Final = ("the self-test failed", "the selection of an actuator failed", UNIDENTIFIED)
-"""First words of the reasons of stops by a failed job."""
+JOBS_FAILED: Final = {Outcome.SELF_TEST, Outcome.UNIDENTIFIED}
+"""Ends by a job that failed."""
 
 
 class Difference(NamedTuple):
@@ -154,26 +150,14 @@ def _of_rig(run: RunLog, policy: TaskPolicy, carried: Sequence[Actuator]) -> Row
     if len(tick) == 0 or len(began) == 0:
         raise ArtefactError("nothing moved in this run; there is nothing to replay")
     clock = _PolicyClock()
-    max_speed = _logged_speed_limit(run)
+    limit = None if run.end is None else run.end.max_speed
+    max_speed = inf if limit is None else limit
     controller = RunController(
-        settings.described_arm,
-        request.controller(counts_per_rev),
-        policy.settings.boxes,
-        tick_policy(policy),
-        request.guard(counts_per_rev, max_speed),
+        request.parts(tick_policy(policy), clock, counts_per_rev, max_speed),
+        request.response(actuator, counts_per_rev, max_speed),
         began["q"][0].tolist(),
-        duration=request.duration,
-        clock=clock,
-        alternatives=request.responses(counts_per_rev, max_speed),
-        excitation=request.excitation(counts_per_rev, max_speed),
     )
     return _run_ticks(run, controller, clock)
-
-
-def _logged_speed_limit(run: RunLog) -> float:
-    """Return the flange's speed limit [m/s] from a log's events (default: inf)."""
-    texts = (event.text for event in run.events if event.name == SPEED_LIMIT)
-    return next((float(text.split()[0]) for text in texts), inf)
 
 
 class _PolicyClock:
@@ -201,10 +185,10 @@ def _run_ticks(run: RunLog, controller: RunController, clock: _PolicyClock) -> R
     for row, end in zip(tick, ends, strict=True):
         now = float(row["time"])
         events = [event for event in run.events if event.time == now]
-        texts = {event.name: event.text for event in events}
-        stopping = texts.get("stopping", "")
+        names = {event.name for event in events}
+        ended = run.end if "stopping" in names else None
         # The tick of a verdict, or of a selected actuator, receives the result of its job.
-        judged = JOBS & texts.keys() or stopping.startswith(JOBS_FAILED)
+        judged = JOBS & names or (ended is not None and ended.outcome in JOBS_FAILED)
         if working is not None and judged:
             try:
                 result = working()
@@ -217,13 +201,17 @@ def _run_ticks(run: RunLog, controller: RunController, clock: _PolicyClock) -> R
             samples=[Sample(t, n, bool(p), bool(i), missing) for t, n, p, i, missing in samples],
             replies=[Reply(sent, t, _known(q), _known(torque)) for sent, t, q, torque in replies],
             lines=[event.text for event in events if event.name == WORD_TYPED],
-            faults=[event.text for event in events if event.name == DEVICE_FAILED],
+            faults=[
+                End(Outcome.ENCODER_LOST, {"text": event.text})
+                for event in events
+                if event.name == DEVICE_FAILED
+            ],
             lateness=float(row["late"]),
             result=result,
             unsent=unsent,
         )
         result = None
-        clock.late = stopping.startswith(f"{FAILED}: {LATE}")
+        clock.late = ended is not None and "took" in ended.evidence
         output = controller.tick(now, inputs)
         working = output.job or working
         first = int(np.searchsorted(stream["time"], now))

@@ -12,11 +12,13 @@ import numpy as np
 
 from equipoise.control.policy import shipped_policy
 from equipoise.control.self_test import SelfTestVerdict
-from equipoise.control.states import Phase
 from equipoise.model.worlds import pendulum_on, read_world
-from equipoise.rig.config import RigSettings, emulated_rig
+from equipoise.outcomes import Phase
+from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import emulated_rig
 from equipoise.rig.emulated_operator import EmulatedOperator
-from equipoise.rig.run import RunRequest, run_virtually
+from equipoise.rig.request import RunRequest
+from equipoise.rig.run import run_virtually
 from equipoise.rig.run_controller import PHASES
 from equipoise.worlds.plant import scaled
 
@@ -192,12 +194,12 @@ def start(seed, **given):
     seen, hands, outcome = run(seed, **given)
     return Start(
         hands.manner.clumsy, seen.held, seen.denied, seen.unasked, seen.early, seen.after,
-        seen.grown_deg, outcome.lasted, outcome.cause,
+        seen.grown_deg, outcome.lasted, outcome.outcome,
     )  # fmt: skip
 
 
 def _attribute(name, value):
-    return lambda emulated: setattr(emulated.sensor.board, name, value)
+    return lambda emulated: setattr(emulated.sensor.emulator, name, value)
 
 
 def _late(emulated):

@@ -5,17 +5,12 @@ import pytest
 
 from equipoise.control.ticks import OperatorMessage
 from equipoise.rig.clocks import VirtualClock
-from equipoise.rig.emulated_operator import NUDGE_RATE, REACTION_TIME, EmulatedOperator
-from equipoise.rig.operator import Operator
+from equipoise.rig.emulated_operator import REACTION_TIME, EmulatedOperator
 from tests.rig.in_process import stand
 
 pytestmark = pytest.mark.compiled_only
 
 BENCH, _ = stand()  # nothing happens there: these look at words and times only
-
-
-def test_it_is_an_operator():
-    assert isinstance(EmulatedOperator(BENCH, VirtualClock()), Operator)
 
 
 def test_it_types_the_first_answer_once_after_its_reaction_time():
@@ -41,29 +36,6 @@ def test_it_does_with_its_hands_what_an_event_asks_for_and_leaves_others_alone()
     assert operator.read_input() == []
     assert done == [2.0]
     assert [event.name for event in operator.messages] == ["armed", "lifting"]
-
-
-def test_answers_come_in_the_order_of_the_questions_that_are_due():
-    clock = VirtualClock()
-    operator = EmulatedOperator(BENCH, clock, seed=5)
-    for word in ("one", "two", "three"):
-        operator.notify(OperatorMessage("ask", answers=(word,)))
-        clock.wait_until(clock.now() + REACTION_TIME[1])
-    clock.wait_until(clock.now() + REACTION_TIME[1])
-    assert operator.read_input() == ["one", "two", "three"]
-
-
-def test_equal_seeds_react_equally():
-    def typed(seed):
-        clock = VirtualClock()
-        operator = EmulatedOperator(BENCH, clock, seed=seed)
-        operator.notify(OperatorMessage("ask", answers=("y",)))
-        while not operator.read_input():
-            clock.wait_until(clock.now() + 0.001)
-        return clock.now()
-
-    assert typed(1) == typed(1)
-    assert typed(1) != typed(2)
 
 
 class Stage:
@@ -97,18 +69,6 @@ def test_they_hold_until_they_may_let_go():
     assert stage.lean > np.radians(20.0)
 
 
-def test_told_that_they_are_still_on_they_lift_again():
-    stage = Stage()
-    stage.tell("lift", 5.0)
-    stage.tell("armed", 2.0)
-    stage.bench.push(np.radians(20.0))  # an arm at rest lets it stand on its dry friction
-    stage.wait(1.0)
-    assert stage.lean > np.radians(20.0)
-    stage.tell("disarmed", 6.0)
-    assert stage.bench.hand.holds
-    assert stage.lean < np.radians(3.0)
-
-
 def test_they_steady_the_pendulum_then_let_go_and_press_the_button():
     stage = Stage()
     stage.bench.push(np.radians(200.0))
@@ -119,15 +79,3 @@ def test_they_steady_the_pendulum_then_let_go_and_press_the_button():
     stage.tell("reference", 2.0)
     assert 90 <= sum(pressed) <= 110
     assert stage.bench.hand.idle
-
-
-def test_they_nudge_a_pendulum_that_stands_by_itself():
-    stage = Stage()
-    stage.tell("lift", 8.0)
-    rate = []
-    stage.bench.watch(lambda: rate.append(abs(stage.bench.phi_dot)))
-    stage.tell("nudge", 1.1)
-    assert not stage.bench.hand.holds
-    assert max(rate) > 0.9 * NUDGE_RATE
-    stage.wait(1.0)
-    assert stage.lean > np.radians(20.0)

@@ -5,7 +5,6 @@ moves one joint to and fro until a word comes. The whole course over ports and a
 `tests/faults/real_time.py`.
 """
 
-import contextlib
 import multiprocessing
 import os
 import signal
@@ -18,22 +17,20 @@ import numpy as np
 import pytest
 
 from equipoise.control.policy import shipped_policy
-from equipoise.control.states import Phase
 from equipoise.control.ticks import OperatorMessage, TickOutput, TickRecord
-from equipoise.errors import InputError, LinkError, OutsideError
+from equipoise.errors import LinkError, OutsideError
 from equipoise.logs.conditions import RunEnd
-from equipoise.logs.recorder import PULSE, Recorder, push_event
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.rig import processes
+from equipoise.outcomes import End, Outcome, Phase
+from equipoise.rig import processes, realtime
 from equipoise.rig.clocks import SystemClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import Reply, Sample
 from equipoise.rig.loop import CANNOT_STOP, run_loop
 from equipoise.rig.processes import HEARTBEAT_TIMEOUT, POLL_PERIOD, run_in_processes
-from equipoise.rig.realtime import freeze_garbage
-from equipoise.rig.run import RunRequest
+from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import PHASES
 from equipoise.safety.rules import limits_of
 from equipoise.safety.stop import ramp
@@ -87,15 +84,17 @@ class Heart:
     h = H
 
     def __init__(self):
-        self.tick_number, self.rest, self.cause = 0, None, "lasted"
+        self.tick_number, self.rest, self.end = 0, None, End(Outcome.LASTED)
         self.q = [ARM.home[6]] * 2
 
     def tick(self, now, inputs):
         n = self.tick_number = self.tick_number + 1
         events = [OperatorMessage("homing", f"process {os.getpid()}")] if n == 1 else []
         if self.rest is None and (inputs.lines or n > 200):
-            self.cause = inputs.lines[0] if inputs.lines else "lasted"
-            events.append(OperatorMessage("stopping", self.cause))
+            typed = inputs.lines[0] if inputs.lines else ""
+            if typed:
+                self.end = End(Outcome.OPERATOR, {"typed": typed})
+            events.append(OperatorMessage("stopping", typed or "lasted"))
             speed = (self.q[1] - self.q[0]) / (H / 2.0)
             q = (*ARM.home[:6], self.q[1])
             self.rest = n, ramp(q, (*[0.0] * 6, speed), 0.0, limits_of(ARM))
@@ -119,7 +118,7 @@ def move(request, rig, operators, recorder, *, measures, executor, supervise):
     robot = GuardedRobot(Arm(), limits_of(ARM), H / 2.0)
     robot.start()
     heart = Heart()
-    freeze_garbage()  # as a run does: a collection stalls the loop for 200 ms
+    realtime.prepare()  # as a run does: a collection stalls the loop for 200 ms
     ending = run_loop(
         robot,
         Encoder(),
@@ -131,7 +130,11 @@ def move(request, rig, operators, recorder, *, measures, executor, supervise):
         executor=executor,
     )
     return RunEnd(
-        cause=heart.cause, stoppable=ending.stoppable, missed=ending.timing.missed, lasted=0.0
+        outcome=heart.end.outcome,
+        evidence=dict(heart.end.evidence),
+        stoppable=ending.stoppable,
+        missed=ending.timing.missed,
+        lasted=0.0,
     )
 
 
@@ -141,13 +144,6 @@ def moving(request, memory, joints, pipe, course=move):
     processes.run_on_rig = course
     processes.WorkerProcess = lambda: None
     processes._loop(request, memory, joints, pipe)
-
-
-def refusing(request, memory, joints, pipe):
-    def refuse(*_, **__):
-        raise LinkError("the robot says nothing")
-
-    moving(request, memory, joints, pipe, refuse)
 
 
 def breaking(request, memory, joints, pipe):
@@ -236,7 +232,7 @@ def request_of_a_run():
 def run(monkeypatch, tmp_path, request_of_a_run):
     def play(person, loop=moving):
         monkeypatch.setattr(processes, "_loop", loop)
-        return run_in_processes(request_of_a_run, tmp_path / "run.mcap", person)
+        return run_in_processes(request_of_a_run, tmp_path / "run.mcap", person, person.live)
 
     yield play
     for child in multiprocessing.active_children():
@@ -254,11 +250,11 @@ def came_to_rest(log):
 def test_a_run_ends_by_itself_and_its_log_is_whole(run, tmp_path):
     person = Person()
     outcome = run(person)
-    assert (outcome.cause, outcome.stoppable) == ("lasted", True)
+    assert (outcome.outcome, outcome.stoppable) == ("lasted", True)
     assert person.texts("stopping") == ["lasted"]
     assert person.texts("fault") == person.texts("warning") == []
     log = RunLog.load(tmp_path / "run.mcap", damaged=True)
-    assert log.end.cause == "lasted"
+    assert log.end.outcome == "lasted"
     assert log.end.lost_rows == 0
     # Where the machine stands still, a second setpoint is left out.
     ticks, rows = len(log.tables["tick"]), len(log.tables["stream"])
@@ -279,10 +275,10 @@ def test_a_run_ends_by_itself_and_its_log_is_whole(run, tmp_path):
 def test_a_signal_is_a_word_to_the_loop_and_the_log_is_complete(run, tmp_path, number):
     handler = signal.getsignal(number)
     outcome = run(Person(signal_here(number)))
-    assert outcome.cause == processes.STOP
+    assert outcome.evidence == {"typed": processes.STOP}
     assert outcome.stoppable
     log = RunLog.load(tmp_path / "run.mcap", damaged=True)
-    assert log.end.cause == processes.STOP
+    assert log.end.evidence == {"typed": processes.STOP}
     assert came_to_rest(log)
     assert len(log.tables["tick"]) < 150
     assert signal.getsignal(number) == handler
@@ -298,7 +294,7 @@ def test_a_loop_that_is_killed_is_told_at_once_and_its_log_is_readable(run, tmp_
     # All that it had recorded; a tick may have been under way.
     assert len(log.tables["tick"]) > 100
     assert log.tables["tick"]["time"][-1] > person.acted - 2.0 * H - 0.01
-    assert "has ended with -9" in log.end.fault
+    assert "has ended with -9" in log.end.evidence["text"]
 
 
 def test_a_loop_that_stands_still_is_told_within_100_ms(run, tmp_path):
@@ -331,7 +327,7 @@ def test_a_loop_that_stands_still_is_told_within_100_ms(run, tmp_path):
 def test_a_writer_that_is_killed_does_not_disturb_the_run_and_is_told_at_once(run, tmp_path):
     person = Person(kill(signal.SIGKILL, "writer"), after=1.2)
     outcome = run(person)
-    assert (outcome.cause, outcome.stoppable) == ("lasted", True)
+    assert (outcome.outcome, outcome.stoppable) == ("lasted", True)
     assert person.texts("warning") == [
         "the log is incomplete: the process that writes it has ended with -9"
     ]
@@ -357,18 +353,6 @@ def test_where_the_operator_cannot_be_told_anything_the_arm_comes_to_rest(run, t
     assert came_to_rest(log)
 
 
-@pytest.mark.parametrize("word", [processes.STOP, processes.ALONE])
-def test_a_wait_for_the_robot_can_be_given_up(word):
-    recorder = Recorder(7, memoryview(bytearray(Recorder.buffer_size(7))))
-    across = processes.OperatorProxy(recorder)
-    recorder.typed.push(b"ok")
-    across.attend("start the server again")
-    recorder.typed.push(word.encode())
-    with pytest.raises(OutsideError, match="nothing has moved. To deploy again, start the server"):
-        across.attend("start the server again")
-    assert across.read_input() == []
-
-
 def run_alone(request, out, pids):
     processes._loop = moving
 
@@ -379,7 +363,8 @@ def run_alone(request, out, pids):
                 pids.send((self.loop, self.writer))
             return []
 
-    run_in_processes(request, out, Telling())
+    person = Telling()
+    run_in_processes(request, out, person, person.live)
 
 
 def test_a_loop_whose_parent_is_gone_comes_to_rest_and_nobody_is_left(request_of_a_run, tmp_path):
@@ -414,7 +399,6 @@ def lives(pid):
 @pytest.mark.parametrize(
     ("loop", "kind", "saying"),
     [
-        pytest.param(refusing, LinkError, "the robot says nothing", marks=pytest.mark.slow),
         (waiting, LinkError, "the encoder is gone"),
         (
             breaking,
@@ -433,7 +417,7 @@ def test_without_room_for_the_log_nothing_begins(monkeypatch, tmp_path, request_
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setattr(processes, "_loop", None)
     with pytest.raises(OutsideError, match="cannot write"):
-        run_in_processes(request_of_a_run, tmp_path / "file" / "run.mcap", Person())
+        run_in_processes(request_of_a_run, tmp_path / "file" / "run.mcap", Person(), print)
 
 
 # The process beside the loop's.
@@ -467,58 +451,3 @@ def fail():
 
 
 # The parent alone, around a loop that is a fiction.
-
-
-class Fiction:
-    """A loop's process: `lives` looks, then it is dead."""
-
-    def __init__(self, lives=10**9):
-        self.lives, self.exitcode = lives, -11
-
-    def is_alive(self):
-        self.lives -= 1
-        return self.lives >= 0
-
-
-@pytest.mark.parametrize("error", [EOFError, OSError])
-def test_a_loop_that_dies_without_a_word_before_it_moved_anything_is_an_error(error):
-    def gone():
-        raise error
-
-    pipe = SimpleNamespace(poll=lambda: True, recv=gone)
-    person = Person()
-    ended = processes._attend(Fiction(2), Recorder(7), person, [], pipe, quiet())
-    assert isinstance(ended, OutsideError)
-    assert "-11" in str(ended)
-    assert person.told == []  # the servo did not run
-
-
-def test_the_last_words_and_the_result_of_a_loop_are_taken_though_it_has_ended():
-    recorder, person = Recorder(7), Person()
-    push_event(recorder.notices, 0.0, "stopping", (), "the end")
-    result = InputError("no")
-    pipe = SimpleNamespace(poll=lambda: True, recv=lambda: result)
-    assert processes._attend(Fiction(0), recorder, person, [], pipe, quiet()) is result
-    assert person.texts("stopping") == ["the end"]
-
-
-def test_a_loop_without_a_heartbeat_is_told_once_until_it_beats_again():
-    recorder, person = Recorder(7), Person()
-    pulse = recorder.pulse
-    pulse[PULSE.index("ticks")] = 5.0
-    script = iter([0.0] * 3 + [1.0] * 3 + [0.0] * 2 + [1.0] * 2)
-
-    def old(*_):
-        pulse[0] = time.monotonic() - next(script)
-        return False
-
-    pulse[0] = time.monotonic()
-    pipe = SimpleNamespace(poll=lambda: False, recv=None)
-    log = SimpleNamespace(check=old)
-    with contextlib.suppress(StopIteration):
-        processes._attend(Fiction(), recorder, person, [], pipe, log)
-    assert person.texts("fault") == 2 * [f"the loop does not answer: {CANNOT_STOP}"]
-
-
-def quiet():
-    return SimpleNamespace(check=lambda _: None)

@@ -30,10 +30,6 @@ class TestTwin(RobotConformance):
     make = staticmethod(in_process.twin_robot)
 
 
-class TestModel(RobotConformance):
-    make = staticmethod(in_process.model_robot)
-
-
 @pytest.mark.parametrize("period_ms", [1, 2, 4, 8])
 class TestRobotThatSetsThePace:
     @pytest.mark.parametrize(

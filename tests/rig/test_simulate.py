@@ -5,9 +5,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from equipoise import paper
-from equipoise.control.grid import CAUSES
 from equipoise.control.policy import TabularPolicy
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
+from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.rig.simulate import DEPLOYMENT, simulate_run
 from equipoise.worlds.plant import make_loop_params
 from equipoise.worlds.trials import draw_trials
@@ -33,16 +33,6 @@ def test_the_log_says_what_ran(run, small_policy):
     assert conditions.joints == tuple(joint.name for joint in small_policy.arm.joints)
     assert conditions.settings == small_policy.settings
     assert (conditions.seed, conditions.duration, conditions.h) == (5, 0.6, small_policy.h)
-
-
-def test_the_pendulum_is_not_the_one_that_the_policy_was_trained_for(run, pendulum):
-    real = run.conditions.pendulum
-    factor = pendulum.w2.value / real["w2"]
-    assert 0.9 < factor < 1.1
-    assert factor != 1.0
-    # I divides w2 and k alike; b scales c alone.
-    assert real["k"] == pytest.approx(pendulum.k.value / factor, rel=1e-12)
-    assert real["c"] != pytest.approx(pendulum.c.value / factor, rel=1e-6)
 
 
 def test_it_starts_as_a_release_leaves_the_pendulum(run):
@@ -112,12 +102,6 @@ def test_the_ideal_model_has_neither_a_rig_nor_an_actuator(run):
     assert len(run.stream.time) == len(run.replies.time) == len(run.encoder.time) == 0
 
 
-def test_the_held_joint_stays(run, small_policy):
-    held = small_policy.arm.held_joint - 1
-    np.testing.assert_array_equal(run.q[:, held], small_policy.arm.held_angle)
-    np.testing.assert_array_equal(run.dq[:, held], 0.0)
-
-
 def test_the_tracked_acceleration_is_the_change_of_the_pivots_velocity(run, small_policy):
     arm = small_policy.arm
     velocity = []
@@ -149,7 +133,7 @@ def test_it_is_the_trial_that_the_compiled_loop_runs(small_policy):
     simulation = on_the_plant(params, small_policy.arm, pendulum, settings, 5, DEPLOYMENT)
     trial = run_all(simulation, small_policy.kernel, simulation.draw(1), 20.0)
     assert len(long.time) == trial.steps[0]
-    assert long.cause == CAUSES[trial.cause[0]]
+    assert long.outcome == TRIAL_OUTCOMES[trial.cause[0]]
     # Small steps end runs early: x^2 before each step, against the sum after each step.
     assert np.sum(long.x[1:] ** 2) == pytest.approx(trial.sum_x2[0], rel=0.02)
 
@@ -159,12 +143,6 @@ def test_a_table_that_always_pushes_one_way_fails(small_policy):
     table = TabularPolicy.model_validate(small_policy.model_dump() | {"Q": pushing})
     run = simulate_run(table, duration=10.0)
     # 2 m/s^2 reach the end of the track from rest after sqrt(2 * 0.22 / 2) = 0.47 s.
-    assert run.cause in ("angle", "track")
+    assert run.outcome in ("angle", "track")
     assert run.lasted <= 0.48
     assert set(run.u) == {-2.0}
-
-
-def test_a_run_without_a_failure_lasts_as_long_as_a_trial(small_policy):
-    run = simulate_run(small_policy, settings=small_policy.settings.model_copy())
-    assert run.conditions.duration == small_policy.settings.evaluation.duration
-    assert (run.cause == "lasted") == (run.lasted == run.conditions.duration)

@@ -37,7 +37,7 @@ def test_a_clean_release_is_caught_in_time(seeds):
 @pytest.mark.slow
 def test_what_was_let_go_then_stands():
     runs = [start(seed) for seed in range(2000, 2020)]
-    assert [run.cause for run in runs] == ["lasted"] * len(runs)
+    assert [run.outcome for run in runs] == ["lasted"] * len(runs)
 
 
 @pytest.mark.parametrize(

@@ -1,23 +1,21 @@
 """The twin as a whole: against closed forms, SciPy, MuJoCo, `identify` and itself."""
 
 import os
-import subprocess
-import sys
 
 import mujoco
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from equipoise.identification import identify
+from equipoise.identification.recording import Trajectory
+from equipoise.identification.swing import identify
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.encoder import theta_from_counts
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY, IdentificationSettings
-from equipoise.trajectory import Trajectory
 from equipoise.worlds.twin.excitation import excitation
-from equipoise.worlds.twin.physics import TICK, build
+from equipoise.worlds.twin.physics import TICK
 from equipoise.worlds.twin.twin import Twin, reset
 
 JIT = os.environ.get("NUMBA_DISABLE_JIT", "0") == "0"
@@ -58,31 +56,6 @@ def test_a_free_swing_is_that_of_the_equation(theta):
 
 
 @pytest.mark.compiled_only
-def test_dry_friction_takes_its_share_of_each_swing_and_lets_the_pendulum_rest():
-    theta = swing(FIRM, 0.3, 12.0, pendulum=PENDULUM._replace(c=0.0, coulomb=1.0))
-    turns = np.flatnonzero(np.diff(np.sign(np.diff(theta))) != 0) + 1
-    heights = np.abs(theta[turns[:8]])
-    # Small swings lose 2 f / w2 from one turning point to the next.
-    assert -np.diff([0.3, *heights]) == pytest.approx(np.full(8, 2 / PENDULUM.w2), rel=0.03)
-    # Then it stays beside the vertical, where friction holds it.
-    assert np.ptp(theta[-2000:]) < 1e-4
-    assert abs(theta[-1]) < 1.0 / PENDULUM.w2
-
-
-@pytest.mark.compiled_only
-def test_without_friction_a_swing_keeps_its_height_and_with_it_loses_some_each_time():
-    for c, coulomb in ((0.0, 0.0), (0.1, 0.0), (0.0, 0.2)):
-        theta = swing(FIRM, 1.0, 10.0, pendulum=PENDULUM._replace(c=c, coulomb=coulomb))
-        turns = np.flatnonzero(np.diff(np.sign(np.diff(theta))) != 0) + 1
-        heights = np.abs(theta[turns])
-        if c == coulomb == 0.0:
-            # Seen each millisecond, a turning point is up to (h / 2)^2 w2 / 2 = 1e-5 too low.
-            assert heights == pytest.approx(np.ones(len(heights)), abs=1e-4)
-        else:
-            assert np.all(np.diff(heights) < -1e-4)
-
-
-@pytest.mark.compiled_only
 @pytest.mark.parametrize(
     ("model", "friction"),
     [("coulomb", {"coulomb": 0.1}), ("quadratic", {"coulomb": 0.2, "drag": 0.04})],
@@ -109,26 +82,6 @@ def test_a_pendulum_is_identified_as_it_was_built(model, friction):
     assert found.drag.value == pytest.approx(pendulum.drag, rel=0.02)
     assert found.fit.offset == pytest.approx(-twin.kernel.sensors.zero[0], abs=1e-4)
     assert found.fit.warnings == ()
-
-
-@pytest.mark.compiled_only
-@pytest.mark.parametrize("phi", [0.1, np.pi - 0.8])
-def test_half_the_step_gives_the_same_motion(phi):
-    paths = []
-    for substeps in (1, 2):
-        twin = Twin(ARM, PENDULUM, TwinSettings(substeps=substeps), seed=2)
-        twin.reset(phi=phi)
-        path = []
-        for row in excitation(ARM, duration=1.0):
-            twin.send(row)
-            twin.advance(0.005)
-            path.append([*twin.kernel.bodies.qpos])
-        paths.append(path)
-    apart = np.abs(np.subtract(*paths)).max(axis=0)
-    # Joints move 0.1 rad in this second, the pendulum by some rad.
-    assert np.all(apart[:6] < 1e-3)
-    assert apart[6] < 1e-2
-    assert apart[7] < 2e-2
 
 
 def test_the_truth_is_what_mujoco_says_of_the_bodies():
@@ -164,23 +117,6 @@ def test_the_truth_is_what_mujoco_says_of_the_bodies():
     assert abs(real.phi - twin.data.qpos[7]) > 1e-3
 
 
-def test_the_drives_balance_the_arms_own_gravity_as_mujoco_would():
-    twin = Twin(ARM, PENDULUM, TwinSettings(substeps=2), seed=2)
-    for lean in (0.0, 0.1):  # MuJoCo's own balance, which the twin has switched off
-        model = build(ARM, PENDULUM, TwinSettings(substeps=2))
-        gravity = GRAVITY * np.array([np.sin(lean), 0.0, -np.cos(lean)])
-        twin.model.opt.gravity[:] = model.opt.gravity[:] = gravity
-        twin.reset(ARM.home_free + 0.3, phi=0.4)
-        twin.send(ARM.home_free)
-        twin.advance(0.05)
-        data = mujoco.MjData(model)
-        data.qpos[:] = twin.data.qpos
-        mujoco.mj_forward(model, data)
-        balanced = twin.kernel.bodies.gravity
-        assert np.abs(balanced).max() > 10.0
-        assert balanced == pytest.approx(data.qfrc_gravcomp[:7], abs=1e-9)
-
-
 @pytest.mark.parametrize(
     ("phi", "phi_dot", "moved", "beyond", "sticks"),
     [
@@ -214,19 +150,6 @@ def test_a_millisecond_is_a_whole_step_of_mujoco(phi, phi_dot, moved, beyond, st
     assert (ends > 0) == (beyond > 0.0)
 
 
-def test_at_rest_the_truth_is_what_reset_said():
-    twin = Twin(ARM, PENDULUM, TwinSettings())
-    assert tuple(twin.truth()) == pytest.approx((0.0, 0.0, np.pi, 0.0), abs=1e-12)
-    twin.reset(phi=0.1, phi_dot=-0.3)
-    assert tuple(twin.truth()) == pytest.approx((0.0, 0.0, 0.1, -0.3), abs=1e-12)
-    assert twin.now == 0.0
-    twin.reset(ARM.home_free + 0.1)
-    assert twin.data.qpos[:7] == pytest.approx(ARM.with_held(ARM.home_free + 0.1))
-    counts, time = twin.encoder()
-    assert time == pytest.approx(-0.001, abs=3.1e-4)
-    assert counts == pytest.approx(0.0, abs=8192 * 0.2 / 360 + 1)
-
-
 def path(twin, seconds=0.3):
     rows = []
     for row in excitation(ARM, duration=seconds):
@@ -246,15 +169,6 @@ def test_after_a_reset_everything_is_as_in_a_new_twin():
     assert not np.array_equal(path(Twin(ARM, PENDULUM, TwinSettings(), seed=5, index=7)), first)
 
 
-def test_a_twin_after_other_trials_is_a_new_one():
-    used = Twin(ARM, PENDULUM._replace(w2=60.0, coulomb=0.3), TwinSettings(), seed=4, index=1)
-    path(used)
-    rubbed = PENDULUM._replace(coulomb=0.1, drag=0.02)
-    used.set_trial(rubbed, 5, 6)
-    used.reset()
-    assert np.array_equal(path(used), path(Twin(ARM, rubbed, TwinSettings(), seed=5, index=6)))
-
-
 SESSION = """
 import numpy as np
 from equipoise.worlds.twin import twin as module
@@ -269,35 +183,3 @@ advance = module.advance
 hits = sum(advance.stats.cache_hits.values()) if hasattr(advance, "stats") else "plain"
 print(hits, twin.data.qpos.tolist())
 """
-
-
-@pytest.fixture
-def session(tmp_path):
-    """Drive a twin in a process of its own; return cache hits, and where it ended."""
-
-    def run(**environment):
-        cache = {"EQUIPOISE_CACHE_DIR": str(tmp_path / "cache")}
-        done = subprocess.run(
-            [sys.executable, "-c", SESSION],
-            env={**os.environ, **cache, **environment},
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=300,
-        )
-        hits, _, qpos = done.stdout.partition(" ")
-        return hits, np.array([float(q) for q in qpos.strip()[1:-1].split(",")])
-
-    return run
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not JIT, reason="nothing is compiled")
-def test_the_second_process_finds_the_machine_code_and_uses_its_own_engine(session):
-    first_hits, first = session()
-    second_hits, second = session()
-    assert (first_hits, second_hits) == ("0", "1")
-    assert np.array_equal(first, second)
-    plain_hits, plain = session(NUMBA_DISABLE_JIT="1")
-    assert plain_hits == "plain"
-    assert plain == pytest.approx(first, abs=1e-12)

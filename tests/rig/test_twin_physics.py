@@ -9,8 +9,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY
-from equipoise.worlds.twin.physics import build, mass_matrix, pivot
-from equipoise.worlds.twin.servo_model import make_servo_params
+from equipoise.worlds.twin.physics import build, mass_matrix
 from tests.arms import without_masses
 from tests.model.arms.weighed import WEIGHED, by_mujoco, by_pinocchio
 
@@ -46,16 +45,6 @@ def test_the_arm_is_that_of_an_independent_library(name, library):
         data = at(model, [*q, 0.0])
         assert data.qfrc_bias[:n] == pytest.approx(torque, abs=1e-6)
         assert data.qfrc_gravcomp[:n] == pytest.approx(torque, abs=1e-6)
-
-
-@pytest.mark.parametrize("name", WEIGHED)
-@pytest.mark.parametrize("library", [by_mujoco, by_pinocchio])
-def test_the_drives_know_the_bare_arm_at_home_and_its_rotors(name, library):
-    arm, urdf = WEIGHED[name]
-    M, _ = library(urdf, np.array(arm.home))
-    servo = make_servo_params(arm, TwinSettings(rotor_inertia=(0.3, 0.2)))
-    assert servo.inertia == pytest.approx(M, abs=1e-6)
-    assert servo.rotors.tolist() == [0.3] + [0.2] * (len(arm.joints) - 1)
 
 
 def test_rotors_bracket_and_pendulum_have_their_inertia():
@@ -94,14 +83,6 @@ def test_the_pendulum_is_a_uniform_rod_with_the_w2_and_k_that_it_shall_have(w2):
     x_per_a1 = flange.jacobian[0, 0] - 0.13  # the pivot is outward of the flange, along base y
     coupling = matrix(model, home)[7, 0] / I
     assert coupling == pytest.approx(pendulum.k * x_per_a1)
-
-
-def test_the_world_decides_how_far_outward_the_pivot_is_and_the_arm_how_high():
-    for arm in (iiwa(7), iiwa(14), iiwa(7, media_flange=0.061)):
-        assert pivot(arm, 0.13) == pytest.approx(arm.pivot)
-        assert pivot(arm, 0.05) == pytest.approx((-0.05, 0.0, arm.pivot[2]))
-    other_side = iiwa(7).model_copy(update={"pivot": (0.1, 0.0, 0.0)})
-    assert pivot(other_side, 0.13) == pytest.approx((0.13, 0.0, 0.0))
 
 
 def test_gravity_of_the_arm_is_balanced_and_that_of_bracket_and_pendulum_is_not():
@@ -154,29 +135,9 @@ def test_without_friction_energy_stays_and_its_error_falls_with_the_step():
     assert half / quarter == pytest.approx(2.0, rel=0.1)
 
 
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-@pytest.mark.parametrize("joint", range(7))
-def test_a_joint_ends_at_its_limit(joint, side):
-    arm = iiwa(7)
-    limits = arm.joints[joint]
-    model = build(arm, PENDULUM, TwinSettings())
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, 0)
-    data.qpos[joint] = side * (limits.upper - 0.1)
-    data.qvel[joint] = side * limits.velocity
-    beyond = []
-    for tick in range(600):
-        # It arrives at full speed; then it is pushed.
-        data.qfrc_applied[joint] = side * 0.1 * limits.torque if tick > 200 else 0.0
-        mujoco.mj_step(model, data)
-        beyond.append(side * data.qpos[joint] - limits.upper)
-    assert -0.1 < max(beyond[:200]) < np.radians(0.5)
-    assert abs(beyond[-1]) < np.radians(0.3)
-
-
 def test_an_arm_of_unknown_masses_is_refused():
     arm = without_masses(iiwa(7))
-    with pytest.raises(ArmError, match="has no mass, no inertia"):
+    with pytest.raises(ArmError, match="mass"):
         build(arm, PENDULUM, TwinSettings())
-    with pytest.raises(ArmError, match="has no mass, no inertia"):
+    with pytest.raises(ArmError, match="mass"):
         mass_matrix(arm)

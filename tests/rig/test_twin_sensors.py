@@ -20,24 +20,6 @@ EXACT = TwinSettings(
 )
 
 
-def test_counts_are_the_angle_from_hanging_and_grow_with_it():
-    past = new_sensor_history()
-    past.phi[:] = 0.25 * pi
-    counts, stamp = encoder(make_sensors(EXACT, 0, 0), past, 40, 0, 0)
-    assert counts == 8192 * 3 / 8
-    assert stamp == pytest.approx(0.040)
-
-
-@pytest.mark.parametrize("zero", [-0.004, 0.007])
-def test_a_wrong_zero_reads_so_much_too_much_of_phi(zero):
-    past = new_sensor_history()
-    past.phi[:] = 0.1
-    sensors = make_sensors(EXACT.model_copy(update={"zero_offset": zero}), 0, 0)
-    counts, _ = encoder(sensors, past, 40, 0, 0)
-    step = 2 * pi / 8192
-    assert pi - counts * step == pytest.approx(0.1 + zero, abs=0.5001 * step)
-
-
 def test_the_zero_error_differs_between_trials_within_its_bounds():
     settings = EXACT.model_copy(update={"zero_error": 0.01, "zero_offset": 0.1})
     zeros = np.array([encoder_zero(settings, 5, i) for i in range(500)]) - 0.1
@@ -63,21 +45,6 @@ def test_a_sample_is_known_when_it_is_old_enough(age, ticks):
     assert counts == now - ticks - 900
     assert counted == measured == pytest.approx(1e-3 * (now - ticks))
     assert q == pytest.approx(now - ticks + 0.1 * np.arange(6))
-
-
-def test_time_stamps_are_wrong_by_their_jitter_and_stay_so():
-    settings = EXACT.model_copy(update={"encoder_jitter": 3e-4})
-    sensors, past = make_sensors(settings, 0, 0), new_sensor_history()
-
-    def stamp(tick, seed=1, trial=2):
-        return float(encoder(sensors, past, tick, seed, trial)[1])
-
-    errors = np.array([stamp(tick) - 1e-3 * tick for tick in range(1000)])
-    assert np.all(np.abs(errors) <= 3e-4)
-    assert np.mean(errors) == pytest.approx(0.0, abs=5 * 3e-4 / np.sqrt(3 * 1000))
-    assert np.std(errors) == pytest.approx(3e-4 / np.sqrt(3), rel=0.1)
-    assert stamp(7) == stamp(7)
-    assert len({stamp(7), stamp(7, seed=2), stamp(7, trial=3)}) == 3
 
 
 def test_measured_joints_carry_white_noise_of_the_stated_size():

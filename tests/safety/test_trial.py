@@ -13,19 +13,18 @@ from equipoise.control.control_step import (
     make_controller_params,
     new_controller_state,
 )
-from equipoise.control.grid import ANGLE, CAUSES, SAFETY_STOP, TRUNCATED, cause_named
+from equipoise.control.grid import SAFETY_STOP
 from equipoise.jit import kernel
 from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import read_world
+from equipoise.outcomes import SAFETY_RULES, TRIAL_OUTCOMES, Outcome
 from equipoise.safety import rules
 from equipoise.safety.rules import (
     NO_VIOLATION,
-    RULES,
     MonitorState,
-    Rule,
     SafetyInputs,
     broken_flange,
     broken_setpoint,
@@ -42,7 +41,6 @@ from equipoise.safety.rules import (
     update_monitor,
 )
 from equipoise.safety.trial import (
-    guard_named,
     new_trial_monitor,
     reset_trial_monitor,
     setpoint_violation,
@@ -104,8 +102,10 @@ def test_a_setpoint_has_the_same_verdict_compiled_and_in_python(place, change, b
     if violation is None:
         assert code == NO_VIOLATION
     else:
-        assert (RULES[code], joint) == (violation.rule, violation.joint)
-        assert (value, limit) == pytest.approx((violation.value, violation.limit), rel=1e-12)
+        assert (SAFETY_RULES[code], joint) == (violation.outcome, violation.evidence["joint"])
+        assert (value, limit) == pytest.approx(
+            (violation.evidence["value"], violation.evidence["limit"]), rel=1e-12
+        )
 
 
 @pytest.mark.compiled_only
@@ -126,8 +126,10 @@ def test_a_flange_has_the_same_verdict_compiled_and_in_python(x, x_dot, drift, t
     if violation is None:
         assert code == NO_VIOLATION
     else:
-        assert RULES[code] is violation.rule
-        assert (value, limit) == pytest.approx((violation.value, violation.limit), rel=1e-12)
+        assert SAFETY_RULES[code] is violation.outcome
+        assert (value, limit) == pytest.approx(
+            (violation.evidence["value"], violation.evidence["limit"]), rel=1e-12
+        )
 
 
 @pytest.mark.compiled_only
@@ -151,11 +153,11 @@ def test_all_else_has_the_same_verdict_compiled_and_in_python(off, before, torqu
     assert error_time == watched.error_time
     violation = check(GUARD_7, watched, view)
     if pressed:
-        assert (violation.rule, violation.joint) == (Rule.TORQUE, pressed)
+        assert (violation.outcome, violation.evidence["joint"]) == (Outcome.TORQUE, pressed)
     elif lost:
-        assert (violation.rule, violation.joint) == (Rule.FOLLOWING, joint)
+        assert (violation.outcome, violation.evidence["joint"]) == (Outcome.FOLLOWING, joint)
     elif fallen:
-        assert violation.rule is Rule.ANGLE
+        assert violation.outcome is Outcome.ANGLE
     else:
         assert violation is None
 
@@ -219,10 +221,10 @@ def test_what_may_not_be_sent_is_not_remembered_as_sent():
     assert setpoint_violation(watching, home + 1e-5, 0.005) == NO_VIOLATION
     far = home + 1e-5
     far[2] += 0.02
-    assert RULES[setpoint_violation(watching, far, 0.01)] is Rule.VELOCITY
+    assert SAFETY_RULES[setpoint_violation(watching, far, 0.01)] is Outcome.VELOCITY
     newest = newest_before(watching.sent, watching.number[0], 1.0)
     assert watching.setpoints[newest] == pytest.approx(home + 1e-5)
-    assert RULES[setpoint_violation(watching, home + 6e-4, 0.01)] is Rule.ACCELERATION
+    assert SAFETY_RULES[setpoint_violation(watching, home + 6e-4, 0.01)] is Outcome.ACCELERATION
 
 
 class Tick:
@@ -245,7 +247,7 @@ class Tick:
             self.memory.estimate[EST_PHI * BATCH_SIZE],
         ) = v, phi
         code = trial_violation(self.watching, self.controller, self.memory, q, measured_at)
-        return None if code == NO_VIOLATION else RULES[code]
+        return None if code == NO_VIOLATION else SAFETY_RULES[code]
 
 
 def test_a_stream_of_any_length_is_judged_by_its_last_two_setpoints():
@@ -255,7 +257,7 @@ def test_a_stream_of_any_length_is_judged_by_its_last_two_setpoints():
     for time, place in enumerate(np.cumsum(speed) * DT):
         last = ARM.home_free - joint(0, place)
         assert setpoint_violation(tick.watching, last, DT * time) == NO_VIOLATION
-    assert RULES[setpoint_violation(tick.watching, last, 1.5)] is Rule.ACCELERATION
+    assert SAFETY_RULES[setpoint_violation(tick.watching, last, 1.5)] is Outcome.ACCELERATION
     # Another trial begins at rest, wherever that is.
     reset_trial_monitor(tick.watching, ARM.home_free)
     assert setpoint_violation(tick.watching, ARM.home_free, 0.0) == NO_VIOLATION
@@ -269,16 +271,16 @@ def joint(row, by):
     ("rule", "kept", "not_kept"),
     [
         # To rest from 1 m/s it takes 171 mm, from 1.2 m/s 235 mm.
-        (Rule.TRACK, {"v": 1.0}, {"v": 1.2}),
-        (Rule.TRACK, {"v": -1.0}, {"v": -1.2}),
-        (Rule.ANGLE, {"phi": radians(10.9)}, {"phi": radians(11.0)}),
-        (Rule.ANGLE, {"phi": -radians(10.9)}, {"phi": -radians(11.0)}),
+        (Outcome.TRACK, {"v": 1.0}, {"v": 1.2}),
+        (Outcome.TRACK, {"v": -1.0}, {"v": -1.2}),
+        (Outcome.ANGLE, {"phi": radians(10.9)}, {"phi": radians(11.0)}),
+        (Outcome.ANGLE, {"phi": -radians(10.9)}, {"phi": -radians(11.0)}),
         # The first joint takes the flange, 0.59 m away, along its track, the second one, 0.61 m
         # away, off its line; the last one tilts it.
-        (Rule.TRACK, {"away": joint(0, 0.02)}, {"away": joint(0, 0.4)}),
-        (Rule.DRIFT, {"away": joint(1, 0.024)}, {"away": joint(1, 0.025)}),
-        (Rule.TILT, {"away": joint(5, radians(1.9))}, {"away": joint(5, radians(2.1))}),
-        (Rule.TRACK, {}, {"v": 1.2, "phi": 1.0}),
+        (Outcome.TRACK, {"away": joint(0, 0.02)}, {"away": joint(0, 0.4)}),
+        (Outcome.DRIFT, {"away": joint(1, 0.024)}, {"away": joint(1, 0.025)}),
+        (Outcome.TILT, {"away": joint(5, radians(1.9))}, {"away": joint(5, radians(2.1))}),
+        (Outcome.TRACK, {}, {"v": 1.2, "phi": 1.0}),
     ],
 )
 def test_a_trial_ends_where_a_rig_would_stop(rule, kept, not_kept):
@@ -288,13 +290,13 @@ def test_a_trial_ends_where_a_rig_would_stop(rule, kept, not_kept):
 
 def test_a_trial_in_t1_ends_where_a_rig_would_stop():
     assert Tick(GUARD_7._replace(speed=0.23))(v=0.229) is None
-    assert Tick(GUARD_7._replace(speed=0.23))(v=-0.231) is Rule.SPEED
+    assert Tick(GUARD_7._replace(speed=0.23))(v=-0.231) is Outcome.SPEED
 
 
 def test_a_trial_ends_where_the_arm_is_elsewhere_for_long():
     tick, off = Tick(), joint(3, 0.031)
     assert [tick() for _ in range(10)] == [None] * 10
-    assert [tick(off) for _ in range(6)] == [None] * 5 + [Rule.FOLLOWING]
+    assert [tick(off) for _ in range(6)] == [None] * 5 + [Outcome.FOLLOWING]
     begun = Tick()
     assert [begun(off) for _ in range(5)] == [None] * 5
     reset_trial_monitor(begun.watching, ARM.home_free)
@@ -308,18 +310,12 @@ def test_an_arm_is_expected_where_it_was_sent_before_its_reaction(measured_at, e
     tick = Tick(GUARD_7._replace(limits=limits))
     assert setpoint_violation(tick.watching, ARM.home_free + joint(4, 0.034), 1.0) == NO_VIOLATION
     said = {tick(measured_at=measured_at) for _ in range(6)}
-    assert (Rule.FOLLOWING in said) == error_time
+    assert (Outcome.FOLLOWING in said) == error_time
 
 
-def test_a_cause_says_which_guard_it_was():
-    code = SAFETY_STOP + rules.TRACK_CODE
-    assert (cause_named(code), guard_named(code)) == ("guard", "track")
-    assert (cause_named(ANGLE), guard_named(ANGLE)) == ("angle", "")
-    assert (cause_named(TRUNCATED), guard_named(TRUNCATED)) == ("lasted", "")
-    assert [guard_named(SAFETY_STOP + place) for place in range(len(RULES))] == [
-        r.value for r in Rule
-    ]
-    assert {cause_named(SAFETY_STOP + place) for place in range(len(RULES))} == {CAUSES[-1]}
+def test_a_code_names_the_rule():
+    assert TRIAL_OUTCOMES[SAFETY_STOP:] == SAFETY_RULES
+    assert TRIAL_OUTCOMES[SAFETY_STOP + rules.TRACK_CODE] is Outcome.TRACK
 
 
 def test_the_reach_of_a_stop_is_that_of_the_issue():

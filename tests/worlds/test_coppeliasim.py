@@ -331,7 +331,7 @@ def test_the_environment_runs_there_one_at_a_time(server):
             assert not terminated
             steps += 1
         assert steps == 20
-        assert info["cause"] == "lasted"
+        assert info["outcome"] == "lasted"
     env.close()
     with pytest.raises(InputError, match="2 environments at once, and this world has 1"):
         gym.make_vec("equipoise/Balance-v0", num_envs=2, world=server.address)
@@ -343,7 +343,7 @@ def test_the_environment_runs_there_one_at_a_time(server):
 def test_train_runs_there_and_its_policy_says_so(server, option, tmp_path, capsys):
     world, out = server.address + option, tmp_path / "policy.json"
     few = ["episode_duration=0.3", "episodes=4"]
-    less = ["every=2", "late=1", "round_trials=10", "rounds=1", "duration=0.5", "test_trials=20"]
+    less = ["every=2", "round_trials=10", "rounds=1", "duration=0.5", "test_trials=20"]
     chosen = [f"learning.{one}" for one in few] + [f"selection.{one}" for one in less]
     words = [word for one in chosen for word in ("--set", one)]
     small = ["--target", "0", "--learners", "1", "--json", "--out", str(out)]

@@ -10,12 +10,12 @@ from scipy import stats
 from equipoise import paper
 from equipoise.control.baselines import baselines
 from equipoise.control.bound_policy import bind_policy
-from equipoise.control.grid import CAUSES
 from equipoise.control.policy import act
 from equipoise.errors import ArtefactError
-from equipoise.learning.training import train
+from equipoise.learning.train import train
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.iiwa import iiwa
+from equipoise.outcomes import Outcome
 from equipoise.settings import resolve
 from equipoise.worlds.evaluation import Evaluation, TrialResults, evaluate
 
@@ -61,7 +61,7 @@ def results(survived, trials, duration=60.0):
     lasted = [(duration, "lasted")] * survived
     fell = [(1.0 + i, "angle" if i % 2 else "track") for i in range(trials - survived)]
     survival, causes = zip(*lasted, *fell, strict=True)
-    return TrialResults(name="policy", survival=survival, causes=causes)
+    return TrialResults(name="policy", survival=survival, outcomes=causes)
 
 
 @pytest.fixture(scope="module")
@@ -113,13 +113,13 @@ def test_a_summary_counts_what_happened():
     summary = TrialResults(
         name="policy",
         survival=(60.0, 1.0, 2.0, 3.0, 60.0),
-        causes=("lasted", "angle", "track", "angle", "lasted"),
+        outcomes=tuple(map(Outcome, ("lasted", "angle", "track", "angle", "lasted"))),
     ).summary()
     assert (summary.trials, summary.survived, summary.rate) == (5, 2, 0.4)
     assert summary.median == 3.0
     # Linear between the ordered numbers 1, 2, 3, 60, 60.
     assert summary.quantiles == pytest.approx((1.2, 2.0, 60.0, 60.0))
-    assert summary.causes == {"lasted": 2, "angle": 2, "track": 1}
+    assert summary.outcomes == {"lasted": 2, "angle": 2, "track": 1}
 
 
 # The trials
@@ -133,7 +133,7 @@ def test_an_evaluation_says_what_was_evaluated(evaluation, small_policy, setting
     assert (evaluation.world, evaluation.world_settings) == ("model", None)
     assert evaluation.actuators == (small_policy.actuator.digest,)
     assert (evaluation.settings, evaluation.seed, evaluation.duration) == (settings, 3, 1.5)
-    assert len(evaluation.results.survival) == len(evaluation.results.causes) == 20
+    assert len(evaluation.results.survival) == len(evaluation.results.outcomes) == 20
     assert [beside.name for beside in evaluation.baselines] == list(
         baselines(small_policy.pendulum.parameters(), 0.01)
     )
@@ -142,8 +142,8 @@ def test_an_evaluation_says_what_was_evaluated(evaluation, small_policy, setting
 @pytest.mark.compiled_only
 def test_a_trial_lasted_when_it_took_all_of_its_time(evaluation):
     for beside in (evaluation.results, *evaluation.baselines):
-        for survival, cause in zip(beside.survival, beside.causes, strict=True):
-            assert cause in CAUSES
+        for survival, cause in zip(beside.survival, beside.outcomes, strict=True):
+            assert cause in Outcome
             assert 0.0 < survival <= 1.5
             assert survival == 1.5 or cause != "lasted"
             # A whole number of steps.
@@ -164,7 +164,7 @@ def test_equal_seeds_give_equal_evaluations_whatever_the_workers(
     # More trials begin with the same ones.
     few = evaluation.results
     first = evaluate(small_policy, many, seed=3).results
-    assert (first.survival[:20], first.causes[:20]) == (few.survival, few.causes)
+    assert (first.survival[:20], first.outcomes[:20]) == (few.survival, few.outcomes)
 
 
 @pytest.mark.compiled_only
@@ -207,7 +207,7 @@ def test_the_table_as_a_plain_object_runs_the_same_trials(small_policy, settings
     )
     assert other.baselines == ()
     assert other.results.survival == evaluation.results.survival
-    assert other.results.causes == evaluation.results.causes
+    assert other.results.outcomes == evaluation.results.outcomes
     assert other.results.name == "plain"
     assert (other.pendulum, other.arm_digest) == (evaluation.pendulum, evaluation.arm_digest)
     assert told == [0] + [1] * 20
@@ -265,7 +265,7 @@ def test_a_constant_push_fails_at_once(pendulum, settings):
         bind_policy(Constant(max(paper.ACTIONS)), pendulum=pendulum), few, world="ideal"
     )
     summary = evaluation.results.summary()
-    assert summary.causes == {"angle": 6}
+    assert summary.outcomes == {"angle": 6}
     assert summary.survived == 0
     assert max(evaluation.results.survival) < 0.5
 

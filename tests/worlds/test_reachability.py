@@ -1,7 +1,7 @@
 """The recoverable set against closed forms, SciPy's integrator and brute force."""
 
 from itertools import combinations_with_replacement
-from math import degrees, exp, inf, radians, sqrt
+from math import degrees, exp, inf
 
 import numpy as np
 import pytest
@@ -15,21 +15,17 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import GRAVITY, Settings
 from equipoise.worlds.reachability import (
-    FLANGE_PLANE,
     RecoveryParams,
-    boundary,
     check_releases,
     diverging_angle,
     fall,
     fall_rate,
-    largest_recovery,
     largest_start,
     release_limit,
     response_delay,
 )
 
 PENDULUMS = [(25.0, 0.01), (70.2, 0.15), (140.0, 0.6)]
-DIRECTIONS = [(0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.04, 0.31), (0.0, 0.5, 0.0, 0.0)]
 
 
 def params(w2=70.2, c=0.15, **more):
@@ -63,40 +59,14 @@ def test_without_ends_of_track_and_angle_the_limit_is_that_of_the_closed_form(w2
 
 
 @pytest.mark.parametrize(("w2", "c"), PENDULUMS)
-@pytest.mark.parametrize("direction", DIRECTIONS)
-def test_the_commands_of_the_sufficient_set_recover_the_pendulum_in_scipys_integrator(
-    w2, c, direction
-):
-    given, direction = params(w2, c), np.array(direction)
-    factor, u = largest_recovery(given, direction)
-    assert factor > 0.0
-    state = factor * direction
-
-    def motion(_, s, a):
-        fall = w2 * np.sin(s[2]) - c * s[3] - w2 / GRAVITY * a * np.cos(s[2])
-        return [s[1], a, s[3], fall]
-
-    for a in u:
-        done = solve_ivp(motion, (0.0, 0.01), state, args=(a,), rtol=1e-12, atol=1e-14)
-        state = done.y[:, -1]
-        assert abs(state[0]) < given.x_limit + 1e-4
-        assert abs(state[2]) < given.phi_limit + 1e-3
-    # Rounding grows by exp(10) until then.
-    assert np.abs(state[1:]) == pytest.approx(0.0, abs=0.05)
-    assert np.abs(u).max() <= given.u_max + 1e-9
-
-
-@pytest.mark.parametrize(("w2", "c"), PENDULUMS)
 @pytest.mark.parametrize("coulomb", [0.0, 1.0])
-def test_no_bang_bang_command_recovers_a_start_outside_the_necessary_set(w2, c, coulomb):
+def test_no_bang_bang_command_recovers_a_start_outside_the_set_and_one_does_inside(w2, c, coulomb):
     """All commands with three switches, on a grid of 20 ms, on the nonlinear pendulum."""
     given, direction = params(w2, c, coulomb=coulomb), np.array([0.0, 0.0, 0.04, 0.31])
-    outside = 1.01 * largest_start(given, direction)
-    inside = 0.97 * largest_recovery(given, direction)[0]
-    assert inside < outside < 1.6 * inside
-    assert not survive(given, outside * direction)
+    limit = largest_start(given, direction)
+    assert not survive(given, 1.01 * limit * direction)
     if coulomb == 0.0:
-        assert survive(given, inside * direction)
+        assert survive(given, 0.95 * limit * direction)
 
 
 def survive(given, start):
@@ -116,28 +86,6 @@ def survive(given, start):
         x, v = x + length * v + 0.5 * length**2 * u, v + length * u
         alive &= (np.abs(x) < given.x_limit) & (np.abs(phi) < given.phi_limit)
     return bool(alive.any())
-
-
-def test_the_sufficient_set_lies_within_the_necessary_one_and_both_are_symmetric():
-    given = params()
-    outer, inner = boundary(given), boundary(given, sufficient=True)
-    share = outer.share(inner.points)
-    assert np.all(share < 1.001)
-    assert np.all(share > 0.9)
-    half = len(outer.points) // 2
-    assert np.array_equal(outer.points[:half], -outer.points[half:])
-    assert outer.share(0.5 * outer.points) == pytest.approx(0.5, rel=1e-9)
-    assert outer.share(outer.points) == pytest.approx(1.0, rel=1e-9)
-
-
-def test_the_flange_must_be_able_to_stop_on_its_track():
-    given = params()
-    edge = boundary(given, FLANGE_PLANE).points
-    x, v = edge.T
-    stops = np.abs(x + v * np.abs(v) / (2.0 * given.u_max))
-    assert np.all(stops < given.x_limit + 0.02)
-    slow = boundary(given._replace(speed_limit=0.23), FLANGE_PLANE).points
-    assert np.abs(slow[:, 1]).max() == pytest.approx(0.23, abs=0.03)
 
 
 def test_the_fall_over_the_delay_is_that_of_scipys_integrator():
@@ -208,18 +156,13 @@ def test_default_releases_are_recoverable_and_a_long_delay_makes_them_lost():
             assert release_limit(pendulum, arm, settings, late(delay)).share == 1.0
             if w2 > 25.0:
                 assert check_releases(pendulum, arm, settings, late(delay)) is None
-    long = PendulumParameters(25.0, 25.0 / GRAVITY, 0.01)
-    close = check_releases(long, arm, settings, late(0.03))
-    assert close.startswith("the worst release reaches 9")
-    assert "take a shorter pendulum" in close
-    pendulum = PendulumParameters(140.0, 140.0 / GRAVITY, 0.1)
-    warning = check_releases(pendulum, arm, settings, late(0.1))
-    assert "% of the releases" in warning
-    assert "longer pendulum" in warning
-    with pytest.raises(SettingsError, match="expected at most 1 %; shorten the delay"):
-        check_releases(pendulum, arm, settings, late(0.1), least=0.99)
-    with pytest.raises(SettingsError, match="no controller balances this pendulum"):
-        check_releases(pendulum, arm, settings, late(0.19))
+    assert check_releases(params(25.0, 0.01).pendulum, arm, settings, late(0.03))  # close
+    pendulum = params(140.0, 0.1).pendulum
+    assert 0.0 < release_limit(pendulum, arm, settings, late(0.1)).share < 0.99
+    assert check_releases(pendulum, arm, settings, late(0.1))
+    for delay, least in ((0.1, 0.99), (0.19, 0.0)):
+        with pytest.raises(SettingsError):
+            check_releases(pendulum, arm, settings, late(delay), least=least)
 
 
 def test_the_limit_of_a_release_is_the_closed_form_after_the_delay():
@@ -232,7 +175,8 @@ def test_the_limit_of_a_release_is_the_closed_form_after_the_delay():
     found = release_limit(pendulum, iiwa(7), settings, late(0.03))
     e, rate = settings.evaluation, fall_rate(pendulum)
     start = diverging_angle(e.phi_high, e.phi_dot_high, pendulum)
-    assert found.worst == pytest.approx(start * exp(rate * found.delay), rel=0.03)
+    delay = response_delay(iiwa(7), late(0.03), rate)
+    assert found.worst == pytest.approx(start * exp(rate * delay), rel=0.03)
     assert found.worst < found.limit < pendulum.k * 2.0 / pendulum.w2
 
 
@@ -250,7 +194,4 @@ def test_a_speed_limit_lowers_the_limit():
     given, direction = params(), np.array([0.0, 0.0, 1.0, 0.0])
     slow = largest_start(given._replace(speed_limit=0.23), direction)
     assert slow < 0.9 * largest_start(given, direction)
-    assert given.speed_limit == inf
     assert degrees(slow) > 1.0
-    assert sqrt(given.rate * (given.rate + 0.15)) == pytest.approx(sqrt(70.2), rel=1e-9)
-    assert radians(11.0) == pytest.approx(given.phi_limit)

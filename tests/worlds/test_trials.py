@@ -9,14 +9,13 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from equipoise import paper
+from equipoise.control import control_step
 from equipoise.control.baselines import lqr_gains
 from equipoise.control.grid import (
     ANGLE,
-    CAUSES,
     JOINT_LIMIT,
     TRACK,
     TRUNCATED,
-    cause_named,
     partition,
 )
 from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, PolicyKernel, act, table_kernel
@@ -25,7 +24,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
-from equipoise.safety.trial import guard_named
+from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import BoxSettings, resolve
 from equipoise.worlds.ideal import run_trials
 from equipoise.worlds.plant import (
@@ -282,15 +281,14 @@ def test_a_lane_does_not_see_its_neighbours(any_plant, phi, phi_dot, x, u):
     assert len(set(rows)) == 1
 
 
-def test_a_lane_near_a_singularity_does_not_change_its_neighbours():
+def test_a_lane_near_a_singularity_does_not_change_its_neighbours(monkeypatch):
+    monkeypatch.setattr(control_step, "SINGULAR_SHARE", 0.5)
     # In this posture (the arm in the plane of motion) the manipulability falls along the track;
     # with so large a share the inverse is damped on the far side of it.
     arm = iiwa(14).model_copy(
         update={"home": tuple(radians(angle) for angle in (0, 30, 0, -70, 0, 80, 0))}
     )
-    plant = make_loop_params(
-        arm, resolve(overrides=["clik.singular_share=0.5"]), paper.STEP, PENDULUM
-    )
+    plant = make_loop_params(arm, resolve(), paper.STEP, PENDULUM)
     alone, beside = new_batch_state(), new_batch_state()
     for block in (alone, beside):
         reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.0, 0.01, 0.0), 0)
@@ -400,10 +398,10 @@ def test_an_angle_is_told_before_the_track_and_the_track_before_a_joint(plant):
     strict = plant._replace(controller=plant.controller._replace(limits=limits))
     assert placed(strict, phi=0.3, x=0.23)[1] == ANGLE
     assert placed(strict, x=0.23)[1] == TRACK
-    assert CAUSES[ANGLE] == "angle"
-    assert CAUSES[TRACK] == "track"
-    assert CAUSES[JOINT_LIMIT] == "joint limit"
-    assert CAUSES[TRUNCATED] == "lasted"
+    assert TRIAL_OUTCOMES[ANGLE] == "angle"
+    assert TRIAL_OUTCOMES[TRACK] == "track"
+    assert TRIAL_OUTCOMES[JOINT_LIMIT] == "joint limit"
+    assert TRIAL_OUTCOMES[TRUNCATED] == "lasted"
 
 
 def test_what_is_not_a_number_is_a_failure(plant):
@@ -422,7 +420,7 @@ def test_a_flange_at_the_limit_of_its_speed_is_a_failure_and_one_just_below_is_n
     reached, cause = after(plant)
     assert (plant.speed_limit, cause) == (inf, TRUNCATED)
     ended = after(plant._replace(speed_limit=reached))[1]
-    assert (cause_named(ended), guard_named(ended)) == ("guard", "flange speed")
+    assert TRIAL_OUTCOMES[ended] is Outcome.SPEED
     assert after(plant._replace(speed_limit=nextafter(reached, inf)))[1] == TRUNCATED
     # Off the track is named first: it is what the flange's speed may lead to.
     assert after(plant._replace(speed_limit=0.1), x=sign * 0.2195)[1] == TRACK

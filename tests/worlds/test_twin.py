@@ -21,9 +21,9 @@ from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TEST
 from equipoise.model.worlds import TwinSettings
-from equipoise.safety.rules import T1_SPEED, TRACK_LIMIT, Rule
+from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
+from equipoise.safety.rules import T1_SPEED, TRACK_LIMIT
 from equipoise.safety.stop import ramp
-from equipoise.safety.trial import guard_named
 from equipoise.settings import Settings
 from equipoise.worlds import Recorder, Setup, Trial, run_trial
 from equipoise.worlds.plant import DomainRandomization
@@ -221,7 +221,7 @@ def test_a_run_towards_the_end_of_the_track_is_stopped_in_time(away):
     ended, simulation = 0, twins(GUARDED, seed=3)
     for number in range(len(TRIALS)):
         loop, cause, rows = run_until_the_guard(away, simulation, number)
-        if guard_named(cause) != Rule.TRACK.value:
+        if TRIAL_OUTCOMES[cause] != Outcome.TRACK:
             continue
         ended += 1
         memory, twin, x = loop.controller, loop._twin, loop.state()[0]
@@ -261,7 +261,7 @@ def test_the_limit_of_t1_ends_a_trial_that_is_too_fast(away):
     t1 = twins(GUARDED.model_copy(update={"t1": True}), seed=3)
     assert t1._safety[0].speed == T1_SPEED
     ended = [run_until_the_guard(away, t1, number)[1] for number in range(4)]
-    assert Rule.SPEED.value in set(map(guard_named, ended))
+    assert Outcome.SPEED in {TRIAL_OUTCOMES[code] for code in ended}
 
 
 def test_a_pendulum_that_seems_to_have_fallen_ends_a_trial():
@@ -269,13 +269,13 @@ def test_a_pendulum_that_seems_to_have_fallen_ends_a_trial():
     world = GUARDED.model_copy(update={"zero_error": 0.0, "zero_offset": radians(2.0)})
     leaning = TRIALS[0]._replace(start=(0.0, 0.0, radians(2.0), radians(15.0)))
     ((_, cause, _),) = run(STILL, trials=[leaning], world=world)
-    assert guard_named(cause) == Rule.ANGLE.value
+    assert TRIAL_OUTCOMES[cause] == Outcome.ANGLE
 
 
 def test_an_arm_that_is_elsewhere_than_expected_ends_a_trial():
     # A transport of 150 ms that nobody has told the controller of.
     world = GUARDED.model_copy(update={"transport": 0.15})
-    assert Rule.FOLLOWING.value in {guard_named(cause) for _, cause, _ in run(LQR, world=world)}
+    assert Outcome.FOLLOWING in {TRIAL_OUTCOMES[cause] for _, cause, _ in run(LQR, world=world)}
 
 
 def test_a_setpoint_that_may_not_be_sent_ends_a_trial_before_it_is_sent():
@@ -284,7 +284,7 @@ def test_a_setpoint_that_may_not_be_sent_ends_a_trial_before_it_is_sent():
     slow = limits._replace(acceleration=tuple(0.5 for _ in limits.acceleration))
     simulation._safety[0] = simulation._safety[0]._replace(limits=slow)
     loop, cause, rows = run_until_the_guard(LQR, simulation)
-    assert guard_named(cause) == Rule.ACCELERATION.value
+    assert TRIAL_OUTCOMES[cause] == Outcome.ACCELERATION
     assert len(rows.u) == 1
     assert loop._twin.now == 0.0
     assert rows.u[0] != 0.0

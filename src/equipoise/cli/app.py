@@ -19,9 +19,10 @@ from equipoise.cli.reproduce import reproduce
 from equipoise.cli.show import show
 from equipoise.cli.train import train
 
-PIPELINE = "Pipeline"
-ROBOT = "The robot"
-LOGS = "Logs"
+PIPELINE = (reproduce, identify, train, evaluate, refine, play)
+"""Verbs without a robot."""
+ROBOT = (deploy, console)
+"""Verbs for runs on a robot."""
 
 group = partial(
     typer.Typer,
@@ -37,17 +38,17 @@ app = group(
 )
 rig = group(help="Check, emulate and use a rig: doctor, emulate, record.")
 log = group(help="Read the log of a run: show, explain, export.")
-
-for verb in (reproduce, identify, train, evaluate, refine, play):
-    app.command(rich_help_panel=PIPELINE)(verb)
-for verb in (deploy, console):
-    app.command(rich_help_panel=ROBOT)(verb)
-for verb in (doctor, emulate, record):
-    rig.command()(verb)
-for verb in (show, explain, export):
-    log.command()(verb)
-app.add_typer(rig, name="rig", rich_help_panel=ROBOT)
-app.add_typer(log, name="log", rich_help_panel=LOGS)
+members = (
+    (app, "Pipeline", PIPELINE),
+    (app, "The robot", ROBOT),
+    (rig, None, (doctor, emulate, record)),
+    (log, None, (show, explain, export)),
+)
+for parent, panel, verbs in members:
+    for verb in verbs:
+        parent.command(rich_help_panel=panel)(verb)
+app.add_typer(rig, name="rig", rich_help_panel="The robot")
+app.add_typer(log, name="log", rich_help_panel="Logs")
 
 
 def _version(wanted: bool) -> None:

@@ -1,26 +1,23 @@
 """`equipoise rig emulate`: emulates the hardware of a rig on this machine."""
 
 import os
-import queue
+import select
 import sys
-import threading
 import time
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from math import remainder, tau
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import Field
 
 from equipoise.cli import options as opt
-from equipoise.cli.console import show_address
-from equipoise.cli.output import Output, stop_by_signal, verb
-from equipoise.rig import realtime
+from equipoise.cli.output import Output, signals
+from equipoise.cli.verb import Options, verb
 from equipoise.user_code import guest_code
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator
-
-    from equipoise.model.pendulum import Pendulum, PendulumParameters
-    from equipoise.model.worlds import TwinSettings
     from equipoise.robots.emulation import Emulation
 
 HOST = "127.0.0.1"
@@ -28,36 +25,33 @@ SHOWN = 0.02
 """Time between two states of the rig in a console [s]."""
 
 
+class Emulated(Options):
+    """The emulated rig."""
+
+    world: str = "twin:nominal"
+    """twin:nominal, twin:harsh, or twin:FILE."""
+    robot: str = "kst"
+    """Robot, by the scheme of its addresses."""
+    arm: str = "iiwa7"
+    """iiwa7, iiwa14, another registered arm, a URDF or a rig.toml."""
+    pendulum: Path | None = None
+    """Pendulum; by default the shipped one."""
+    port: Annotated[int, Field(ge=0, lt=2**16)] = 30001
+    """Port of the robot; 0 selects a free one."""
+    encoder_link: Path | None = None
+    """Further name of the encoder's terminal."""
+    inject: str = ""
+    """Faults of the robot's answers; kst: delay=S,jitter=S,drop=SHARE,refuse=SHARE."""
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    """Seed of all random numbers."""
+    operator: bool = True
+    """An operator acts by sight; otherwise type the operator's actions."""
+    console: bool = False
+    """Show the rig in the browser, with a button for each action."""
+
+
 @verb
-def emulate(
-    world: str = opt.TWIN,
-    robot: str = opt.value(
-        "SCHEME", "Robot to emulate, by the scheme of its addresses.", default="kst"
-    ),
-    arm: str = opt.ARM,
-    pendulum: Path | None = opt.value(
-        "FILE", "From equipoise identify; by default the shipped one."
-    ),
-    port: int = opt.value(
-        "N", "Port of the robot; 0 selects a free one.", min=0, max=65535, default=30001
-    ),
-    encoder_link: Path | None = opt.value("PATH", "Further name of the encoder's terminal."),
-    no_operator: bool = opt.flag("--no-operator", "Read the operator's actions from the keyboard."),
-    clumsy: float = opt.value(
-        "P", "Probability that the hand pushes or drags.", min=0.0, max=1.0, default=0.0
-    ),
-    inject: str = opt.value(
-        "FAULTS",
-        "Faults of the robot's answers; kst: delay=S,jitter=S,drop=SHARE,refuse=SHARE.",
-        show_default=False,
-        default="",
-    ),
-    seed: int = opt.SEED,
-    console: bool = opt.flag(
-        "--console", "Show the rig in the browser, with a button for each action."
-    ),
-    as_json: bool = opt.JSON,
-) -> None:
+def emulate(output: Output, *, emulated: Emulated) -> None:
     """Emulate robot, pendulum, encoder and operator, until Ctrl-C.
 
     The robot answers on a port of this machine, an encoder board on a
@@ -65,11 +59,8 @@ def emulate(
     your screen: the operator presses the button when the arm rests at home and
     the pendulum hangs, and lifts the pendulum after the arm has moved there.
     """
-    output = Output(as_json)
-    output.say(f"Emulating the {arm}, world {world}")
-    sys.stdout.flush()
-
-    from equipoise.model.worlds import pivot_friction, read_world
+    from equipoise.model.worlds import pendulum_on, read_world
+    from equipoise.rig import realtime
     from equipoise.rig.clocks import SystemClock
     from equipoise.robots.emulation import Emulation
 
@@ -79,51 +70,45 @@ def emulate(
         output.say(f"{time.monotonic() - began:8.1f} s  {words}")
         sys.stdout.flush()
 
-    name, settings = read_world(world)
-    identified = opt.read_pendulum(pendulum)
+    settings = read_world(emulated.world).settings
     emulation = Emulation(
-        opt.read_arm(arm),
-        _true_pendulum(identified, settings, seed),
+        opt.read_arm(emulated.arm),
+        pendulum_on(opt.read_pendulum(emulated.pendulum), settings),
         settings,
         SystemClock(),
-        operator=not no_operator,
-        clumsy=clumsy,
-        robot=robot,
-        faults=inject,
-        link=encoder_link,
-        seed=seed,
+        clumsy=0.0 if emulated.operator else None,
+        robot=emulated.robot,
+        faults=emulated.inject,
+        seed=emulated.seed,
         say=say,
     )
-    terminal = emulation.terminal if encoder_link is None else encoder_link.absolute()
-    encoder = f"serial://{terminal}"
-    friction = pivot_friction(identified, settings)
+    link = emulated.encoder_link
+    if link is not None:
+        emulation.terminal.link(link)
+    encoder = f"serial://{emulation.terminal.path if link is None else link.absolute()}"
 
     def ready(number: int) -> None:
         # The emulated cabinet takes the first core: the loop of the run stays on the last one.
         realtime.prepare(core=0)
-        address = f"{robot}://{HOST}:{number}"
-        output.rows({"robot": address, "encoder": encoder, "pendulum": friction.describe(name)})
-        if no_operator:
-            output.say(f"type an action: {', '.join(emulation.acts)}")
-        output.next("deploy", "--robot", address, "--encoder", encoder)
-        output.result(robot=address, encoder=encoder)
+        address = f"{emulated.robot}://{HOST}:{number}"
+        actions = None if emulated.operator else sorted(emulation.acts)
+        then = f"deploy --robot {address} --encoder {encoder}"
+        output.result(robot=address, encoder=encoder, actions=actions, then=then)
         sys.stdout.flush()
 
-    words = _typed() if no_operator else None
-    with _shown(output, console, emulation) as show, stop_by_signal() as stopped:
+    with _shown(output, emulated.console, emulation) as show, signals() as stopped:
 
         def stop() -> bool:
-            word = "" if words is None or words.empty() else words.get().strip()
-            if word in emulation.acts:
-                emulation.acts[word]()
-            elif word:
-                output.warn(f"{word!r} is not an action; type one of {', '.join(emulation.acts)}")
+            for word in () if emulated.operator else _typed():
+                if word in emulation.acts:
+                    emulation.acts[word]()
+                else:
+                    output.warn(f"{word!r} is not one of {', '.join(emulation.acts)}")
             show()
-            return stopped()
+            return stopped.is_set()
 
-        with guest_code(f"the emulator of {robot}"):
-            emulation.run(HOST, port, stop, listening=ready)
-    output.rows({"stalls of this host": str(emulation.stalls)})
+        with guest_code(f"the emulator of {emulated.robot}"):
+            emulation.run(HOST, emulated.port, stop, listening=ready)
 
 
 @contextmanager
@@ -154,35 +139,12 @@ def _shown(output: Output, wanted: bool, emulation: "Emulation") -> "Generator[C
                 publisher.say(bench.now, word)
                 emulation.acts[word]()
 
-        show_address(output, address)
+        output.tell(f"  console  {address}")
         yield show
 
 
-def _true_pendulum(
-    pendulum: "Pendulum", settings: "TwinSettings", seed: int
-) -> "PendulumParameters":
-    """Return the emulated pendulum: the identified one, varied as the world's numbers say."""
-    import numpy as np
-
-    from equipoise.model.worlds import pivot_friction
-    from equipoise.worlds.plant import scaled
-
-    inertia, friction = np.random.default_rng([seed, 2]).standard_normal(2).tolist()
-    own = scaled(
-        pendulum.parameters(),
-        1.0 + settings.inertia_sigma * inertia,
-        1.0 + settings.friction_sigma * friction,
-    )
-    return pivot_friction(pendulum, settings).on(own)
-
-
-def _typed() -> "queue.SimpleQueue[str]":
-    """Return a queue of the lines that are typed from now on."""
-    lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-
-    def read() -> None:
-        for line in sys.stdin:
-            lines.put(line)
-
-    threading.Thread(target=read, daemon=True).start()
-    return lines
+def _typed() -> list[str]:
+    """Return the words that were typed since the last call."""
+    if not select.select([sys.stdin], [], [], 0.0)[0]:
+        return []
+    return os.read(sys.stdin.fileno(), 1024).decode(errors="replace").split()

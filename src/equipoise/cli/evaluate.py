@@ -1,219 +1,141 @@
 """`equipoise evaluate`: measures how long a policy stands, and why it falls."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from pydantic import Field
 
 from equipoise.cli import options as opt
-from equipoise.cli.claim import TRAIN_MORE, certify, repeat
-from equipoise.cli.destinations import check_output, choose_file
-from equipoise.cli.output import Output, trial_fields, verb
+from equipoise.cli.output import Output
+from equipoise.cli.verb import Options, verb
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
-    from equipoise.control.policy import TaskPolicy
-    from equipoise.worlds.evaluation import Evaluation, TrialResults
+    from equipoise.worlds.evaluation import TrialResults
 
-TASK = (
-    *("policy", "named", "actuator", "pendulum", "arm"),
-    *("held", "base", "tip", "settings_file"),
-)
-"""Options that choose a policy and its task."""
-CLAIM = "A claim and its certificate"
-CLAIM_OPTIONS = (
-    "claim",
-    "confidence",
-    "duration",
-    "world",
-    "trials",
-    "workers",
-    "ray",
-    "out",
-    "force",
-)
-"""Options that go with `--claim`."""
 BASELINES = 4
 """Number of baselines; it only scales a progress bar."""
 
 
+class Trials(Options):
+    """Trials."""
+
+    world: str = "model"
+    """ideal: the paper's plant; model: behind the actuator; twin:NAME, twin:FILE, or
+    coppeliasim://HOST:PORT."""
+    trials: Annotated[int | None, Field(ge=1)] = None
+    """Number of trials; by default 200, or as --claim needs."""
+    duration: float | None = None
+    """Duration of a trial [s]; by default 60."""
+    baselines: bool = True
+    """Run LQR, PD and random actions too."""
+    claim: float | None = None
+    """Claim that a trial lasts with at least this probability, e.g. 0.99."""
+
+
 @verb
 def evaluate(
-    context: typer.Context,
-    policy: Path | None = opt.POLICY,
-    named: Path | None = opt.value("POLICY", "The same, as an option.", "--policy"),
-    trials: int | None = opt.value(
-        "N", "Number of trials; by default 200, or as --claim requires.", min=1
-    ),
-    duration: float | None = opt.value("SECONDS", "Duration of a trial; by default 60."),
-    world: str = opt.value(
-        "WORLD",
-        "ideal: the paper's plant; model: behind the actuator; twin:NAME or twin:FILE; "
-        "coppeliasim://HOST:PORT.",
-        default="model",
-    ),
-    max_speed: float | None = opt.MAX_SPEED,
-    actuator: str | None = opt.KNOWN_ACTUATOR,
-    with_baselines: bool = opt.flag(
-        "--baselines/--no-baselines", "Run LQR, PD and random actions too.", default=True
-    ),
-    claim: float | None = opt.value(
-        "P",
-        "Claim that a trial lasts with at least this probability, e.g. 0.99, and write a "
-        "certificate.",
-        panel=CLAIM,
-    ),
-    confidence: float = opt.value("C", "Confidence of the claim.", panel=CLAIM, default=0.95),
-    verify: Path | None = opt.value(
-        "CERTIFICATE", "Repeat the trials of this certificate of POLICY.", panel=CLAIM
-    ),
-    pendulum: Path | None = opt.TASK_PENDULUM,
-    arm: str | None = opt.TASK_ARM,
-    settings_file: Path | None = opt.SETTINGS_FILE,
-    seed: int = opt.SEED,
-    workers: int | None = opt.WORKERS,
-    ray: str | None = opt.RAY,
-    held: str | None = opt.HELD,
-    base: str | None = opt.BASE,
-    tip: str | None = opt.TIP,
-    out: Path | None = opt.out(
-        "Evaluation to write; with --claim the certificate, its trials beside it.",
-        "evaluation.json or certificate.json",
-    ),
-    force: bool = opt.FORCE,
-    as_json: bool = opt.JSON,
+    output: Output,
+    policy: Path | None = None,
+    *,
+    trials: Trials,
+    task: opt.Task,
+    cluster: opt.Cluster,
+    files: opt.Files,
 ) -> None:
     """Evaluate a policy: how long it stands, and why it falls.
 
-    Four baselines run the same trials. After an interruption the same command
-    continues. Exit code 1: the median trial ended early.
+    POLICY is a table from equipoise train, a network (.onnx), Python
+    MODULE:NAME, lqr, lqr-snapped, pd or random; by default the shipped table.
+    Four baselines run the same trials. Exit code 1: the median trial ended
+    early.
 
-    --claim grants or refuses a claim by an exact bound. Claim and policy
-    determine the number of trials and their seed, so a second attempt is the
-    same. --verify repeats a certificate. Exit code 1: refused, or not repeated.
+    --claim grants or refuses a claim at 95 % confidence, by an exact bound.
+    Claim and policy determine the number of trials and their seed, so a second
+    attempt is the same. Exit code 1: refused.
     """
-    output = Output(as_json)
-    if named is not None and policy is not None:
-        raise InputError(f"both {policy} and --policy {named} are given; give one of them")
-    policy = policy or named
-    of_urdf = opt.read_arm(arm or "iiwa7", held, base, tip) if arm or held or base or tip else None
-    given = (policy, pendulum, of_urdf, actuator, settings_file)
-    threads = opt.executor(workers, ray)
-    if verify is not None:
-        opt.only(context, "--verify", *TASK, "verify", "workers", "ray", "as_json")
-        output.say(f"Repeating the trials of {verify}")
-        repeat(output, verify, policy, _of_claim(opt.read_policy(*given), actuator), threads)
+    if trials.claim is not None:
+        certify(output, policy, trials.claim, trials, task, cluster, files)
         return
-    if claim is not None:
-        opt.only(context, "--claim", *TASK, *CLAIM_OPTIONS, "as_json")
-        output.say(f"Certifying {policy or 'the shipped policy'}")
-        task = _of_claim(opt.read_policy(*given), actuator)
-        length = 60.0 if duration is None else duration
-        certify(output, policy, task, claim, confidence, length, world, trials, threads, out, force)
-        return
-    output.say(f"Evaluating {policy or 'the shipped policy'}")
-    destination = choose_file(output, out, "evaluation.json", policy, pendulum, force=force)
+    out = files.file("evaluation.json", policy, task.pendulum)
 
-    from equipoise.artefacts import partial_path
-    from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS
     from equipoise.worlds.evaluation import evaluate
 
-    partial = partial_path(destination.path)
-    check_output(partial)
-    opt.check_range("--trials", trials, 1, MOST_TRIALS)
-    opt.check_range("--duration", duration, 0.01, LONGEST_TRIAL, " s")
-    opt.check_range("--max-speed", max_speed, 0.01, 2.0, " m/s")
-    task, response = opt.read_policy(*given), opt.read_actuator(actuator)
-    output.warn(opt.shortfall(task))
-    old = task.settings
-    settings = opt.changed(
-        old,
-        evaluation=opt.changed(old.evaluation, trials=trials, duration=duration),
-        plant=opt.changed(old.plant, max_speed=max_speed),
-    )
-    total = settings.evaluation.trials * (1 + BASELINES * with_baselines)
-    with output.trials("evaluate", task, world, total) as done:
+    chosen = task.read(policy)
+    settings, given = chosen.settings, {"trials": trials.trials, "duration": trials.duration}
+    changes = {name: value for name, value in given.items() if value is not None}
+    changed = settings.evaluation.model_validate({**dict(settings.evaluation), **changes})
+    output.warn(opt.shortfall(chosen))
+    total = changed.trials * (1 + BASELINES * trials.baselines)
+    with output.trials(chosen, trials.world, total) as done:
         evaluation = evaluate(
-            task,
-            settings,
-            world=world,
-            actuator=response,
-            seed=seed,
-            with_baselines=with_baselines,
-            workers=threads,
-            partial=partial,
+            chosen,
+            settings.model_copy(update={"evaluation": changed}),
+            world=trials.world,
+            actuator=opt.read_actuator(task.actuator),
+            seed=cluster.seed,
+            with_baselines=trials.baselines,
+            workers=cluster.executor(),
             done=done,
         )
     inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
-    with destination.claimed() as out:
-        evaluation.save(out, command="evaluate", inputs=inputs)
-    balanced = _say(output, evaluation)
-    output.wrote(out)
-    output.next(*(("deploy", policy) if balanced else TRAIN_MORE))
+    evaluation.save(out, command="evaluate", inputs=inputs)
+    fields = trial_fields(evaluation.results)
     output.result(
-        **trial_fields(evaluation.results),
-        duration=evaluation.duration,
-        yardsticks={results.name: trial_fields(results) for results in evaluation.baselines},
         world=evaluation.world,
+        arm=evaluation.arm,
+        duration_s=evaluation.duration,
         seed=evaluation.seed,
+        friction=evaluation.friction and evaluation.friction.describe(evaluation.world),
+        **fields,
+        baselines={each.name: trial_fields(each) for each in evaluation.baselines},
         evaluation=out,
-        bad=not balanced,
+        code=int(fields["median_s"] < evaluation.duration),
+        then="deploy POLICY",
     )
 
 
-def _of_claim(policy: "TaskPolicy", actuator: str | None) -> "TaskPolicy":
-    """Return the policy of a claim, which is tested with the policy's own actuator."""
-    from equipoise.control.policy import TabularPolicy
-
-    if actuator is not None and isinstance(policy, TabularPolicy):
-        raise InputError(
-            "a claim about a table is tested with the actuator of its training; leave out "
-            "--actuator"
-        )
-    return policy
+def trial_fields(results: "TrialResults") -> dict[str, Any]:
+    """Return the summary of trials as fields of a result."""
+    found = results.summary()
+    names = ("survived", "trials", "rate", "interval", "outcomes")
+    return {name: getattr(found, name) for name in names} | {"median_s": found.median}
 
 
-def _say(output: Output, evaluation: "Evaluation") -> bool:
-    """Print the table and the verdict; return whether the policy balances."""
-    duration, trials = evaluation.duration, len(evaluation.results.survival)
-    limit = evaluation.settings.plant.max_speed
-    output.say(
-        f"{trials} trials of {duration:g} s on the {evaluation.arm}, world {evaluation.world}, "
-        f"seed {evaluation.seed}" + (f", flange below {limit:g} m/s" if limit else "")
+def certify(
+    output: Output,
+    policy: Path | None,
+    probability: float,
+    trials: Trials,
+    task: opt.Task,
+    cluster: opt.Cluster,
+    files: opt.Files,
+) -> None:
+    """Grant or refuse a claim about a policy, and write the certificate."""
+    if cluster.seed or task.actuator is not None:
+        raise InputError("a claim fixes seed and actuator; leave out --seed and --actuator")
+    out = files.file("certificate.json", policy, task.pendulum)
+
+    from equipoise.artefacts import partial_path
+    from equipoise.worlds import certification
+
+    chosen, length = task.read(policy), 60.0 if trials.duration is None else trials.duration
+    claim = certification.make_claim(
+        probability, duration=length, world=trials.world, trials=trials.trials
     )
-    if evaluation.friction is not None:
-        output.say(f"pendulum: {evaluation.friction.describe(evaluation.world)}")
-    columns = ("", "lasted", "share", "95 % interval", "median", "ended by<")
-    rows = [_row(results) for results in (evaluation.results, *evaluation.baselines)]
-    output.table(columns, rows, bold=0)
-    summary = evaluation.results.summary()
-    if summary.median < duration:
-        low, high = summary.quantiles[0], summary.quantiles[-1]
-        output.say(
-            f"It does not balance: the median trial ended after {summary.median:.1f} s of "
-            f"{duration:g} s, nine in ten between {low:.1f} and {high:.1f} s.",
-            style="red",
+    with output.trials(chosen, claim.world, claim.trials) as done:
+        certificate = certification.certify(
+            chosen, claim, workers=cluster.executor(), partial=partial_path(out), done=done
         )
-        return False
-    fell = summary.trials - summary.survived
-    which = f"the median trial lasted all {duration:g} s; {fell} of {summary.trials} did not"
-    if not fell:
-        which = f"all {summary.trials} trials lasted {duration:g} s"
-    output.say(f"It balances: {which}.", style="green")
-    return True
-
-
-def _row(results: "TrialResults") -> tuple[str, ...]:
-    from equipoise.worlds.formatting import percent
-
-    summary = results.summary()
-    low, high = summary.interval
-    failures = {cause: n for cause, n in summary.causes.items() if cause != "lasted"}
-    return (
-        results.name,
-        f"{summary.survived} of {summary.trials}",
-        percent(summary.rate),
-        f"{percent(low)} to {percent(high)}",
-        f"{summary.median:.1f} s",
-        ", ".join(f"{cause} {n}" for cause, n in failures.items()),
+    certificate.save(out, command="evaluate", inputs={"policy": chosen.digest})
+    output.result(
+        claim=str(claim),
+        granted=certificate.granted,
+        bound=certificate.bound,
+        trials=claim.trials,
+        failures=certificate.failed,
+        allowed=claim.allowed,
+        outcomes=trial_fields(certificate.evaluation.results)["outcomes"],
+        certificate=out,
+        code=int(not certificate.granted),
     )

@@ -1,183 +1,206 @@
-"""Options that several verbs share, their checks, and the values that they name."""
+"""Options that several verbs share, in groups, and the values that they name."""
 
+import os
 import shlex
-from math import inf
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated
 
-import typer
+from pydantic import Field
 
+from equipoise.cli.verb import Options
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
-    from equipoise.artefacts import Value
     from equipoise.control.policy import TaskPolicy
     from equipoise.executors import Executor
     from equipoise.model.actuator import Actuator
     from equipoise.model.arms.arm import Arm
     from equipoise.model.pendulum import Pendulum
-
-V = TypeVar("V", bound="Value")
-
-LARGEST_SEED = 2**32 - 1
-
-IN_AND_OUT = "Files and settings"
-URDF = "For an arm from a URDF"
-RECORDING = "The recording"
-RIG_PANEL = "The rig"
-"""Titles of panels in the help."""
+    from equipoise.settings import Settings
 
 
-def value(
-    metavar: str, help: str, *names: str, panel: str | None = None, default: Any = None, **more: Any
-) -> Any:
-    """Return the declaration of an option with a value.
+class Changes(Options):
+    """Settings."""
 
-    Args:
-        metavar: Name of the value in the help.
-        help: Text of the help.
-        names: Names of the option; by default that of the parameter.
-        panel: Title of its panel in the help.
-        default: Default value; `...` for a required option.
-        more: Further arguments of `typer.Option`.
-    """
-    return typer.Option(default, *names, metavar=metavar, help=help, rich_help_panel=panel, **more)
+    recipe: str = "robust"
+    """robust; fine: 756 boxes, for slow pendulums; paper: the most literal reading of its text."""
+    settings: Path | None = None
+    """Settings as TOML, one table per section."""
+    set: list[str] | None = None
+    """One setting, as NAME=VALUE; repeatable."""
 
+    def resolve(self, **named: object) -> "Settings":
+        """Return the settings, with those that an option of their own names, where given."""
+        from equipoise.settings import resolve
 
-def flag(names: str, help: str, panel: str | None = None, *, default: bool = False) -> Any:
-    """Return the declaration of an option without a value."""
-    return typer.Option(default, names, help=help, rich_help_panel=panel, metavar="")
+        given = [f"{name}={value}" for name, value in named.items() if value is not None]
+        return resolve(self.recipe, self.settings, [*(self.set or ()), *given])
 
 
-def argument(metavar: str, help: str, default: Any = ...) -> Any:
-    """Return the declaration of an argument, required by default."""
-    return typer.Argument(default, metavar=metavar, help=help, show_default=False)
+class Swing(Options):
+    """The recording."""
+
+    start: float | None = None
+    """Begin here [s]; by default at the detected release."""
+    end: float | None = None
+    """End here [s]."""
+    counts_per_rev: int | None = None
+    """Encoder counts per revolution, after x4."""
+    from_upright: bool = False
+    """The recorded angle is zero when upright."""
+    columns: str | None = None
+    """Names of all columns in order, e.g. time_s,theta_deg."""
 
 
-def out(what: str, default: str | bool, metavar: str = "FILE") -> Any:
-    """Return the declaration of `--out`, with its default name for the help."""
-    return value(metavar, what, panel=IN_AND_OUT, show_default=default)
+class Task(Options):
+    """Task of a policy; a table carries its own."""
+
+    pendulum: Path | None = None
+    """Pendulum; by default the table's, or the shipped one."""
+    arm: str | None = None
+    """Arm; by default the table's, the rig's, or iiwa7."""
+    actuator: str | None = None
+    """Actuator that the controller assumes; by default the policy's."""
+    settings: Path | None = None
+    """Settings as TOML, one table per section."""
+
+    def read(self, policy: Path | None) -> "TaskPolicy":
+        """Return a policy, bound to its task: that of its training, or what is given or ships.
+
+        Raises:
+            InputError: There is no such policy, or it does not fit the task.
+        """
+        from equipoise.control.bound_policy import load_policy
+        from equipoise.settings import resolve
+
+        return load_policy(
+            policy,
+            pendulum=None if self.pendulum is None else read_pendulum(self.pendulum),
+            arm=None if self.arm is None else read_arm(self.arm),
+            actuator=read_actuator(self.actuator),
+            settings=None if self.settings is None else resolve(file=self.settings),
+        )
 
 
-def _seed(seed: int) -> int:
-    if not 0 <= seed <= LARGEST_SEED:
-        raise typer.BadParameter(f"{seed} is not from 0 to {LARGEST_SEED}.")
-    return seed
+class Random(Options):
+    """Random numbers and threads."""
+
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    """Master seed; equal seeds give equal results."""
+    workers: Annotated[int | None, Field(ge=1)] = None
+    """Threads; by default one per core. Results do not depend on them."""
+
+    @property
+    def threads(self) -> int:
+        """Number of threads."""
+        from equipoise.executors import available_cores
+
+        return available_cores() if self.workers is None else self.workers
 
 
-JSON = flag("--json", "Print one JSON object and nothing else.", IN_AND_OUT)
-FORCE = flag("--force", "Replace existing files; otherwise they are kept.", IN_AND_OUT)
-RESUME = flag(
-    "--resume", "Continue the interrupted training of this output, to the same result.", IN_AND_OUT
-)
-SETTINGS_FILE = value("TOML", "Settings, one table per section.", "--settings", panel=IN_AND_OUT)
-SET = value("NAME=VALUE", "One setting; repeatable.", "--set", panel=IN_AND_OUT)
-RECIPE = value(
-    "NAME",
-    "robust; fine: 756 boxes, for slow pendulums; paper: the most literal reading of its text.",
-    default="robust",
-)
-MAX_SPEED = value("M/S", "Flange speed limit of a trial (T1: 0.23; default: none).")
-TWIN = value("WORLD", "twin:nominal, twin:harsh, or twin:FILE.", default="twin:nominal")
+class Cluster(Random):
+    """Random numbers, threads and clusters."""
 
-START = value("SECONDS", "Begin here; by default at the detected release.", panel=RECORDING)
-END = value("SECONDS", "End here.", panel=RECORDING)
-COUNTS_PER_REV = value("N", "Encoder counts per revolution, after x4.", min=1, panel=RECORDING)
-COLUMNS = value(
-    "NAMES",
-    "Names of all columns in order, e.g. time_s,theta_deg; for a file without a header, or with "
-    "other names.",
-    panel=RECORDING,
-)
-FROM_UPRIGHT = flag("--from-upright", "The recorded angle is zero when upright.", RECORDING)
+    ray: str | None = None
+    """Run on the Ray cluster with this head, HOST:PORT, instead of in threads."""
 
-SWING_OPTIONS = ("start", "end", "counts_per_rev", "from_upright", "columns")
-"""Parameters of the options above."""
+    def executor(self) -> "Executor":
+        """Return the executor of the tasks: threads, or a Ray cluster.
 
-SEED = value("N", "Master seed; equal seeds give equal results.", default=0, callback=_seed)
-WORKERS = value("N", "Threads, by default one per core; results do not depend on them.", min=1)
-RAY = value("HOST:PORT", "Run on the Ray cluster with this head instead of in threads.")
-ARM = value("ARM", "iiwa7, iiwa14, another registered arm, a URDF or a rig.toml.", default="iiwa7")
-ACTUATORS = value(
-    "FILE",
-    "From equipoise identify RUN.mcap, or ideal; by default the shipped actuator. Repeatable: the "
-    "first one is the controller's default.",
-)
-KNOWN_ACTUATOR = value(
-    "FILE",
-    "Actuator that the controller assumes; by default the policy's, of several the one that the "
-    "move of the self-test shows.",
-)
-POLICY = argument(
-    "POLICY",
-    "Table from equipoise train, network (.onnx), Python MODULE:NAME, lqr, lqr-snapped, pd or "
-    "random; by default the shipped table.",
-    None,
-)
-TASK_PENDULUM = value("FILE", "Pendulum; by default the table's, or the shipped one.")
-TASK_ARM = value("ARM", "Arm; by default the table's, the rig's, or iiwa7.")
-RUN = argument("RUN", "Log from equipoise deploy.")
-ROBOT = value("URI", "Robot: kst://HOST:30001.", panel=RIG_PANEL)
-ENCODER = value("URI", "Encoder: serial:///dev/ttyACM0 or socket://HOST:PORT.", panel=RIG_PANEL)
-RIG = value("TOML", "Description of the rig.", panel=RIG_PANEL)
-HELD = value("JOINT", "Held joint, by name or number.", panel=URDF)
-BASE = value("LINK", "Fixed link.", panel=URDF)
-TIP = value("LINK", "Flange link.", panel=URDF)
-LISTEN = value(
-    "ADDRESS",
-    "Listen on this address of the computer, for browsers on others; by default only browsers on "
-    "this computer reach the page.",
-    default="127.0.0.1",
-)
-PORT = value("N", "Port of the page; 0 selects a free one.", min=0, max=65535, default=0)
+        Raises:
+            InputError: Threads and a cluster are given, or the cluster has other versions.
+            LinkError: No cluster answers.
+            MissingExtraError: Ray is not installed.
+        """
+        if self.ray is None:
+            from equipoise.executors import ThreadExecutor
+
+            return ThreadExecutor(self.threads)
+        if self.workers is not None:
+            raise InputError("both --workers and --ray are given; give one of them")
+        from equipoise.cluster import RayExecutor
+
+        return RayExecutor(self.ray)
 
 
-def check_range(option: str, value: float | None, low: float, high: float, unit: str = "") -> None:
-    """Check that the number of an option, where it is given, is in its range.
+class Page(Options):
+    """The page."""
 
-    Raises:
-        InputError: The number is outside, or NaN.
-    """
-    if value is not None and not low <= value <= high:
-        span = f"from {low:g} to {high:.15g}" if high < inf else f"of at least {low:g}"
-        raise InputError(f"{option} is {value}{unit}; give a number {span}{unit}")
+    listen: str = "127.0.0.1"
+    """Listen on this address, for browsers on other computers; by default on none of theirs."""
+    port: Annotated[int, Field(ge=0, lt=2**16)] = 0
+    """Port of the page; 0 selects a free one."""
 
 
-def swing_options(context: typer.Context) -> dict[str, Any]:
-    """Return the options of a recording, as `equipoise.trajectory.read_swing` takes them."""
-    return {name: context.params[name] for name in SWING_OPTIONS}
+class Rig(Options):
+    """The rig."""
+
+    robot: str | None = None
+    """kst://HOST:30001; or twin:nominal, an emulated rig."""
+    encoder: str | None = None
+    """serial:///dev/ttyACM0 or socket://HOST:PORT."""
+    rig: Path | None = None
+    """Description of the rig as TOML."""
 
 
-def only(context: typer.Context, mode: str, *allowed: str, hint: str = "") -> None:
-    """Refuse options of the command line that a mode of a verb does not take.
+class Files(Options):
+    """Files."""
 
-    Args:
-        context: Context of the verb.
-        mode: Name of the mode in the message.
-        allowed: Names of the parameters that the mode takes.
-        hint: Advice of the message; by default to leave the options out.
+    out: Path | None = None
+    """Name to write; each verb has a default name."""
+    force: bool = False
+    """Replace existing files; otherwise they are kept."""
 
-    Raises:
-        InputError: Another option or argument was given.
-    """
-    odd: list[str] = []
-    for parameter in context.command.params:
-        name = str(parameter.name)
-        source = context.get_parameter_source(name)
-        if name not in allowed and source is not None and source.name == "COMMANDLINE":
-            negated = context.params[name] is False and parameter.secondary_opts
-            option = (negated or parameter.opts)[0]
-            odd.append(option if option.startswith("-") else name.upper())
-    if odd:
-        names = " and ".join((", ".join(odd[:-1]), odd[-1]) if len(odd) > 1 else odd)
-        verb, what = ("do", "them") if len(odd) > 1 else ("does", "it")
-        raise InputError(f"{names} {verb} not go with {mode}; {hint or f'leave {what} out'}")
+    def file(
+        self,
+        default: str,
+        *inputs: Path | None,
+        suffix: str = ".json",
+        beside: Iterable[str] = (),
+    ) -> Path:
+        """Return the file to write, checked before the work begins.
+
+        Args:
+            default: Name without `--out`.
+            inputs: Files that the verb reads; they are never replaced.
+            suffix: Required end of the name.
+            beside: Ends of the names of further files, after the stem.
+
+        Raises:
+            InputError: The name has another suffix, a file exists or is read, or the folder is
+                read-only.
+        """
+        out = self.out or Path(default)
+        if out.suffix.lower() != suffix:
+            raise InputError(f"{out} is to be written; give a name that ends in {suffix}")
+        for path in (out, *(out.with_name(out.stem + end) for end in beside)):
+            if path.is_dir():
+                raise InputError(f"{path} is a folder; give the name of a file to write")
+            if any(one and one.exists() and path.exists() and path.samefile(one) for one in inputs):
+                raise InputError(f"{path} is read and would be written over; give another name")
+            if os.path.lexists(path) and not self.force:
+                raise InputError(f"{path} exists; give another name, or --force to replace it")
+        return _writable(out, out.absolute().parent)
+
+    def folder(self, default: Path) -> Path:
+        """Return the folder to write, which may be new, checked before the work begins.
+
+        Raises:
+            InputError: It is a file, has files that shall not be replaced, or is read-only.
+        """
+        out = self.out or default
+        if out.is_dir() and any(out.iterdir()) and not self.force:
+            raise InputError(f"{out} is not empty; give another name, or --force to write there")
+        return _writable(out, out.absolute())
 
 
-def changed(settings: V, **fields: object) -> V:
-    """Return settings with the given fields changed; None keeps a field."""
-    given = {name: value for name, value in fields.items() if value is not None}
-    return settings.model_copy(update=given)
+def _writable(out: Path, folder: Path) -> Path:
+    while not os.path.lexists(folder):
+        folder = folder.parent
+    if not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise InputError(f"{folder} takes no files; give another name")
+    return out
 
 
 def read_pendulum(path: Path | None) -> "Pendulum":
@@ -188,52 +211,7 @@ def read_pendulum(path: Path | None) -> "Pendulum":
     """
     from equipoise.model.pendulum import Pendulum, shipped_pendulum
 
-    if path is None:
-        return shipped_pendulum()
-    if path.suffix.lower() == ".csv":
-        raise InputError(
-            f"{path} is a recording, expected a pendulum; make one of it: "
-            f"equipoise identify {shlex.quote(str(path))}"
-        )
-    return Pendulum.load(path)
-
-
-def shortfall(policy: "TaskPolicy") -> str:
-    """Return one line where a policy misses the target of its training; else empty."""
-    from equipoise.control.policy import TabularPolicy
-
-    return policy.shortfall if isinstance(policy, TabularPolicy) else ""
-
-
-def read_policy(
-    policy: Path | None,
-    pendulum: Path | None = None,
-    arm: "str | Arm | None" = None,
-    actuator: str | None = None,
-    settings: Path | None = None,
-) -> "TaskPolicy":
-    """Return a policy, bound to its task: that of its training, or what is given or ships.
-
-    Args:
-        policy: File or name of a policy, as `equipoise.control.bound_policy.load_policy` takes it.
-        pendulum: File of the pendulum.
-        arm: Arm, or the value of `--arm`.
-        actuator: Value of `--actuator`; the caller uses it for a table.
-        settings: File of settings.
-
-    Raises:
-        InputError: There is no such policy, or it does not fit the task.
-    """
-    from equipoise.control.bound_policy import load_policy
-    from equipoise.settings import resolve
-
-    return load_policy(
-        policy,
-        pendulum=None if pendulum is None else read_pendulum(pendulum),
-        arm=read_arm(arm) if isinstance(arm, str) else arm,
-        actuator=read_actuator(actuator),
-        settings=None if settings is None else resolve(file=settings),
-    )
+    return shipped_pendulum() if path is None else Pendulum.load(_not_raw(path, ".csv"))
 
 
 def read_actuator(name: str | None) -> "Actuator | None":
@@ -246,66 +224,31 @@ def read_actuator(name: str | None) -> "Actuator | None":
 
     if name is None:
         return None
-    if name == "ideal":
-        return IDEAL_ACTUATOR
-    path = Path(name)
-    if path.suffix.lower() == ".mcap":
-        raise InputError(
-            f"{path} is a run log, expected an actuator; make one of it: "
-            f"equipoise identify {shlex.quote(name)}"
-        )
-    return Actuator.load(path)
+    return IDEAL_ACTUATOR if name == "ideal" else Actuator.load(_not_raw(Path(name), ".mcap"))
 
 
-def read_arm(
-    name: str, held: str | None = None, base: str | None = None, tip: str | None = None
-) -> "Arm":
-    """Return the arm of `--arm`.
+def _not_raw(path: Path, suffix: str) -> Path:
+    if path.suffix.lower() == suffix:
+        command = f"equipoise identify {shlex.quote(str(path))}"
+        raise InputError(f"{path} is a recording, expected what is made of it by: {command}")
+    return path
 
-    Args:
-        name: Registered name such as iiwa7, or the path of a URDF or of a rig.toml.
-        held: Joint of the URDF that does not move.
-        base: Fixed link of the URDF.
-        tip: Link of the URDF that is the flange.
+
+def read_arm(name: str) -> "Arm":
+    """Return the arm of `--arm`: a registered name, or the path of a URDF or of a rig.toml.
 
     Raises:
-        InputError: There is no such arm, or the options do not fit it.
+        InputError: There is no such arm.
     """
     from equipoise.model.arms.resolve import resolve_arm
+    from equipoise.rig.config import read_rig
 
-    joint = int(held) if held is not None and held.isdecimal() else held
-    if Path(name).suffix.lower() == ".toml":
-        if joint or base or tip:
-            raise InputError(
-                f"{name} describes the joints of its arm; leave out --held, --base and --tip"
-            )
-        from equipoise.rig.config import read_rig
-
-        return read_rig(Path(name)).described_arm
-    return resolve_arm(name, held=joint, base=base, tip=tip)
+    toml = Path(name).suffix.lower() == ".toml"
+    return read_rig(Path(name)).described_arm if toml else resolve_arm(name)
 
 
-def available_workers(workers: int | None) -> int:
-    """Return the number of threads."""
-    from equipoise.executors import available_cores
+def shortfall(policy: "TaskPolicy") -> str:
+    """Return one line where a policy misses the target of its training; else empty."""
+    from equipoise.control.policy import TabularPolicy
 
-    return available_cores() if workers is None else workers
-
-
-def executor(workers: int | None, ray: str | None) -> "Executor":
-    """Return the executor of the tasks: threads, or a Ray cluster.
-
-    Raises:
-        InputError: Both are given, or the cluster has other versions.
-        LinkError: No cluster answers.
-        MissingExtraError: Ray is not installed.
-    """
-    if ray is None:
-        from equipoise.executors import ThreadExecutor
-
-        return ThreadExecutor(available_workers(workers))
-    if workers is not None:
-        raise InputError("both --workers and --ray are given; give one of them")
-    from equipoise.cluster import RayExecutor
-
-    return RayExecutor(ray)
+    return policy.shortfall if isinstance(policy, TabularPolicy) else ""

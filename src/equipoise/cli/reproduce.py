@@ -3,100 +3,75 @@
 import time
 from pathlib import Path
 
-import typer
-
 from equipoise.cli import options as opt
-from equipoise.cli.destinations import choose_file
-from equipoise.cli.output import Output, trial_fields, verb
+from equipoise.cli.evaluate import trial_fields
+from equipoise.cli.output import Output
+from equipoise.cli.verb import Options, verb
+from equipoise.errors import InputError
 
-FOLDER = "equipoise-report"
-"""Folder by default."""
+
+class Extent(Options):
+    """The reproduction."""
+
+    quick: bool = False
+    """Fewer episodes and trials: under a minute."""
+    arm: str = "iiwa7"
+    """iiwa7, iiwa14, another registered arm, a URDF or a rig.toml."""
+    swing: Path | None = None
+    """Recorded swing, as identify reads it; by default a simulated one."""
 
 
 @verb
 def reproduce(
-    context: typer.Context,
-    quick: bool = opt.flag("--quick", "Fewer episodes and trials: under a minute."),
-    recipe: str = opt.RECIPE,
-    arm: str = opt.ARM,
-    seed: int = opt.SEED,
-    workers: int | None = opt.WORKERS,
-    swing: Path | None = opt.value(
-        "CSV",
-        "Recorded swing, as identify reads it; by default a simulated one.",
-        panel=opt.RECORDING,
-    ),
-    start: float | None = opt.START,
-    end: float | None = opt.END,
-    counts_per_rev: int | None = opt.COUNTS_PER_REV,
-    from_upright: bool = opt.FROM_UPRIGHT,
-    columns: str | None = opt.COLUMNS,
-    held: str | None = opt.HELD,
-    base: str | None = opt.BASE,
-    tip: str | None = opt.TIP,
-    out: Path | None = opt.out("Folder for all files.", FOLDER, "DIR"),
-    force: bool = opt.FORCE,
-    settings_file: Path | None = opt.SETTINGS_FILE,
-    settings: list[str] | None = opt.SET,
-    as_json: bool = opt.JSON,
+    output: Output,
+    *,
+    extent: Extent,
+    changes: opt.Changes,
+    reading: opt.Swing,
+    random: opt.Random,
+    files: opt.Files,
 ) -> None:
     """Reproduce the paper, from a free swing to a report.
 
-    Identification, training, evaluation on the training plant and on the digital
-    twin, and a run there. Writes every file to a folder, with a self-contained
-    report in HTML.
+    Identification, training, evaluation and a run on the digital twin. Writes
+    every file to a folder (equipoise-report), with a self-contained report in
+    HTML.
     """
-    output = Output(as_json)
+    out = files.folder(Path("equipoise-report"))
+    if extent.swing is None and reading != opt.Swing():
+        raise InputError("options of a recording need one; give it with --swing")
     begin = time.perf_counter()
-    output.say(f"Reproducing the paper{f' from {swing}' if swing else ''}")
-
-    from equipoise.settings import resolve
-
-    resolved = resolve(recipe, settings_file, settings or ())
-    machine = opt.read_arm(arm, held, base, tip)
-    recording = None
-    if swing is None:
-        taken = context.params.keys() - set(opt.SWING_OPTIONS)
-        opt.only(context, "a simulated swing", *taken, hint="give a recording with --swing")
-    else:
-        from equipoise.trajectory import read_swing
-
-        recording = read_swing(swing, **opt.swing_options(context))
-    destination = choose_file(output, out, FOLDER, force=force, suffix="")
 
     from equipoise.apps.report.page import build
+    from equipoise.identification.recording import read_swing
     from equipoise.progress import StageProgress
-    from equipoise.reproduction.pipeline import reproduce as run_pipeline
-    from equipoise.reproduction.results import POLICY, verdict
+    from equipoise.reproduction.pipeline import reproduce
+    from equipoise.reproduction.results import verdict
 
-    with destination.claimed() as folder, output.stages() as show:
-        found = run_pipeline(
-            folder,
-            swing=recording,
-            arm=machine,
-            settings=resolved,
-            seed=seed,
-            quick=quick,
-            workers=workers,
+    with output.progress() as show:
+        found = reproduce(
+            out,
+            swing=None if extent.swing is None else read_swing(extent.swing, **dict(reading)),
+            arm=opt.read_arm(extent.arm),
+            settings=changes.resolve(),
+            seed=random.seed,
+            quick=extent.quick,
+            workers=random.threads,
             report=show,
         )
         show(StageProgress("report"))
-        page = build(folder, lambda name, share: show(StageProgress("report", share, text=name)))
-    sentences = verdict(found)
-    output.points(sentences)
-    output.warn(found.policy.shortfall)
-    output.wrote(page)
-    output.next("evaluate", folder / POLICY, "--trials", "1000")
+        page = build(out, lambda name, share: show(StageProgress("report", share, text=name)))
     trials = trial_fields(found.evaluation.results)
     output.result(
-        out=folder,
-        report=page,
-        verdict=list(sentences),
+        verdict=list(verdict(found)),
         **trials,
-        duration=found.evaluation.duration,
+        duration_s=found.evaluation.duration,
         world=found.run.conditions.world,
         lasted_s=found.run.lasted,
-        cause=found.run.cause,
+        outcome=found.run.outcome,
         wall_s=time.perf_counter() - begin,
-        bad=trials["median_s"] < found.evaluation.duration,
+        report=page,
+        warnings=[found.policy.shortfall],
+        code=int(trials["median_s"] < found.evaluation.duration),
+        then="evaluate POLICY --trials 1000",
     )

@@ -23,16 +23,13 @@ STYLES: Final = {
     "balancing": "bold green",
     "notice": "yellow",
     "warning": "yellow",
+    **{f"finding {status}": style for status, style in VERDICT_STYLES.items()},
 }
 DENIED: Final = "n"
 BACKSPACE: Final = "\b\x7f"
 """Characters that delete the last one, on different keyboards."""
 SEQUENCE: Final = re.compile("\x1b(?:\\[[0-?]*[ -/]*[@-~]|O[ -~]|[ -~])?")
 """Escape sequence of a key without a character."""
-ARROWS: Final = {"A": "up arrow", "B": "down arrow", "C": "right arrow", "D": "left arrow"}
-EDITING: Final = {"2~": "Insert", "3~": "Delete", "5~": "Page Up", "6~": "Page Down"}
-KEYS: Final = {**ARROWS, **EDITING, "F": "End", "H": "Home", "Z": "Shift-Tab", "": "Esc"}
-"""Names of keys, by the rest of their sequence after ESC and `[` or `O`."""
 
 
 class TerminalOperator:
@@ -49,9 +46,6 @@ class TerminalOperator:
     def notify(self, event: Any) -> None:
         """Print an event."""
         self._clear()
-        if event.name == "finding":
-            self._finding(*(*event.text.split("\t"), "", "", "")[:4])  # a long one was cut
-            return
         if event.name != "word":
             self._answers = tuple(event.answers)
         text = printable(event.text.replace("\a", ""))
@@ -82,7 +76,7 @@ class TerminalOperator:
         if not came:
             return []
         if not self._answers and sys.stdin.isatty():
-            return [key_names(came)]
+            return [came if came.isprintable() else "a key"]
         return self._lines(SEQUENCE.sub("", came.replace("\r", "\n")))
 
     def _lines(self, came: str) -> list[str]:
@@ -118,35 +112,6 @@ class TerminalOperator:
         if self._live:
             self._output.stream.write("\r" + " " * 48 + "\r")
             self._live = False
-
-    def _finding(self, name: str, verdict: str, found: str, cure: str) -> None:
-        line = Text.assemble(
-            ("  ", ""),
-            (f"{verdict:<9}", VERDICT_STYLES.get(verdict, "")),
-            (f"{name:<20}", "dim"),
-            printable(found),
-        )
-        self._output.tell(line)
-        if cure:
-            self._output.tell(Text(f"{'':31}{printable(cure)}", style="dim"))
-
-
-def key_names(typed: str) -> str:
-    r"""Return typed input with the names of keys in place of their escape sequences.
-
-    Example:
-        >>> key_names("\x1b[A"), key_names("\x03"), key_names("q")
-        ('up arrow', 'Ctrl-C', 'q')
-    """
-
-    def name(found: re.Match[str]) -> str:
-        sequence = found[0][1:]
-        return f" {KEYS.get(sequence.removeprefix('[').removeprefix('O'), 'a function key')} "
-
-    named = SEQUENCE.sub(name, typed)
-    named = re.sub("[\x01-\x08\x0e-\x1a]", lambda key: f" Ctrl-{chr(ord(key[0]) + 64)} ", named)
-    named = named.replace("\x7f", " Backspace ")
-    return " ".join(named.split()) if named != typed else typed
 
 
 @contextmanager

@@ -2,200 +2,112 @@
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Annotated
+
+from pydantic import Field
 
 from equipoise.cli import options as opt
-from equipoise.cli.destinations import choose_file, unfinished
-from equipoise.cli.output import Output, verb
-from equipoise.errors import InputError
+from equipoise.cli.output import Output
+from equipoise.cli.verb import Options, verb
 
-if TYPE_CHECKING:
-    from equipoise.control.policy import TabularPolicy
-    from equipoise.learning.training import TrainedLearners
 
-HELP: Final = {
-    "track": "track: the pendulum stays up, and the table moves the flange off its track. Tables "
-    "differ in this from learner to learner: train more of them, or finer boxes "
-    "(--recipe fine), which a slow pendulum needs.",
-    "angle": "angle: the pendulum falls within the track; release more gently, or identify the "
-    "actuator again.",
-    "joint limit": "joint limit: the posture leaves no room; choose another home.",
-    "guard": "guard: the flange exceeds --max-speed; allow more, if the mode of the arm does.",
-}
-"""Remedies for each cause of a failed trial. Smaller uncertainties are not among them: of 12 tables
-that failed on the track, 897 of 1,152 trials lasted, and 901 without variation of the plant."""
+class Plant(Options):
+    """The plant."""
+
+    arm: str = "iiwa7"
+    """iiwa7, iiwa14, another registered arm, a URDF or a rig.toml."""
+    actuator: list[str] | None = None
+    """From equipoise identify RUN, or ideal; by default the shipped actuator. Repeatable."""
+    world: str = "model"
+    """World of the episodes: model, compiled; or a twin or coppeliasim://HOST:PORT, slowly."""
+
+
+class Learning(Options):
+    """Learning."""
+
+    learner: str | None = None
+    """q_learning (the paper's), sarsa, watkins, double_q, or MODULE:NAME."""
+    reward: str | None = None
+    """paper, alive, or MODULE:NAME of a function."""
+    episodes: Annotated[int | None, Field(ge=1)] = None
+    """Number of episodes; by default the paper's 10,000."""
+    target: Annotated[float | None, Field(ge=0.0, le=1.0)] = None
+    """Share of trials of 60 s to last, with 95 % confidence; by default 0.99, or 0 without a
+    selection: the first learner."""
+    learners: Annotated[int, Field(ge=1)] = 6
+    """Maximum number of learners that are trained for it."""
 
 
 @verb
 def train(
-    pendulum: Path | None = opt.argument(
-        "PENDULUM", "From equipoise identify; by default the shipped pendulum.", None
-    ),
-    arm: str = opt.ARM,
-    actuator: list[str] | None = opt.ACTUATORS,
-    world: str = opt.value(
-        "WORLD",
-        "World of the episodes: model, compiled; or a twin or coppeliasim://HOST:PORT, slowly.",
-        default="model",
-    ),
-    recipe: str = opt.RECIPE,
-    learner: str | None = opt.value(
-        "NAME", "q_learning (the paper's), sarsa, watkins, double_q, or MODULE:NAME."
-    ),
-    reward: str | None = opt.value("NAME", "paper, alive, or MODULE:NAME of a function."),
-    episodes: int | None = opt.value(
-        "N", "Number of episodes; by default the paper's 10,000.", min=1
-    ),
-    target: float | None = opt.value(
-        "P",
-        "Share of trials of 60 s that the policy has to last, with 95 % confidence; by default "
-        "0.99, or 0 without a selection: the first learner.",
-    ),
-    learners: int | None = opt.value(
-        "N", "Maximum number of learners that are trained for it; by default 6.", min=1
-    ),
-    population: bool = opt.flag("--all", "Train all learners, and write the best."),
-    max_speed: float | None = opt.MAX_SPEED,
-    seed: int = opt.SEED,
-    workers: int | None = opt.WORKERS,
-    ray: str | None = opt.RAY,
-    held: str | None = opt.HELD,
-    base: str | None = opt.BASE,
-    tip: str | None = opt.TIP,
-    out: Path | None = opt.out("Policy to write.", "policy.json"),
-    force: bool = opt.FORCE,
-    resume: bool = opt.RESUME,
-    settings_file: Path | None = opt.SETTINGS_FILE,
-    settings: list[str] | None = opt.SET,
-    as_json: bool = opt.JSON,
+    output: Output,
+    pendulum: Path | None = None,
+    *,
+    plant: Plant,
+    learning: Learning,
+    changes: opt.Changes,
+    cluster: opt.Cluster,
+    files: opt.Files,
 ) -> None:
     """Train a policy by Q-learning, or by another learner.
 
-    Learners are trained one after the other until a policy meets the target in
-    trials that chose nothing. Writes the policy: the table of boxes by 8
-    actions, its learning curve, its tests, and everything needed to train it
-    again. Exit code 1: no learner meets the target; the best policy is written
-    and marked. After an interruption the same command with --resume continues.
+    PENDULUM is from equipoise identify; by default the shipped one. Learners
+    are trained one after the other until a policy meets the target in held-out
+    trials. Exit code 1: no learner meets it; the best policy is written and
+    marked.
 
-    Several --actuator make one policy for an arm of which none is sure:
-    episodes take turns behind them, the worst one scores, and each has to meet
-    the target. Before the pendulum is lifted, a run selects one of them.
+    Several --actuator make one policy for an arm whose model is uncertain:
+    episodes take turns behind them, and each has to meet the target.
     """
-    output = Output(as_json)
-    output.say(f"Training for {pendulum or 'the shipped pendulum'} on {arm}")
-    destination = choose_file(output, out, "policy.json", pendulum, settings_file, force=force)
+    out = files.file("policy.json", pendulum, changes.settings)
 
-    from equipoise.settings import resolve
-
-    chosen = list(settings or ())
-    named = {"episodes": episodes, "learner": learner, "reward": reward}
-    chosen += [f"learning.{name}={given}" for name, given in named.items() if given is not None]
-    resolved = resolve(recipe, settings_file, chosen, max_speed=max_speed)
-    if max_speed is not None and not resolved.selection.every:
-        raise InputError(
-            f"--max-speed needs a selection, and recipe {recipe} takes the last table; give "
-            "another, or --set selection.every=20"
-        )
-    source = opt.read_pendulum(pendulum)
-    machine = opt.read_arm(arm, held, base, tip)
-    responses = [one for each in actuator or () if (one := opt.read_actuator(each))] or None
-
-    from equipoise.learning.training import (
-        LEARNERS,
-        TARGET,
-        actuators_in,
-        check_task,
-        train_to_target,
-    )
+    from equipoise.learning.target import TARGET, train_to_target
+    from equipoise.learning.train import check_task
     from equipoise.progress import TrainingProgress, compile_training, compiling
 
     begin = time.perf_counter()
-    opt.check_range("--target", target, 0.0, 1.0)
+    named = {f"learning.{n}": getattr(learning, n) for n in ("learner", "reward", "episodes")}
+    settings = changes.resolve(**named)
+    source, arm = opt.read_pendulum(pendulum), opt.read_arm(plant.arm)
+    given = [one for each in plant.actuator or () if (one := opt.read_actuator(each))] or None
+    target = learning.target
     if target is None:
-        target = TARGET if resolved.selection.every else 0.0
-    behind = actuators_in(world, resolved, responses)
-    output.warn(check_task(source, machine, resolved, behind, target))
-    budget = LEARNERS if learners is None else learners
-    with unfinished(destination, resume=resume) as partial:
-        with output.stages() as show:
-            with compiling(show):
-                compile_training(machine, resolved)
-            progress = TrainingProgress(resolved, show, budget, population=population)
-            trained = train_to_target(
-                source,
-                machine,
-                resolved,
-                target=target,
-                learners=budget,
-                population=population,
-                actuator=responses,
-                world=world,
-                seed=seed,
-                workers=opt.executor(workers, ray),
-                partial=partial,
-                progress=progress,
-            )
-        wall, best = time.perf_counter() - begin, trained.policy
-        names = ("actuator", *(f"actuator {i}" for i in range(2, 1 + len(best.actuators))))
-        inputs = {"pendulum": source.digest}
-        inputs |= {} if world == "model" else {"world": world}
-        inputs |= {n: each.digest for n, each in zip(names, best.actuators, strict=True)}
-        with destination.claimed() as out:
-            best.save(out, command="train", inputs=inputs)
-    _say(output, trained, wall, resume)
-    output.wrote(out)
-    output.next("evaluate", out)
-    test = best.test
+        target = TARGET if settings.selection.every else 0.0
+    output.warn(check_task(source, arm, settings, given, world=plant.world, target=target))
+    with output.progress() as show:
+        with compiling(show):
+            compile_training(arm, settings)
+        progress = TrainingProgress(settings, show, learning.learners)
+        trained = train_to_target(
+            source,
+            arm,
+            settings,
+            target=target,
+            learners=learning.learners,
+            actuator=given,
+            world=plant.world,
+            seed=cluster.seed,
+            workers=cluster.executor(),
+            observer=progress,
+        )
+        progress.ended()
+    best = trained.policy
+    actuators = {f"actuator {i}": each.digest for i, each in enumerate(best.actuators, start=1)}
+    inputs = {"pendulum": source.digest, "world": plant.world, **actuators}
+    best.save(out, command="train", inputs=inputs)
     output.result(
+        seed=best.seed,
+        learner=best.learner,
+        episodes=best.episodes,
+        steps=best.steps,
+        wall_s=time.perf_counter() - begin,
+        tests={f"actuator {i}": test.model_dump() for i, test in enumerate(best.tests, start=1)},
+        learners={
+            str(each.learner): each.model_dump(exclude={"learner", "test"}) | each.test.model_dump()
+            for each in trained.learners
+        },
         policy=out,
-        **{name: getattr(best, name) for name in ("seed", "learner", "episodes", "steps")},
-        wall_s=wall,
-        **({} if test is None else test.model_dump(mode="json")),
-        actuators=[
-            {"actuator": response.summary, **test.model_dump(mode="json")}
-            for response, test in zip(best.actuators, best.tests, strict=False)
-        ],
-        learners=[result.model_dump(mode="json") for result in trained.learners],
-        bad=bool(best.shortfall),
-    )
-
-
-def _say(output: Output, trained: "TrainedLearners", wall: float, resumed: bool) -> None:
-    best, count = trained.policy, len(trained.learners)
-    steps = sum(result.steps for result in trained.learners)
-    of_each = f" each of {count} learners" if count > 1 else ""
-    rows = {"trained": f"{best.episodes:,} episodes{of_each}, {steps:,} steps in {wall:.1f} s"}
-    if (limit := best.settings.plant.max_speed) is not None:
-        rows["for a flange"] = f"below {limit:g} m/s"
-    if resumed:
-        rows["resumed"] = "from a checkpoint; the time counts from there"
-    whose = f"learner {best.learner}, " if of_each else ""
-    rows["selected"] = whose + _chosen(best)
-    if (test := best.test) is not None:
-        if len(best.tests) == 1:
-            rows["tested"] = test.text
-        for i, (response, each) in enumerate(zip(best.actuators, best.tests, strict=True), start=1):
-            if len(best.tests) > 1:
-                rows[f"tested behind {i}"] = f"{response.summary}: {each.text}"
-        if count > 1:
-            met = sum(result.test.met for result in trained.learners)
-            rows["learners"] = f"{met:,} of {count:,} meet the target"
-        if test.failures:
-            rows["ended by"] = ", ".join(f"{cause} {n}" for cause, n in test.failures.items())
-    output.rows(rows)
-    if not best.shortfall:
-        return
-    which = "It misses" if count == 1 else f"None of {count} learners meets"
-    output.say(f"{which} the target. The file is written, and marked.", style="red")
-    for cause in best.test.failures if best.test else ():
-        output.say(HELP[cause])
-
-
-def _chosen(policy: "TabularPolicy") -> str:
-    if not policy.checkpoints:
-        return "the last table, as the recipe requires"
-    chosen, *others = policy.checkpoints
-    return (
-        f"after {chosen.episodes:,} episodes; {chosen.survived} of {chosen.trials} trials of its "
-        f"race with {len(others)} other candidates lasted"
+        warnings=[best.shortfall],
+        code=int(bool(best.shortfall)),
+        then="evaluate POLICY",
     )

@@ -20,7 +20,7 @@ from equipoise.control import self_test
 from equipoise.control.control_step import ControllerParams
 from equipoise.control.controller import Controller
 from equipoise.errors import RecordingError
-from equipoise.model.actuator import Actuator, track
+from equipoise.model.actuator import Actuator, JointResponse, track
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.settings import BoxSettings
 
@@ -124,8 +124,8 @@ def choose_actuator(actuators: Sequence[Actuator], sent: Array, measured: Array)
         squares, law, delay = 0.0, actuator.parameters, actuator.delay.value
         for j, lag in enumerate(actuator.lags, start=1):
             times = stream[0], stream[j], reply[0], reply[j]
-            load = 0.0, unloaded, unloaded  # the drives of the model do not notice it
-            track(*times, delay, 0.0, lag.value, 0.0, 1.0, law, *load, simulated)
+            response = JointResponse(delay, lag.value, law)
+            track(*times, response, unloaded, unloaded, simulated)
             squares += float(np.var(reply[j] - simulated))
         residuals.append(sqrt(squares / FREE_JOINTS))
     return ActuatorChoice(int(np.argmin(residuals)), tuple(residuals))

@@ -5,15 +5,10 @@ name (`lqr`, `lqr-snapped`, `pd`, `random`). A table brings along the task of it
 others take pendulum, arm, actuator and settings from the caller, by default those that ship.
 """
 
-import math
-import numbers
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
-
-import numpy as np
+from typing import Final
 
 from equipoise import paper
 from equipoise.artefacts import StrPath
@@ -21,9 +16,9 @@ from equipoise.control.baselines import baselines
 from equipoise.control.onnx_policy import OnnxPolicy
 from equipoise.control.policy import (
     Array,
+    BoundPolicy,
     KernelPolicy,
     Policy,
-    PolicyKernel,
     TabularPolicy,
     TaskPolicy,
     shipped_policy,
@@ -35,68 +30,9 @@ from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.settings import Settings
-from equipoise.user_code import guest_code
 
 BUILT_IN: Final = {"lqr": "LQR", "lqr-snapped": "LQR, snapped", "pd": "PD", "random": "random"}
 """Built-in policies, and their names among the baselines."""
-
-
-@dataclass(frozen=True, eq=False)
-class BoundPolicy:
-    """A policy with its task. Its u is checked, and clipped to the largest acceleration."""
-
-    policy: Policy
-    """The policy."""
-    name: str
-    """Name in results and messages."""
-    digest: str
-    """SHA-256 of the policy's file or source."""
-    kernel: PolicyKernel | None
-    """The policy for compiled loops; None for a policy in Python."""
-    pendulum: Pendulum
-    """Nominal pendulum."""
-    arm: Arm
-    """Arm with its home posture."""
-    actuators: tuple[Actuator, ...]
-    """Models of the arm's response that the controller carries, the default one first."""
-    settings: Settings
-    """Settings of plant, controller and evaluation."""
-    h: float = paper.STEP
-    """Time step [s]."""
-    u_max: float = paper.U_MAX
-    """Largest acceleration [m/s^2], that of the paper's actions: safety limits assume it, and a
-    larger u is clipped."""
-
-    @property
-    def actuator(self) -> Actuator:
-        """Default model of the arm's response in the controller: the first one."""
-        return self.actuators[0]
-
-    def reset(self) -> None:
-        """Begin a trial or a run.
-
-        Raises:
-            InputError: The policy raised an exception.
-        """
-        with guest_code(self.name, where=lambda: " in its reset"):
-            self.policy.reset()
-
-    def act(self, observation: Array) -> float:
-        """Return u [m/s^2], within `u_max`, for the observation (x, x_dot, phi, phi_dot).
-
-        Raises:
-            InputError: The policy raised an exception, or returned no finite number.
-        """
-        state = observation.copy()  # the policy may write into its argument
-        with guest_code(self.name, where=lambda: f" in the state {_format_state(state)}"):
-            u: Any = self.policy.act(observation)
-            value = _number(u)
-            if not math.isfinite(value):
-                raise InputError(
-                    f"{self.name} returned {u!r:.60} in the state {_format_state(state)}, expected "
-                    "a finite number: the acceleration u in m/s^2; correct it"
-                )
-        return min(max(value, -self.u_max), self.u_max)
 
 
 def load_policy(
@@ -179,11 +115,7 @@ def _table(
     path: StrPath | None, pendulum: Pendulum | None, arm: Arm | None, settings: Settings | None
 ) -> TabularPolicy:
     """Return the table of a file, if it was trained for the task."""
-    if path is not None and Path(path).suffix == ".py":
-        raise InputError(
-            f"{path} is Python; name the function, class or object in it: {Path(path).stem}:NAME"
-        )
-    if path is not None and not Path(path).suffix and not os.path.exists(path):
+    if path is not None and (Path(path).suffix == ".py" or not os.path.exists(path)):
         raise InputError(
             f"there is no policy {path}; give a file from equipoise train, a network that ends in "
             f".onnx, MODULE:NAME, or one of {', '.join(BUILT_IN)}"
@@ -202,18 +134,3 @@ def _table(
             "for it with equipoise train --arm"
         )
     return table
-
-
-def _number(u: Any) -> float:
-    """Return a number as a float; NaN for anything else."""
-    if isinstance(u, np.ndarray) and u.size == 1:
-        u = u.item()
-    try:
-        return float(u) if isinstance(u, numbers.Real) else math.nan
-    except OverflowError:
-        return math.inf
-
-
-def _format_state(state: Array) -> str:
-    named = zip(("x", "x_dot", "phi", "phi_dot"), state.tolist(), strict=True)
-    return ", ".join(f"{name} = {value:.3g}" for name, value in named)

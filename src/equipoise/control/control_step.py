@@ -46,6 +46,7 @@ from equipoise.model.actuator import (
     CYCLE,
     Actuator,
     ActuatorParameters,
+    DelayedSetpoint,
     follow_setpoint,
     lag_share,
     leading_setpoint,
@@ -59,6 +60,14 @@ from equipoise.settings import Settings
 
 Array = npt.NDArray[np.float64]
 
+CORRECTION: Final = 0.1
+"""Share of the difference between measured and modelled joints that is corrected per tick: a
+time constant of 0.1 s. The model is faster than the measurement; only slow differences, such
+as the sag under the pendulum's weight, are significant."""
+SINGULAR_SHARE: Final = 0.05
+"""Share of the manipulability at home below which the inverse is damped."""
+DAMPING: Final = 0.05
+"""Damping factor at a singularity."""
 MIN_MANIPULABILITY: Final = 1e-6
 """Minimum |det J| of a home posture [m^3]; an iiwa at home has 0.09."""
 POSE_ITERATIONS: Final = 20
@@ -236,7 +245,7 @@ def make_controller_params(
         kinematics=compiled.kinematics,
         motion=compiled.motion,
         clik=ClikParameters(
-            clik.K_p, clik.K_d, clik.singular_share * w, clik.damping, (wrist_x, wrist_y, wrist_z)
+            clik.K_p, clik.K_d, SINGULAR_SHARE * w, DAMPING, (wrist_x, wrist_y, wrist_z)
         ),
         limits=np.array(
             [compiled.lower, compiled.upper, compiled.max_velocity, compiled.max_acceleration]
@@ -253,9 +262,9 @@ def make_controller_params(
         delay=actuator.delay.value,
         horizon=horizon(arm, actuator, own.margin, lead=own.lead) if own.predict else 0.0,
         pendulum=pendulum,
-        gains=observer_gains(pendulum, own, counts_per_rev, h),
+        gains=observer_gains(pendulum, counts_per_rev, h, estimate_bias=own.estimate_bias),
         resolution=2.0 * pi / counts_per_rev,
-        correction=own.correction,
+        correction=CORRECTION,
     )
 
 
@@ -603,7 +612,7 @@ def advance_arm_model(
                 for n in range(lanes):
                     velocity = at(state.dq, i, n) - left * at(state.ddq, i, n)
                     reference = at(target, i, n)
-                    setpoint = leading_setpoint(
+                    leading = leading_setpoint(
                         at(q, i, n),
                         at(dq, i, n),
                         reference,
@@ -612,11 +621,10 @@ def advance_arm_model(
                         controller.actuator,
                         cycles,
                     )
-                    put(target, i, n, setpoint)
-                    put(state.leads, 6 * s + i, n, setpoint - reference)
-        follow_setpoint(
-            q, dq, target, target, share, False, share, controller.actuator, cycles, scratch, lanes
-        )
+                    put(target, i, n, leading)
+                    put(state.leads, 6 * s + i, n, leading - reference)
+        setpoint = DelayedSetpoint(target, target, share, False)
+        follow_setpoint(q, dq, setpoint, share, controller.actuator, cycles, scratch, lanes)
     state.newest[0] = (state.newest[0] + 1) % HISTORY_TICKS
     entry = _entry(state.newest[0], 0)
     for i in range(6):

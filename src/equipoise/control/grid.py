@@ -29,10 +29,7 @@ ANGLE: Final = 1
 TRACK: Final = 2
 JOINT_LIMIT: Final = 3
 SAFETY_STOP: Final = 4
-"""Lowest code of a safety stop; the rest names the rule, see
-`equipoise.safety.trial.guard_named`."""
-CAUSES: Final = ("lasted", "angle", "track", "joint limit", "guard")
-"""Causes of the end of a trial, by code; `angle` and `track` are the outer limits."""
+"""Lowest code of a safety rule; these are the places in `equipoise.outcomes.TRIAL_OUTCOMES`."""
 
 
 class Axis(NamedTuple):
@@ -55,11 +52,6 @@ class Grid(NamedTuple):
     """Time over which x is continued [s]."""
     x_per_phi_dot: float
     """The same, times the distance from the pivot to the centre of percussion [m s]."""
-
-
-def cause_named(code: int) -> str:
-    """Return the name of the cause of a trial's end, by its code."""
-    return CAUSES[min(code, SAFETY_STOP)]
 
 
 def partition(settings: BoxSettings, k: float) -> Grid:

@@ -24,15 +24,14 @@ TYPES: Final = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 class OnnxPolicy:
     """A network without a state."""
 
-    def __init__(self, path: StrPath, digest: str | None = None) -> None:
+    def __init__(self, path: StrPath) -> None:
         """Read a network.
 
         Args:
             path: File that holds it, with its weights.
-            digest: Digest that the file is to have; any by default.
 
         Raises:
-            InputError: The file is no such network, or has changed.
+            InputError: The file is no such network.
             MissingExtraError: ONNX Runtime is not installed.
         """
         self._path = Path(path).absolute()
@@ -42,35 +41,29 @@ class OnnxPolicy:
             raise InputError(f"cannot read {path}: {error.strerror or error}") from None
         self.digest = DIGEST_PREFIX + hashlib.sha256(network).hexdigest()
         """SHA-256 of the file."""
-        self.size = len(network)
-        """Size of the file [bytes]."""
-        if digest not in (None, self.digest):
-            raise InputError(f"{path} has changed since it was read; run it again")
         self._session = _session(network, self._path)
         inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
-        shape = [size if isinstance(size, int) else 1 for size in inputs[0].shape] if inputs else []
+        expected = (
+            f"{path} has {len(inputs)} inputs and {len(outputs)} outputs; expected one input of 4 "
+            "numbers (x, x_dot, phi, phi_dot) and one output of one number (u)"
+        )
+        if len(inputs) != 1 or len(outputs) != 1 or inputs[0].type not in TYPES:
+            raise InputError(expected)
+        shape = [size if isinstance(size, int) else 1 for size in inputs[0].shape]
         if shape and not isinstance(inputs[0].shape[-1], int):
             shape[-1] = 4
-        found = f"inputs {_described(inputs)}, outputs {_described(outputs)}"
-        wrong = InputError(
-            f"{path} has {found}; expected one input of 4 numbers (x, x_dot, phi, phi_dot) and one "
-            "output of one number (u)"
-        )
-        one_each = len(inputs) == len(outputs) == 1 and inputs[0].type in TYPES
-        if not one_each or int(np.prod(shape)) != 4:
-            raise wrong
         self._input: npt.NDArray[Any] = np.zeros(shape, TYPES[inputs[0].type])
         self._feed = {inputs[0].name: self._input}
         try:
-            u = self._run()
+            fits = self._input.size == 4 and self._run().size == 1
         except Exception as error:  # the runtime has many kinds
             raise InputError(f"{path} does not run ({error}); export it again") from None
-        if u.size != 1:
-            raise wrong
+        if not fits:
+            raise InputError(expected)
 
     def __reduce__(self) -> Any:
         """Send the network to another process by its file."""
-        return OnnxPolicy, (str(self._path), self.digest)
+        return OnnxPolicy, (str(self._path),)
 
     def reset(self) -> None:
         """Do nothing: the network has no state."""
@@ -97,7 +90,3 @@ def _session(network: bytes, path: Path) -> Any:
         return runtime.InferenceSession(network, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # the runtime has many kinds
         raise InputError(f"{path} is no network that ONNX Runtime reads ({error})") from None
-
-
-def _described(tensors: Any) -> str:
-    return ", ".join(f"{one.name} {one.type} {list(one.shape)}" for one in tensors) or "none"

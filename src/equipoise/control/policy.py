@@ -1,15 +1,18 @@
 """Policies: maps from the observation (x, x_dot, phi, phi_dot) to an acceleration u of the flange.
 
-Every policy has the two methods of `Policy`. `TaskPolicy` adds the task of trials and runs:
-pendulum, arm, actuator, settings and a digest. `TabularPolicy`, the paper's table as a file,
-includes them; `equipoise.control.bound_policy` adds them to any other policy.
+Every policy has the two methods of `Policy`. A `TaskPolicy` includes the task of trials and runs:
+pendulum, arm, actuator, settings and a digest. It is a `TabularPolicy`, the paper's table as a
+file, or a `BoundPolicy` of any other policy.
 
 Compiled loops call the kernel `act` with a `PolicyKernel`; a policy without one runs in Python.
 """
 
 import functools
+import hashlib
+import numbers
+from dataclasses import dataclass
 from importlib import resources
-from math import floor
+from math import floor, isfinite, nan
 from typing import Annotated, Any, ClassVar, Final, NamedTuple, Protocol, Self
 
 import numpy as np
@@ -17,15 +20,18 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from equipoise import paper
-from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Share, Value, value_digest
+from equipoise.artefacts import DIGEST_PREFIX, Artefact, Count, Number, Seed, Share, Value
 from equipoise.control import grid
 from equipoise.control.grid import Grid, box_count, box_index
+from equipoise.errors import InputError
 from equipoise.jit import inlined, kernel, struct_ref
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import DEPLOYMENT, philox, uniform
-from equipoise.settings import MOST_CANDIDATES, BoxSettings, Settings, describe_recipe
+from equipoise.outcomes import Outcome
+from equipoise.settings import BoxSettings, Settings, describe_recipe
+from equipoise.user_code import guest_code
 
 Array = npt.NDArray[np.float64]
 
@@ -64,60 +70,6 @@ class PolicyKernel(NamedTuple):
     """The eight accelerations [m/s^2]."""
     boxes: Grid = grid.partition(BoxSettings(), 1.0)
     """Edges of the boxes."""
-
-
-class TaskPolicy(Policy, Protocol):
-    """A policy with its task: the argument of evaluations, studies and runs."""
-
-    @property
-    def name(self) -> str:
-        """Name of the policy in results and messages."""
-        ...
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 of the policy's file or source."""
-        ...
-
-    @property
-    def kernel(self) -> PolicyKernel | None:
-        """The policy for compiled loops; None for a policy in Python."""
-        ...
-
-    @property
-    def u_max(self) -> float:
-        """Largest acceleration that the policy commands [m/s^2]."""
-        ...
-
-    @property
-    def pendulum(self) -> Pendulum:
-        """Nominal pendulum."""
-        ...
-
-    @property
-    def arm(self) -> Arm:
-        """Arm with its home posture."""
-        ...
-
-    @property
-    def actuators(self) -> tuple[Actuator, ...]:
-        """Models of the arm's response that the controller carries, the default one first."""
-        ...
-
-    @property
-    def actuator(self) -> Actuator:
-        """Default model of the arm's response in the controller: the first one."""
-        ...
-
-    @property
-    def settings(self) -> Settings:
-        """Settings of plant, controller and evaluation."""
-        ...
-
-    @property
-    def h(self) -> float:
-        """Time step [s]."""
-        ...
 
 
 @inlined
@@ -206,8 +158,8 @@ class KernelPolicy:
     def digest(self) -> str:
         """SHA-256 of its numbers."""
         kind, u_of_box, gains, actions, _ = self.kernel
-        boxes = tuple(u_of_box.tolist())
-        return value_digest(_Numbers(kind=kind, u_of_box=boxes, gains=gains, actions=actions))
+        numbers = repr((kind, u_of_box.tolist(), gains, actions))
+        return DIGEST_PREFIX + hashlib.sha256(numbers.encode()).hexdigest()
 
     def reset(self) -> None:
         """Begin the sequence of random numbers again, for RANDOM."""
@@ -221,20 +173,6 @@ class KernelPolicy:
             self._tick += 1
         x, x_dot, phi, phi_dot = observation.tolist()
         return float(act_by_reference(self._handle, x, x_dot, phi, phi_dot, chance))
-
-
-def tick_policy(policy: TaskPolicy) -> Policy:
-    """Return a policy for a call per tick from Python: compiled if the policy has a kernel."""
-    return policy if policy.kernel is None else KernelPolicy(policy.kernel)
-
-
-class _Numbers(Value):
-    """Numbers of a policy for compiled loops."""
-
-    kind: int
-    u_of_box: tuple[Number, ...]
-    gains: tuple[Number, ...]
-    actions: tuple[Number, ...]
 
 
 class LearningPoint(Value):
@@ -283,14 +221,14 @@ class TargetTest(Value):
     """Number of trials survived."""
     interval: tuple[Share, Share]
     """Interval of the share [-], of 95 % confidence over all learners of one command. Its bounds
-    hold although the test stopped as soon as they decided (`equipoise.learning.selection`)."""
-    causes: dict[Name, Count]
-    """Number of trials by the cause of their end."""
+    hold although the test stopped as soon as they decided (`equipoise.learning.select`)."""
+    causes: dict[Outcome, Count]
+    """Number of trials by their outcome."""
 
     @property
-    def failures(self) -> dict[str, int]:
-        """Number of failed trials by their cause, the most frequent first."""
-        failed = {cause: n for cause, n in self.causes.items() if cause != grid.CAUSES[0]}
+    def failures(self) -> dict[Outcome, int]:
+        """Number of failed trials by their outcome, the most frequent first."""
+        failed = {cause: n for cause, n in self.causes.items() if cause != Outcome.LASTED}
         return dict(sorted(failed.items(), key=lambda item: -item[1]))
 
     @property
@@ -344,9 +282,9 @@ class TabularPolicy(Artefact):
     """Episodes trained."""
     steps: Count
     """Control steps trained."""
-    learning_curve: Annotated[tuple[LearningPoint, ...], Field(max_length=MOST_CANDIDATES + 1)]
+    learning_curve: tuple[LearningPoint, ...]
     """Course of the training."""
-    checkpoints: Annotated[tuple[Checkpoint, ...], Field(max_length=MOST_CANDIDATES + 1)]
+    checkpoints: tuple[Checkpoint, ...]
     """Candidates of the selection, the chosen one first; empty if the last table was taken."""
     tests: Annotated[tuple[TargetTest, ...], Field(max_length=MAX_ACTUATORS)] = ()
     """Tests of the selected policy behind each actuator; empty if it was not tested."""
@@ -441,6 +379,79 @@ class TabularPolicy(Artefact):
         """Return u [m/s^2] for the observation (x, x_dot, phi, phi_dot), shape (4,)."""
         x, x_dot, phi, phi_dot = (float(value) for value in observation)
         return _greedy(self.Q)[box_index(x, x_dot, phi, phi_dot, self.partition)]
+
+
+@dataclass(frozen=True, eq=False)
+class BoundPolicy:
+    """A policy with its task. Its u is checked, and clipped to the largest acceleration."""
+
+    policy: Policy
+    """The policy."""
+    name: str
+    """Name in results and messages."""
+    digest: str
+    """SHA-256 of the policy's file or source."""
+    kernel: PolicyKernel | None
+    """The policy for compiled loops; None for a policy in Python."""
+    pendulum: Pendulum
+    """Nominal pendulum."""
+    arm: Arm
+    """Arm with its home posture."""
+    actuators: tuple[Actuator, ...]
+    """Models of the arm's response that the controller carries, the default one first."""
+    settings: Settings
+    """Settings of plant, controller and evaluation."""
+    h: float = paper.STEP
+    """Time step [s]."""
+    u_max: float = paper.U_MAX
+    """Largest acceleration [m/s^2], that of the paper's actions: safety limits assume it, and a
+    larger u is clipped."""
+
+    @property
+    def actuator(self) -> Actuator:
+        """Default model of the arm's response in the controller: the first one."""
+        return self.actuators[0]
+
+    def reset(self) -> None:
+        """Begin a trial or a run.
+
+        Raises:
+            InputError: The policy raised an exception.
+        """
+        with guest_code(self.name, where=lambda: " in its reset"):
+            self.policy.reset()
+
+    def act(self, observation: Array) -> float:
+        """Return u [m/s^2], within `u_max`, for the observation (x, x_dot, phi, phi_dot).
+
+        Raises:
+            InputError: The policy raised an exception, or returned no finite number.
+        """
+        state = observation.copy()  # the policy may write into its argument
+        with guest_code(self.name, where=lambda: f" in the state {_format_state(state)}"):
+            u: Any = self.policy.act(observation)
+            u = u.item() if isinstance(u, np.ndarray) and u.size == 1 else u
+            value = float(u) if isinstance(u, numbers.Real) else nan
+            if not isfinite(value):
+                raise InputError(
+                    f"{self.name} returned {u!r:.60} in the state {_format_state(state)}, expected "
+                    "a finite number: the acceleration u in m/s^2; correct it"
+                )
+        return min(max(value, -self.u_max), self.u_max)
+
+
+TaskPolicy = TabularPolicy | BoundPolicy
+"""A policy with its task: the argument of evaluations and runs."""
+
+
+def tick_policy(policy: TaskPolicy) -> Policy:
+    """Return a policy for a call per tick from Python: compiled if the policy has a kernel."""
+    return policy if policy.kernel is None else KernelPolicy(policy.kernel)
+
+
+def _format_state(state: Array) -> str:
+    named = zip(("x", "x_dot", "phi", "phi_dot"), state.tolist(), strict=True)
+    return ", ".join(f"{name} = {value:.3g}" for name, value in named)
 
 
 def greedy_accelerations(Q: Array) -> Array:

@@ -8,7 +8,6 @@ keeps a state. A class is made without arguments, and made again for each trial 
 import hashlib
 import sys
 from collections.abc import Callable
-from functools import partial
 from types import ModuleType
 from typing import Any, Self
 
@@ -39,74 +38,50 @@ class PythonPolicy:
         Raises:
             InputError: `source` is no policy, its class cannot be made, or its source is unknown.
         """
-        with guest_code(name or f"a {type(source).__name__}"):
-            own = str(getattr(source, "__name__", type(source).__name__))
-            self.name, self._source, self._module = name or own, source, module
-            self._is_class = isinstance(source, type)
-            self._decide: Any = self._made() if self._is_class else source
-            if not callable(getattr(self._decide, "act", self._decide)):
-                raise InputError(
-                    f"{self.name} is of type {type(source).__name__}, expected a function "
-                    "observation -> u or an object with act(observation); give one of those"
-                )
-            attribute = own if module is None else self.name.rpartition(":")[2]
-            self.digest = _digest(source, attribute, module)
-            """SHA-256 of the source files and the name."""
+        own = str(getattr(source, "__name__", type(source).__name__))
+        self.name, self._source, self._module = name or own, source, module
+        self._policy: Any = self._made() if isinstance(source, type) else source
+        if not callable(getattr(self._policy, "act", self._policy)):
+            raise InputError(
+                f"{self.name} is of type {type(self._policy).__name__}, expected a function "
+                "observation -> u or an object with act(observation); give one of those"
+            )
+        defined = source if hasattr(source, "__qualname__") else type(source)
+        text = f"{own} {source_digest(module or defined)}"
+        self.digest = DIGEST_PREFIX + hashlib.sha256(text.encode()).hexdigest()
+        """SHA-256 of the source file and the name."""
 
     @classmethod
-    def load(cls, name: str, digest: str | None = None) -> Self:
+    def load(cls, name: str) -> Self:
         """Import the policy `module:name`, from the current folder or an installed package.
 
         Args:
             name: Name of the module and of the function, class or object in it.
-            digest: Digest that the source is to have; any by default.
 
         Raises:
-            InputError: The name cannot be imported, is no policy, or its source has changed.
+            InputError: The name cannot be imported, or is no policy.
         """
         source = load_object(name, "the policy")
-        policy = cls(source, name, sys.modules[name.partition(":")[0].removesuffix(".py")])
-        if digest not in (None, policy.digest):
-            raise InputError(f"the source of {name} has changed since it was read; run it again")
-        return policy
+        return cls(source, name, sys.modules[name.partition(":")[0].removesuffix(".py")])
 
     def __reduce__(self) -> Any:
         """Send a policy that was read by name to another process by that name."""
         if self._module is not None:
-            return PythonPolicy.load, (self.name, self.digest)
+            return PythonPolicy.load, (self.name,)
         return PythonPolicy, (self._source, self.name)
 
     def reset(self) -> None:
         """Call the policy's `reset`; create a new object of a class without one."""
-        if hasattr(self._decide, "reset"):
-            self._decide.reset()
-        elif self._is_class:
-            self._decide = self._made()
+        if hasattr(self._policy, "reset"):
+            self._policy.reset()
+        elif isinstance(self._source, type):
+            self._policy = self._made()
 
     def act(self, observation: Array) -> float:
         """Return the result of the policy for the observation, shape (4,), unchecked."""
-        return getattr(self._decide, "act", self._decide)(observation)
+        return getattr(self._policy, "act", self._policy)(observation)
 
     def _made(self) -> Any:
-        if not hasattr(self._source, "act"):
-            raise InputError(
-                f"the class {self.name} has no act(observation); add it, or give a function"
-            )
         cure = "give a class that needs no arguments, or an object of it"
         with guest_code(f"calling {self.name}()", cure):
-            return self._source()  # type: ignore[reportCallIssue]  # a class, by `_is_class`
-
-
-def _digest(source: Any, name: str, module: ModuleType | None) -> str:
-    """Return the SHA-256 of the name and of the files that hold a policy and its definition."""
-    while isinstance(source, partial):
-        source = source.func
-    defined = source if hasattr(source, "__qualname__") else type(source)
-    files = set[str]() if module is None else {source_digest(module)}
-    try:
-        files.add(source_digest(defined))
-    except InputError:  # compiled code: its module has a digest
-        if module is None:
-            raise
-    text = "\n".join((name, *sorted(files)))
-    return DIGEST_PREFIX + hashlib.sha256(text.encode()).hexdigest()
+            return self._source()  # type: ignore[reportCallIssue]  # a class

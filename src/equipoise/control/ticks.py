@@ -9,6 +9,8 @@ from typing import Annotated, Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
+from equipoise.outcomes import End
+
 OK: Final = "ok"
 """Answer that Enter gives, and the pendulum's button."""
 
@@ -109,8 +111,8 @@ class TickInputs(NamedTuple):
     """Replies of the robot."""
     lines: Sequence[str]
     """Lines typed by the operator."""
-    faults: Sequence[str]
-    """Messages of failures: the encoder's link, a setpoint held back."""
+    faults: Sequence[End]
+    """Failures that stop the run: the encoder's link, a setpoint held back."""
     lateness: float
     """Lateness of the tick [s]. A loop that stood still skips the ticks that it missed, and begins
     again at the time of a later one: the lateness is then whole ticks, to half a tick."""

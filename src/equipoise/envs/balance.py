@@ -11,7 +11,7 @@ from gymnasium import spaces
 
 from equipoise import paper
 from equipoise.control.controller import Observation
-from equipoise.control.grid import TRUNCATED, box_index, cause_named, partition
+from equipoise.control.grid import TRUNCATED, box_index, partition
 from equipoise.errors import InputError
 from equipoise.film import RigRenderer
 from equipoise.learning import rewards
@@ -21,8 +21,8 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.random import ENVIRONMENT, TEST
 from equipoise.model.worlds import MODEL, World
-from equipoise.safety.trial import guard_named
-from equipoise.settings import LearningSettings, Settings
+from equipoise.outcomes import TRIAL_OUTCOMES
+from equipoise.settings import Settings
 from equipoise.worlds import Setup, Trial, estimated, has_ideal_arm, predicted, simulate
 
 Array = npt.NDArray[np.float64]
@@ -30,16 +30,9 @@ Observe = Literal["predicted", "estimated", "raw"]
 Reward = Callable[[Observation, float, Observation, bool], float]
 """Reward of a step: `reward(state, u, next_state, failed)`; the states are predicted ones."""
 
-REWARD_FAILURE: Final = LearningSettings().reward_failure
-"""Reward of a failure in the paper's reward."""
 WINDOW: Final = 256
 """Number of trials drawn at a time."""
 NOT_RESET: Final = "the environment has not been reset; call env.reset() first"
-
-
-def paper_reward(state: Observation, u: float, next_state: Observation, failed: bool) -> float:
-    """Return the paper's reward: -1 for a failure, otherwise 0."""
-    return rewards.paper(state, u, next_state, failed, REWARD_FAILURE)
 
 
 class BalanceEnv(gym.Env[Array, Any]):
@@ -88,7 +81,7 @@ class BalanceEnv(gym.Env[Array, Any]):
        a joint, or in a world with guards a rule of the rig stops the run.
     2. Truncation: the episode is `duration` seconds long.
 
-    `info` has `time` since the release [s], `cause` and `guard` of the end (empty before it), and
+    `info` has `time` since the release [s], `outcome` (empty before the end), and
     the true `state`.
 
     ## Arguments
@@ -115,7 +108,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         *,
         observe: Observe = "predicted",
         duration: float = 60.0,
-        reward: Reward = paper_reward,
+        reward: Reward = rewards.paper,
         pendulum: Pendulum | None = None,
         arm: Arm | None = None,
         actuator: Actuator | None = None,
@@ -191,7 +184,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         failed = cause != TRUNCATED
         truncated = not failed and self._steps >= round(self._duration / self.task.h)
         reward = float(self._reward(before, u, self._state, failed))
-        info = self._info(cause_named(cause) if failed or truncated else "", guard_named(cause))
+        info = self._info(TRIAL_OUTCOMES[cause] if failed or truncated else "")
         return self._observation(), reward, failed, truncated, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]  # Gymnasium's type is wider
@@ -243,9 +236,9 @@ class BalanceEnv(gym.Env[Array, Any]):
             [measured.counts, now - measured.counted_at, *q, now - measured.measured_at]
         )
 
-    def _info(self, cause: str, guard: str = "") -> dict[str, Any]:
+    def _info(self, outcome: str) -> dict[str, Any]:
         loop = self._loop
-        return {"time": loop.now, "cause": cause, "guard": guard, "state": loop.state()}
+        return {"time": loop.now, "outcome": outcome, "state": loop.state()}
 
 
 class BalanceDiscreteEnv(BalanceEnv):

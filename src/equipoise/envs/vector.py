@@ -10,21 +10,20 @@ from gymnasium.vector.utils import batch_space
 
 from equipoise import paper
 from equipoise.control.controller import Observation
-from equipoise.control.grid import TRUNCATED, cause_named
+from equipoise.control.grid import TRUNCATED
 from equipoise.envs.balance import (
     NOT_RESET,
-    REWARD_FAILURE,
     WINDOW,
     Array,
     BalanceDiscreteEnv,
     BalanceEnv,
-    paper_reward,
 )
 from equipoise.errors import InputError
 from equipoise.executors import available_cores
+from equipoise.learning.rewards import paper as paper_reward
 from equipoise.model.random import ENVIRONMENT
 from equipoise.model.worlds import MODEL, World
-from equipoise.safety.trial import guard_named
+from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.worlds import Trials
 from equipoise.worlds.fleet import new_fleet
 from equipoise.worlds.trials import IntArray
@@ -57,8 +56,8 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
     with the last observation in `info["final_obs"]` and its info in `info["final_info"]`;
     `Disabled` leaves it to `reset(options={"reset_mask": mask})`.
 
-    `info` has `time` and `state` of each environment, and, where an episode ends, `cause` and
-    `guard`; the key with a leading underscore marks the rows that have a value.
+    `info` has `time` and `state` of each environment, and, where an episode ends, `outcome`; the
+    key with a leading underscore marks the rows that have a value.
 
     ## Arguments
 
@@ -186,7 +185,7 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
         truncated = values.tick >= self._max_steps
         truncated &= ~terminated
         if before is None:
-            rewards = np.where(terminated, REWARD_FAILURE, 0.0)
+            rewards = np.where(terminated, -1.0, 0.0)
         else:
             rewards = self._rewards(before, u, terminated)
         if self._mode is AutoresetMode.NEXT_STEP and over.any():
@@ -253,9 +252,9 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
             "_state": self._all,
         }
         if ended is not None:
-            for key, named in (("cause", cause_named), ("guard", guard_named)):
-                info[key], info[f"_{key}"] = np.full(self.num_envs, "", object), ended
-                info[key][ended] = [named(code) for code in values.cause[ended].tolist()]
+            info["outcome"], info["_outcome"] = np.full(self.num_envs, "", object), ended
+            codes = values.cause[ended].tolist()
+            info["outcome"][ended] = [TRIAL_OUTCOMES[code] for code in codes]
         return info
 
 

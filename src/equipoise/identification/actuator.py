@@ -23,13 +23,14 @@ cycles. It includes the return path if the reply times are times of *arrival*.
 """
 
 from collections.abc import Mapping
+from hashlib import sha256
 from math import exp, hypot, sqrt
 from typing import Final, Literal, NamedTuple, TypedDict
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.artefacts import Estimate
+from equipoise.artefacts import DIGEST_PREFIX, Estimate
 from equipoise.errors import RecordingError
 from equipoise.identification.jackknife import blocks_of_time, jackknife
 from equipoise.identification.wrist_load import LoadMotion, WristLoad, load_motion, wrist_load
@@ -42,6 +43,7 @@ from equipoise.model.actuator import (
     ActuatorFit,
     ActuatorParameters,
     DriveInertia,
+    JointResponse,
     Kind,
     track,
 )
@@ -179,10 +181,8 @@ class Log(NamedTuple):
         stream = self.stream_time, self.stream_q[joint]
         replies = self.reply_time, self.reply_q[joint]
         predicted = np.empty_like(self.reply_time)
-        track(
-            *(*stream, *replies, delay, spread, lag, bias, memory, actuator),
-            *(compliance, inertia, torque, predicted),
-        )
+        response = JointResponse(delay, lag, actuator, spread, bias, memory, compliance)
+        track(*stream, *replies, response, inertia, torque, predicted)
         return predicted[self.settled :]
 
     def residual(self, kind: Kind, unknowns: Array, spread: float = JITTER) -> Array:
@@ -335,6 +335,27 @@ def identify_run(run: RunLog) -> Actuator:
     )
 
 
+def identify_motion(sent: Array, measured: Array) -> Actuator:
+    """Identify the actuator of an arm from a motion of all joints.
+
+    The inertia of the last rotor is not fitted: the motion is half as large as that of a log of
+    `deploy --excite`, and the policy's controller does not use it.
+
+    Args:
+        sent: Time [s] and setpoint of the free joints [rad], shape (m, 7).
+        measured: Time [s] and measured free joints [rad], shape (p, 7).
+
+    Returns:
+        The actuator; the source of its fit is the digest of the two arrays.
+
+    Raises:
+        RecordingError: The motion cannot be used, see `identify_actuator`.
+    """
+    source = DIGEST_PREFIX + sha256(sent.tobytes() + measured.tobytes()).hexdigest()
+    parts = (sent[:, 0], sent[:, 1:], measured[:, 0], measured[:, 1:])
+    return identify_actuator(*map(np.ascontiguousarray, parts), source=source)
+
+
 class _MeasuredLoad(TypedDict, total=False):
     load: WristLoad
     encoder_time: Array
@@ -390,43 +411,31 @@ def _explains_more(log: Log, richer: JointFit, simpler: JointFit) -> bool:
 def _read(stream_time: Array, stream_q: Array, reply_time: Array, reply_q: Array) -> Log:
     """Validate a log; return it without the replies that precede the first setpoints."""
     for name, time, q in (("setpoints", stream_time, stream_q), ("replies", reply_time, reply_q)):
-        if q.shape != (*time.shape, FREE_JOINTS) or len(q) < 2:
+        usable = q.shape == (len(time), FREE_JOINTS) and len(time) > 1 and np.all(np.isfinite(q))
+        if not usable or not np.all(np.isfinite(time)) or np.any(np.diff(time) <= 0.0):
             raise RecordingError(
-                f"the {name} have the shapes {time.shape} and {q.shape}, expected (n,) and "
-                f"(n, {FREE_JOINTS}); give times and the free joints"
-            )
-        if not (np.all(np.isfinite(time)) and np.all(np.isfinite(q)) and np.all(np.diff(time) > 0)):
-            raise RecordingError(
-                f"the {name} hold NaN or infinity, or their times do not increase; give each once, "
-                "with its time by a monotonic clock"
+                f"the {name} have the shape {q.shape}, or values that are not finite, or times "
+                f"that do not increase; give {FREE_JOINTS} free joints at each time, and each once"
             )
     keep = (reply_time >= stream_time[0] + UPPER_BOUNDS[DELAY]) & (reply_time <= stream_time[-1])
+    for name, times in (("setpoints", stream_time), ("replies", reply_time[keep])):
+        duration = float(np.ptp(times)) if len(times) else 0.0
+        gap = float(np.max(np.diff(times), initial=0.0))
+        if duration < MIN_DURATION + SETTLING_TIME or gap > MAX_GAP:
+            raise RecordingError(
+                f"the {name} last {duration:.1f} s beside the others, with a gap of "
+                f"{1e3 * gap:.0f} ms, expected at least {MIN_DURATION + SETTLING_TIME} s and at "
+                f"most {1e3 * MAX_GAP:.0f} ms; record 10 s by one clock"
+            )
     time, q = np.ascontiguousarray(reply_time[keep]), np.ascontiguousarray(reply_q[keep].T)
-    duration = float(np.ptp(time)) if len(time) else 0.0
-    if duration < MIN_DURATION + SETTLING_TIME:
+    speeds = speed_ranges(stream_time, stream_q)
+    shares = np.ptp(q, axis=1) / np.maximum(np.ptp(stream_q, axis=0), 1e-300)
+    j = int(np.argmax((speeds < LEAST_SPEED) | (shares < MIN_MOTION_SHARE)))
+    if speeds[j] < LEAST_SPEED or shares[j] < MIN_MOTION_SHARE:
         raise RecordingError(
-            f"setpoints and replies share {duration:.1f} s, expected at least "
-            f"{MIN_DURATION + SETTLING_TIME} s; record 10 s"
-        )
-    for name, times in (("setpoints", stream_time), ("replies", time)):
-        gap = int(np.argmax(np.diff(times)))
-        if (length := float(times[gap + 1] - times[gap])) > MAX_GAP:
-            raise RecordingError(
-                f"the {name} have a gap of {1e3 * length:.0f} ms at {times[gap]:.3f} s, expected "
-                f"at most {1e3 * MAX_GAP:.0f} ms; record again, or cut the log there"
-            )
-    for j, speed in enumerate(speed_ranges(stream_time, stream_q)):
-        if speed < LEAST_SPEED:
-            raise RecordingError(
-                f"the velocity of free joint {j + 1} ranges over {speed:.2g} rad/s, expected at "
-                f"least {LEAST_SPEED} rad/s; let every joint move slowly and fast"
-            )
-    shares = np.ptp(q, axis=1) / np.ptp(stream_q, axis=0)
-    j = int(np.argmin(shares))
-    if shares[j] < MIN_MOTION_SHARE:
-        raise RecordingError(
-            f"free joint {j + 1} moves {shares[j]:.0%} of the way of its setpoints, expected at "
-            f"least {MIN_MOTION_SHARE:.0%}; check that the drives are on and the servo runs"
+            f"the velocity of free joint {j + 1} ranges over {speeds[j]:.2g} rad/s, and the joint "
+            f"moves {shares[j]:.0%} of the way, expected at least {LEAST_SPEED} rad/s and "
+            f"{MIN_MOTION_SHARE:.0%}; let every joint move slowly and fast, with the drives on"
         )
     return Log(
         stream_time=np.ascontiguousarray(stream_time),

@@ -6,14 +6,14 @@ differences give its sensitivities; an adaptive integrator would not.
 
 from collections.abc import Sequence
 from math import ceil, inf, log, sqrt
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.identification.jackknife import blocks_of_time, jackknife
-from equipoise.model.pendulum import PendulumParameters, swing
-from equipoise.settings import Friction, IdentificationSettings
+from equipoise.model.pendulum import STEPS_PER_PERIOD, PendulumParameters, swing
+from equipoise.settings import Friction
 
 Array = npt.NDArray[np.float64]
 
@@ -30,6 +30,15 @@ FRICTIONS: dict[Friction, list[int]] = {
 MAX_MISFIT = 0.05
 """Largest misfit of a fit in the global minimum, as a share of the motion's standard deviation. The
 wrong friction model over 60 periods leaves that much."""
+MAX_UNEXPLAINED: Final = 0.25
+"""Largest accepted misfit (residual without noise), as a share of the recording's standard
+deviation; more is not a free swing. A long swing with the wrong friction model leaves 5 %."""
+HORIZONS: Final = (0.08, 0.25)
+"""Shares of the window that are fitted in sequence before the whole: a long window that is
+fitted at once has local minima that are off by a period."""
+FIRST_HORIZON: Final = 1.5
+"""Minimum length of the first horizon in periods; a shorter one does not determine period and
+friction."""
 COARSE, FINE = 1e-6, 1e-12
 """Relative changes of the sum of squares at which a comparison and a final fit stop."""
 
@@ -51,8 +60,6 @@ class SwingRecording(NamedTuple):
     """Period of the swing [s]."""
     w2_range: tuple[float, float]
     """Bounds of w2 [1/s^2]; they exclude the second, upside-down solution with w2 < 0."""
-    settings: IdentificationSettings
-    """Settings of the fit."""
 
     def part(self, kept: slice) -> "SwingRecording":
         """Return some of the samples."""
@@ -71,7 +78,7 @@ class SwingRecording(NamedTuple):
         thetas, theta_dots = np.empty_like(time), np.empty_like(time)
         w2, c, coulomb, drag, theta, theta_dot, offset = map(float, unknowns)
         pendulum = PendulumParameters(w2, 0.0, c, coulomb, drag)
-        h = self.period / self.settings.steps_per_period
+        h = self.period / STEPS_PER_PERIOD
         swing(time, theta, theta_dot, h, pendulum, thetas, theta_dots)
         motion = (theta_dots if self.is_rate else thetas)[1:]
         return motion.reshape(-1, len(points)).mean(axis=1) + offset
@@ -115,9 +122,9 @@ def fit_growing(
         starts: Initial guesses of the unknowns, the likeliest first; shape (7,) each.
         friction: The friction model.
     """
-    settings, length = recording.settings, float(recording.time[-1] - recording.begin)
-    first = min(settings.first_horizon_periods * recording.period, length)
-    growing = [max(share * length, first) for share in settings.horizons]
+    length = float(recording.time[-1] - recording.begin)
+    first = min(FIRST_HORIZON * recording.period, length)
+    growing = [max(share * length, first) for share in HORIZONS]
     slowly = [first * 1.5**i for i in range(ceil(log(length / first, 1.5)))]
     others = starts[1:]
     attempts = [(growing, starts[0]), *((slowly, start) for start in others[:1])]
@@ -127,26 +134,25 @@ def fit_growing(
         for horizon in (*horizons, length):
             end = np.searchsorted(recording.time, recording.begin + horizon, side="right")
             part = recording.part(slice(int(end)))
-            unknowns = fit_bounded(part, friction, unknowns, COARSE, False).unknowns
+            unknowns = fit_bounded(part, friction, unknowns, COARSE).unknowns
         share = recording.misfit_share(unknowns)
         again = any(abs(share - other) < 0.01 * other for other, _ in found)
         found.append((share, unknowns))
-        if share < MAX_MISFIT or (again and share < settings.unexplained):
+        if share < MAX_MISFIT or (again and share < MAX_UNEXPLAINED):
             break
     best = min(found, key=lambda one: one[0])[1]
-    return fit_bounded(recording, friction, best, FINE, True)
+    return fit_bounded(recording, friction, best, FINE)
 
 
 def fit_richer(
-    recording: SwingRecording, friction: Friction, simple: FittedUnknowns, tolerance: float
+    recording: SwingRecording, friction: Friction, simple: FittedUnknowns
 ) -> FittedUnknowns:
-    """Fit a friction model from the optimum of a simpler one; return the better of both.
+    """Fit a friction model roughly from the optimum of a simpler one; return the better of both.
 
     Args:
         recording: The free swing.
         friction: The richer friction model.
         simple: Best fit of a simpler model.
-        tolerance: Relative change of the sum of squares at which the fit stops.
     """
     known = simple.unknowns
     # The other frictions start at half the power of the viscous one in the first period.
@@ -159,74 +165,32 @@ def fit_richer(
             start[C] /= 2.0
             start[place] = share * start[C]
             starts.append(start)
-    fitted = [W2, *FRICTIONS[friction], THETA, THETA_DOT, OFFSET]
-    optima = [_least_squares(recording, start, fitted, COARSE) for start in starts]
-    fits = [fit_bounded(recording, friction, min(optima, key=recording.rms), tolerance, True)]
-    if recording.misfit_share(fits[0].unknowns) > MAX_MISFIT:
-        # The fit of the simpler model may be off by a period.
-        fits.append(fit_growing(recording, starts[1:], friction))
-    least = min(fits, key=lambda fit: recording.rms(fit.unknowns))
-    if recording.rms(least.unknowns) <= recording.rms(known):
-        return least
-    bound = [place for place in FRICTIONS[friction] if place not in simple.fitted]
-    return FittedUnknowns(known, simple.fitted, bound)
+    fits = [simple, *(fit_bounded(recording, friction, start, COARSE) for start in starts)]
+    return min(fits, key=lambda fit: recording.rms(fit.unknowns))
 
 
 def fit_bounded(
-    recording: SwingRecording, friction: Friction, start: Array, tolerance: float, thorough: bool
+    recording: SwingRecording, friction: Friction, start: Array, tolerance: float
 ) -> FittedUnknowns:
-    """Fit a friction model whose frictions are not negative.
+    """Fit a friction model; fix a friction that comes out negative at zero, the worst one first.
 
     Args:
         recording: The free swing.
         friction: The friction model.
         start: Initial guess of the unknowns, shape (7,).
         tolerance: Relative change of the sum of squares at which the fit stops.
-        thorough: If a friction is negative, fix each in turn at zero and return the best fit;
-            otherwise fix the most negative one.
     """
-    found: dict[tuple[int, ...], Array] = {}
-
-    def descend(frictions: tuple[int, ...], guess: Array) -> None:
-        if frictions in found:
-            return
-        fitted = [W2, *frictions, THETA, THETA_DOT, OFFSET]
-        unknowns = found[frictions] = _least_squares(recording, guess, fitted, tolerance)
-        scales = _scales(unknowns)
-        if all(unknowns[place] > 0.0 for place in frictions):
-            return
-        worst = min(frictions, key=lambda place: unknowns[place] / scales[place])
-        for place in frictions if thorough else (worst,):
-            left = tuple(other for other in frictions if other != place)
-            descend(left, _without(recording, unknowns, fitted, place, start))
-
-    descend(tuple(FRICTIONS[friction]), start)
-    kept = min(
-        (frictions for frictions in found if all(found[frictions][i] > 0.0 for i in frictions)),
-        key=lambda frictions: recording.rms(found[frictions]),
-    )
-    bound = [place for place in FRICTIONS[friction] if place not in kept]
-    return FittedUnknowns(found[kept], [W2, *kept, THETA, THETA_DOT, OFFSET], bound)
-
-
-def _without(
-    recording: SwingRecording, unknowns: Array, fitted: list[int], place: int, start: Array
-) -> Array:
-    """Return the initial guess of the other unknowns after one friction is fixed at zero.
-
-    They move to first order; from another start the next fit would creep along a narrow valley.
-    """
-    scales = _scales(unknowns)
-    others = [i for i in fitted if i != place]
-    J = sensitivities(recording, unknowns, [*others, place])
-    guess = unknowns.copy()
-    if np.all(np.isfinite(J)):
-        M, y = J[:, :-1] * scales[others], J[:, -1] * unknowns[place]
-        guess[others] += np.linalg.lstsq(M, y, rcond=None)[0] * scales[others]
-    if not np.all(np.isfinite(recording.predict(guess))):
-        guess = start.copy()
-    guess[[i for i in (C, COULOMB, DRAG) if i not in others]] = 0.0
-    return guess
+    unknowns, kept, bound = start.copy(), list(FRICTIONS[friction]), list[int]()
+    while True:
+        unknowns[bound] = 0.0
+        fitted = [W2, *kept, THETA, THETA_DOT, OFFSET]
+        unknowns = _least_squares(recording, unknowns, fitted, tolerance)
+        sizes = unknowns / _scales(unknowns)
+        if all(unknowns[place] > 0.0 for place in kept):
+            return FittedUnknowns(unknowns, fitted, bound)
+        worst = min(kept, key=lambda place: sizes[place])
+        kept.remove(worst)
+        bound.append(worst)
 
 
 def _least_squares(

@@ -1,293 +1,358 @@
-r"""Regression of the pendulum's equation on a log of balancing, with a moving pivot.
+"""Refinement of a policy's model from logs of its runs, and retraining of its table.
 
-.. math:: \ddot\varphi = w_2 \sin\varphi - k\,\ddot x \cos\varphi - c\,\dot\varphi
-          - f\,\mathrm{sign}\,\dot\varphi
+This is the future work of Safeea & Neto: from the robot back to the simulation. A log holds the
+setpoints of the joints, their measured angles, and the encoder's counts. From these are identified
 
-phi from upright and x, the *measured* pivot, positive the same way (Safeea & Neto, section 3.2).
-The equation is linear in its parameters. Two additional terms model errors of the log: the zero
-error of the encoder and the latency of x. The equation does not hold for a flange that tilts or
-rises: add the tilt to phi; vertical motion is not modelled.
+1. the pendulum: w2 and c (`equipoise.identification.regression`). The pivot follows from the
+   measured joints; phi in space is the encoder's angle plus the tilt of the flange;
+2. the actuator: delay, cycle, and the lags of the joints that move. Balancing moves few joints; the
+   others keep their lags.
 
-The log holds no accelerations. Direct differentiation amplifies the encoder's steps beyond the
-motion of a balanced pendulum. Smoothing first removes different parts of the motion from phi and x
-than from sin phi, and biases w2 and k by some percent. The weak form avoids both: the equation is
-multiplied by a smooth window and integrated. Cubic splines through the samples give every term; by
-integration by parts, their second derivatives under the window equal the samples under its second
-derivative. All terms see the same window.
-
-While a policy balances, phi and x_ddot are correlated, and separate estimates of w2 and k are poor.
-A rigid pendulum has k = w2 / g; with this constraint a log of a minute gives the inertia to 0.1 %.
+A parameter has changed if it differs beyond both 95 % intervals, corrected for the number of
+parameters, and beyond the range of the training. Training continues with the new values from the
+old table and its visits. The better of old and new table on the new model is kept, by trials that
+selected neither.
 """
 
+from collections.abc import Mapping, Sequence
 from math import sqrt
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.artefacts import Estimate, Value
-from equipoise.errors import RecordingError
-from equipoise.identification.jackknife import blocks_of_time, jackknife
+from equipoise.control.policy import Checkpoint, TabularPolicy
+from equipoise.errors import ArtefactError, RecordingError
+from equipoise.executors import Workers
+from equipoise.identification.actuator import LEAST_SPEED, identify_actuator, speed_ranges
+from equipoise.identification.regression import ROUGH_FIT, ClosedLoopFit, regress
+from equipoise.learning.select import Running
+from equipoise.learning.target import TARGET, compare_policies, measure_policy
+from equipoise.learning.train import TrainingObserver, train
+from equipoise.logs.run_log import RunLog
+from equipoise.model.actuator import Actuator
+from equipoise.model.arms.arm import FREE_JOINTS, Arm
+from equipoise.model.encoder import theta_from_counts
 from equipoise.model.pendulum import Pendulum
-from equipoise.settings import GRAVITY, PlantSettings
+from equipoise.settings import PlantSettings, Settings
 
 Array = npt.NDArray[np.float64]
 
-WINDOW: Final = 0.3
-"""Length of the smooth window [s]. Shorter windows pass the encoder's steps; longer windows lose
-the fast part of the motion, and dry friction with it."""
-RATE_WINDOW: Final = 0.06
-"""Length of the window for the sign of the rate [s]. Longer windows miss short swings, and half of
-the dry friction with them; shorter windows pass the encoder's steps."""
-POINTS_PER_SAMPLE: Final = 4
-"""Points of the splines per sample: enough to integrate a window to rounding error."""
-BLOCK_DURATION: Final = 2.0
-"""Duration of a jackknife block [s]: longer than the correlation of the motion."""
-MIN_BLOCKS: Final = 8
-"""Minimum number of blocks; the scatter of fewer blocks is meaningless."""
-GAP_RATIO: Final = 3.5
-"""Ratio of a sampling step to the usual one above which the step is a gap; gaps are left out."""
-MAX_UNEXPLAINED: Final = 0.7
-"""Largest accepted unexplained share of the acceleration; more indicates another motion. A pendulum
-that moves by two counts of its encoder leaves 0.5."""
-MAX_LATENESS: Final = 0.002
-"""Time shift between x and phi above which a warning is given [s]."""
-ROUGH_FIT: Final = 0.1
-"""Unexplained share above which friction is indistinguishable from noise. Balancing with a table
-leaves 0.01."""
-MIRRORED_RATIO: Final = 0.5
-"""Ratio of the unexplained shares with x negated and as given, below which phi and x count in
-opposite directions."""
+EPISODES: Final = 2000
+"""Episodes of a retraining."""
+EXPLORATION: Final = 0.2
+"""Initial exploration of a retraining, as a share of the training's [-]."""
+COMPARISON_SEED: Final = 1 << 32
+"""Offset of the seed for the trials that compare old and new table, beyond all training seeds."""
+SAMPLE_SPACING: Final = 0.01
+"""Spacing of averaged encoder samples [s]: one tick, as in a log of a twin."""
+NORMAL: Final = 1.96
+"""Half width of a 95 % interval in standard deviations [-]."""
+MAX_BIRGE_RATIO: Final = 3.0
+"""Birge ratio of w2 between runs beyond which a warning is given [-]."""
 
 
-class ClosedLoopFit(Value):
-    """Pendulum parameters from a closed-loop log, with 95 % intervals."""
+class ModelMotion(NamedTuple):
+    """Measured motion of pendulum and pivot; each of shape (n,)."""
 
-    w2: Estimate
-    """Gravity over inertia, m g l / I [1/s^2]."""
-    k: Estimate
-    """Coupling to the pivot's acceleration, m l / I [1/m]."""
-    c: Estimate
-    """Viscous friction over inertia [1/s]."""
-    coulomb: Estimate
-    """Coulomb friction over inertia [1/s^2]."""
-    friction: Estimate
-    """Viscous friction with the same dissipation as both, c + coulomb / rate [1/s]; its interval is
-    narrower than that of either."""
-    zero: Estimate
-    """Zero error of the encoder: phi as read minus true [rad]."""
-    late: Estimate
-    """Latency of x relative to phi [s]."""
-    rate: float
-    """Mean square of phi_dot over its mean absolute value [rad/s]."""
-    tied: bool
-    """Whether k was constrained to w2 / g."""
-    g: float
-    """Acceleration of gravity [m/s^2]."""
-    derivatives: Literal["weak"] = "weak"
-    """Method of differentiation: the weak form."""
-    duration: float
-    """Length of the log [s]."""
-    samples: int
-    """Number of samples of the log."""
-    blocks: int
-    """Number of jackknife blocks."""
-    unexplained: float
-    """Root mean square residual over the root mean square acceleration."""
-    warnings: tuple[str, ...] = ()
-    """Warnings about a poor log, with remedies."""
+    time: Array
+    """Time stamps of the encoder [s]."""
+    phi: Array
+    """Angle of the pendulum from upright, in space [rad]."""
+    x: Array
+    """Displacement of the pivot along base x [m]."""
 
 
 class ParameterChange(Value):
-    """Significant change of a parameter between an identification and a log."""
+    """Significant change of a parameter between its identification and the logs."""
 
-    name: Literal["w2", "k", "c"]
-    """Name of the parameter."""
+    name: str
+    """`w2`, `c`, `delay`, `cycle`, or `lag of` a joint."""
     before: Estimate
-    """Identified value."""
+    """Previous estimate [SI]."""
     now: Estimate
-    """Value from the log."""
+    """Estimate from the logs [SI]."""
     z: float
     """Difference in combined standard deviations."""
 
     @property
     def text(self) -> str:
-        """One-line description of the change."""
-        unit, meaning = _MEANINGS[self.name]
-        physical = self.now.not_negative()
-        before, now = self.before.value, physical.value
-        share = f" by {now / before - 1.0:+.1%}" if before else ""
-        return (
-            f"{self.name} moved{share}, from {_readable(self.before)} to {_readable(physical)} "
-            f"{unit} (95 % intervals, z = {self.z:.1f}): {meaning}"
+        """The change in one line."""
+        before, now = (
+            f"{e.value:.4g} [{e.low:.4g}, {e.high:.4g}]" for e in (self.before, self.now)
         )
+        unit = {"w2": "1/s^2", "c": "1/s"}.get(self.name, "s")
+        return f"{self.name} moved from {before} to {now} {unit} (95 %, z = {self.z:.1f})"
 
 
-_MEANINGS: Final = {
-    "w2": ("1/s^2", "mass, length or inertia of the pendulum changed"),
-    "k": ("1/m", "mass, length or inertia of the pendulum changed"),
-    "c": ("1/s", "the friction of the pivot changed"),
-}
+class RefinementFindings(Value):
+    """Model of a policy as identified from logs, and its changes."""
+
+    fit: ClosedLoopFit
+    """The identified pendulum."""
+    response: dict[str, Estimate]
+    """The identified parameters of the actuator, by name [s]."""
+    moves: tuple[ParameterChange, ...]
+    """Changed parameters; empty if the model still holds."""
+    pendulum: Pendulum
+    """The policy's pendulum with the changed parameters."""
+    actuator: Actuator
+    """The policy's actuator, with all identified parameters if any changed."""
+    warnings: tuple[str, ...]
+    """Limitations of the logs, each with advice."""
 
 
-def _readable(estimate: Estimate) -> str:
-    return f"{estimate.value:.4g} [{estimate.low:.4g}, {estimate.high:.4g}]"
+class Refinement(NamedTuple):
+    """A policy for the refined model."""
+
+    policy: TabularPolicy
+    """The better policy."""
+    kept: Literal["old", "new"]
+    """Origin of its table."""
+    old: Checkpoint
+    """Score of the old table on the model."""
+    new: Checkpoint
+    """Score of the new table in the same trials."""
 
 
-def regress(
-    time: Array, phi: Array, x: Array, *, tied: bool = True, g: float = GRAVITY
-) -> ClosedLoopFit:
-    """Regress the pendulum's equation on a log with a moving pivot.
-
-    A log that follows the equation only with x negated is rejected: its phi and x are counted in
-    opposite directions.
-
-    The intervals of w2 and k come from a jackknife over blocks of time, and extend to the
-    regression with exchanged roles: noise on the regressors biases one regression low and the other
-    high (Frisch). Both agree on a log with enough motion.
+def inspect(policy: TabularPolicy, logs: Mapping[str, RunLog]) -> RefinementFindings:
+    """Identify the model of a policy from logs of its runs, and compare.
 
     Args:
-        time: Time stamps [s], increasing, shape (n,).
-        phi: Measured angle from upright [rad], shape (n,).
-        x: Measured, not commanded, displacement of the pivot [m], shape (n,).
-        tied: Constrain k = w2 / g. Otherwise the log needs motion that separates them, such as a
-            swing-up.
-        g: Acceleration of gravity [m/s^2].
-
-    Returns:
-        The parameters, with 95 % intervals.
+        policy: The policy, with its pendulum, arm and actuator.
+        logs: Runs on one rig, by name; at least one.
 
     Raises:
-        RecordingError: The log is too short, its samples cannot be used, it does not follow the
-            equation, or phi and x are counted in opposite directions.
+        ArtefactError: A log is of another arm.
+        RecordingError: A log identifies no pendulum.
     """
-    _check(time, phi, x)
-    try:
-        fit = _regress(time, phi, x, tied, g)
-    except RecordingError:
-        _reject_mirrored(time, phi, x, tied, g, 1.0)
-        raise
-    if fit.unexplained > ROUGH_FIT:
-        _reject_mirrored(time, phi, x, tied, g, fit.unexplained)
-    return fit
-
-
-def _reject_mirrored(
-    time: Array, phi: Array, x: Array, tied: bool, g: float, unexplained: float
-) -> None:
-    """Reject a log that follows the equation clearly better with x negated."""
-    try:
-        mirrored = _regress(time, phi, -x, tied, g).unexplained
-    except RecordingError:
-        return
-    if mirrored < MIRRORED_RATIO * unexplained:
-        raise RecordingError(
-            "phi and x are counted in opposite directions: the equation holds with x negated "
-            f"({mirrored:.0%} of the acceleration unexplained) and not as they are; correct the "
-            "sign of x, or that of the encoder (encoder_sign in rig.toml)"
-        ) from None
-
-
-def _regress(time: Array, phi: Array, x: Array, tied: bool, g: float) -> ClosedLoopFit:
-    """Regress the equation with the signs as given; see `regress`."""
-    from scipy.interpolate import CubicSpline
-    from scipy.stats import t as student
-
-    phi, length = np.unwrap(phi), float(np.ptp(time))
-    blocks = max(round(length / BLOCK_DURATION), MIN_BLOCKS)
-
-    def coupling(solution: _Solution) -> float:
-        return float(solution.values[0]) / g if tied else float(solution.values[1])
-
-    def solved(x: Array) -> _Solution:
-        rows = _rows(time, phi, x, g, tied)
-        if not len(rows.time) or np.ptp(rows.time) < MIN_BLOCKS * WINDOW:
-            raise RecordingError(
-                f"the log holds {length:.2f} s, expected at least "
-                f"{(MIN_BLOCKS + 2) * WINDOW:.1f} s without gaps; balance for longer"
-            )
-        solution = _solve(rows, blocks)
-        w2, left = float(solution.values[0]), solution.unexplained
-        if min(w2, coupling(solution)) <= 0.0 or left > MAX_UNEXPLAINED:
-            raise RecordingError(
-                f"the pendulum's equation leaves {left:.0%} of the acceleration unexplained "
-                f"(w2 = {w2:.3g} 1/s^2), expected less than {MAX_UNEXPLAINED:.0%}: the pendulum "
-                "stands too still for its encoder, or phi and x do not belong together; look at "
-                "their units, signs and clocks, and that phi is 0 upright"
-            )
-        return solution
-
-    # The latency is linearised, so x is shifted by the first estimate and solved again.
-    solution = solved(x)
-    late = float(solution.values[LATE]) / coupling(solution)
-    solution = solved(CubicSpline(time, x)(np.clip(time + late, time[0], time[-1])))
-    w2, k = float(solution.values[0]), coupling(solution)
-    quantile = float(student.ppf(0.975, blocks - 1))
-
-    def estimate(weights: dict[int, float], offset: float = 0.0, reach: float = 0.0) -> Estimate:
-        """Return a weighted sum of the coefficients with its interval."""
-        w = np.zeros(len(solution.values))
-        w[list(weights)] = list(weights.values())
-        value = offset + float(w @ solution.values)
-        half = quantile * sqrt(float(w @ solution.spread @ w))
-        low, high = value - half, value + half + reach
-        return Estimate(value=value, low=low, high=high, source="identified")
-
-    of_w2, of_k = solution.reach[:2].tolist()
-    fit = ClosedLoopFit(
-        w2=estimate({0: 1.0}, reach=of_w2),
-        k=estimate({0: 1.0 / g}, reach=of_w2 / g) if tied else estimate({1: 1.0}, reach=of_k),
-        c=estimate({VISCOUS: 1.0}),
-        coulomb=estimate({DRY: 1.0}),
-        friction=estimate({VISCOUS: 1.0, DRY: 1.0 / solution.rate}),
-        zero=estimate({ZERO: 1.0 / w2}),
-        late=estimate({LATE: 1.0 / k}, offset=late),
-        rate=solution.rate,
-        tied=tied,
-        g=g,
-        duration=length,
-        samples=len(time),
-        blocks=blocks,
-        unexplained=solution.unexplained,
+    plant, arm = policy.settings.plant, policy.arm
+    fits: list[ClosedLoopFit] = []
+    responses: list[dict[str, Estimate]] = []
+    warnings: list[str] = []
+    for name, log in logs.items():
+        try:
+            fits.append(regress(*thinned(read_motion(log, arm)), g=policy.pendulum.g))
+        except (ArtefactError, RecordingError) as error:
+            raise type(error)(f"{name}: {error}") from None
+        warnings += (f"{name}: {warning}" for warning in fits[-1].warnings)
+        # An ideal arm has no actuator to compare with.
+        if not plant.ideal:
+            try:
+                responses.append(read_response(log, arm, policy.actuator))
+            except RecordingError as error:
+                warnings.append(f"{name} does not identify the actuator: {error}")
+    fit, disagreement = combine_fits(fits)
+    if disagreement > MAX_BIRGE_RATIO:
+        warnings.append("the runs disagree about w2; give runs of one pendulum")
+    response = {
+        name: combine(estimates)[0]
+        for name in numbers(policy.actuator, arm)
+        if (estimates := [each[name] for each in responses if name in each])
+    }
+    moves = pendulum_changes(policy.pendulum, fit, plant)
+    responded = actuator_changes(policy.actuator, response, arm, plant)
+    return RefinementFindings(
+        fit=fit,
+        response=response,
+        moves=(*moves, *responded),
+        pendulum=_moved_pendulum(policy.pendulum, fit, {move.name for move in moves}),
+        actuator=_moved_actuator(policy.actuator, response, arm) if responded else policy.actuator,
+        warnings=tuple(warnings),
     )
-    return fit.model_copy(update={"warnings": _warnings(fit, phi)})
 
 
-def compare(
-    known: Pendulum, fit: ClosedLoopFit, plant: PlantSettings | None = None
-) -> tuple[ParameterChange, ...]:
-    """Return the parameters that changed since a pendulum was identified.
+def retrain(
+    policy: TabularPolicy,
+    pendulum: Pendulum,
+    actuator: Actuator,
+    *,
+    episodes: int = EPISODES,
+    seed: int = 0,
+    workers: Workers = 1,
+    comparing: Running = lambda _, __: None,
+    testing: Running = lambda _, __: None,
+    observer: TrainingObserver | None = None,
+) -> Refinement:
+    """Continue a policy's training on another model, and keep the better of old and new table.
 
-    A parameter has changed if the difference exceeds both 95 % intervals, corrected for the number
-    of compared parameters (fewer than one false alarm in twenty logs), and exceeds the variation in
-    training. Friction is compared at the rates of the log. After a fit with viscous friction alone,
-    c contains a part of the dry friction that decreases with the rate: every value between no dry
-    friction and that of the log agrees.
+    The table that is kept is tested on the new model, for the target of the policy.
 
     Args:
-        known: The identified pendulum.
-        fit: Fit of a log.
-        plant: Variation of inertia and friction in training.
-
-    Returns:
-        The changes; empty if the log agrees.
+        policy: The policy with the initial table and visits.
+        pendulum: The pendulum.
+        actuator: The actuator.
+        episodes: Number of episodes.
+        seed: Master seed.
+        workers: Threads, or an executor; the result does not depend on it.
+        comparing: Called as trials of the comparison finish.
+        testing: Called as trials of the test finish.
+        observer: Callbacks of `train`.
     """
-    from scipy.stats import norm
+    settings = settings_of_retraining(policy.settings, episodes)
+    new = train(
+        pendulum,
+        policy.arm,
+        settings,
+        actuator=actuator,
+        seed=seed,
+        init_policy=policy,
+        workers=workers,
+        observer=observer,
+    )
+    old = policy.model_copy(update={"pendulum": pendulum, "actuators": (actuator,)})
+    of_old, of_new = compare_policies(
+        [old, new], seed=seed + COMPARISON_SEED, workers=workers, running=comparing
+    )
+    kept, better = ("new", new) if of_new.score > of_old.score else ("old", old)
+    if kept == "old":
+        better = better.model_copy(update={"checkpoints": (of_old,)})
+    target = TARGET if policy.test is None else policy.test.target
+    tests = measure_policy(better, target=target, workers=workers, running=testing)
+    return Refinement(better.model_copy(update={"tests": tests}), kept, of_old, of_new)
 
-    plant = plant or PlantSettings()
-    pairs: list[tuple[Literal["w2", "k", "c"], Estimate, Estimate, float]]
-    pairs = [("w2", known.w2, fit.w2, plant.inertia_sigma)]
-    if not fit.tied:
-        pairs.append(("k", known.k, fit.k, plant.inertia_sigma))
+
+def settings_of_retraining(settings: Settings, episodes: int) -> Settings:
+    """Return the settings of a retraining, from those of the training."""
+    learning = settings.learning
+    changes = {"episodes": episodes, "epsilon_initial": EXPLORATION * learning.epsilon_initial}
+    return settings.model_copy(update={"learning": learning.model_copy(update=changes)})
+
+
+# Measurements in a log.
+
+
+def read_motion(log: RunLog, arm: Arm) -> ModelMotion:
+    """Return the motion of pendulum and pivot from the measurements of encoder and joints.
+
+    Args:
+        log: A run on a rig.
+        arm: Its arm, with the home posture of the run.
+
+    Raises:
+        ArtefactError: The log is of another arm.
+        RecordingError: The log has no measurements.
+    """
+    from scipy.interpolate import CubicSpline
+
+    conditions, ran = log.conditions, log.conditions.arm
+    # The iiwa 7 and the iiwa 14 have joints of the same names.
+    of_policy = (arm.name, tuple(joint.name for joint in arm.joints), arm.held_joint)
+    if (ran.name, conditions.joints, ran.held_joint) != of_policy:
+        raise ArtefactError(
+            f"the run was on an {ran.name} with joint {ran.held_joint} held, and the "
+            f"policy is for an {arm.name} with joint {arm.held_joint} held; give a run on that arm"
+        )
+    # A tick without a new sample reads the previous one again.
+    time, first = np.unique(log.encoder.time, return_index=True)
+    measured, of = np.unique(log.replies.time, return_index=True)
+    if conditions.counts_per_rev is None or min(len(time), len(measured)) < 2:
+        raise RecordingError(
+            f"the log holds {len(time)} encoder counts and {len(measured)} measured postures (world"
+            f" {conditions.world}), expected a run on a rig; run the policy on one, or on a twin"
+        )
+    theta = theta_from_counts(log.encoder.counts[first].astype(float), conditions.counts_per_rev, 1)
+    phi = np.mod(2.0 * np.pi - theta, 2.0 * np.pi) - np.pi
+    pivot = CubicSpline(measured, _pivot(log.replies.q[of], arm))
+    inside = (time >= measured[0]) & (time <= measured[-1])
+    x, tilt = pivot(time[inside]).T
+    return ModelMotion(time[inside], phi[inside] + tilt, x)
+
+
+def thinned(motion: ModelMotion) -> ModelMotion:
+    """Return a motion with averaged neighbouring samples, about `SAMPLE_SPACING` apart.
+
+    A board sends every millisecond, with stamps that err by a third of that, which a spline through
+    all samples would fit. The equation of the pendulum is nearly linear, so that averages of its
+    terms satisfy it.
+    """
+    if len(motion.time) < 2:
+        return motion
+    every = max(round(SAMPLE_SPACING / float(np.median(np.diff(motion.time)))), 1)
+    whole = len(motion.time) // every * every
+    return ModelMotion(*(part[:whole].reshape(-1, every).mean(axis=1) for part in motion))
+
+
+def _pivot(q: Array, arm: Arm) -> Array:
+    """Return x of the pivot from home [m], and the tilt of the flange [rad], shape (n, 2).
+
+    The tilt is a rotation about base y, the axis of the spindle; the encoder does not measure it.
+
+    Args:
+        q: All joints [rad], shape (n, joints).
+        arm: The arm.
+    """
+    free = list(arm.free)
+    poses = [arm.pose(posture) for posture in q[:, free]]
+    position = np.array([pose.position for pose in poses])
+    rotation = np.array([pose.rotation for pose in poses])
+    home, outward = arm.pose(arm.home_free), np.array(arm.pivot)
+    x = (position + rotation @ outward - home.position - home.rotation @ outward)[:, 0]
+    turn = rotation @ home.rotation.T
+    return np.stack([x, np.arctan2(turn[:, 0, 2], turn[:, 2, 2])], axis=1)
+
+
+def read_response(log: RunLog, arm: Arm, known: Actuator) -> dict[str, Estimate]:
+    """Return the parameters of the actuator that a run identifies, by name [s].
+
+    Args:
+        log: A run on a rig.
+        arm: Its arm.
+        known: An actuator of the same kind.
+
+    Raises:
+        RecordingError: The joints moved too little, or did not follow their setpoints.
+    """
+    free = list(arm.free)
+    stream, replies = log.stream, log.replies
+    sent, q = stream.q[:, free], replies.q[:, free]
+    moving = np.flatnonzero(speed_ranges(stream.time, sent) >= LEAST_SPEED).tolist()
+    if not moving:
+        raise RecordingError(
+            f"no joint's velocity ranges over {LEAST_SPEED} rad/s; let the pendulum move more, or "
+            "record a run with equipoise deploy --excite"
+        )
+    # The fit needs six moving joints: the first of these replaces those at rest.
+    joints = [j if j in moving else moving[0] for j in range(FREE_JOINTS)]
+    actuator = identify_actuator(
+        stream.time, sent[:, joints], replies.time, q[:, joints], source=log.digest, kind=known.kind
+    )
+    still = {_lag(arm, j) for j in range(FREE_JOINTS) if j not in moving}
+    return {
+        name: estimate
+        for name, estimate in numbers(actuator, arm).items()
+        if name not in still and estimate.source == "identified"
+    }
+
+
+def numbers(actuator: Actuator, arm: Arm) -> dict[str, Estimate]:
+    """Return delay, cycle and lags of an actuator by name [s]."""
+    lags = {_lag(arm, j): lag for j, lag in enumerate(actuator.lags)}
+    return {"delay": actuator.delay, "cycle": actuator.cycle, **lags}
+
+
+def _lag(arm: Arm, joint: int) -> str:
+    return f"lag of {arm.free_joints[joint].name}"
+
+
+# Changes.
+
+
+def pendulum_changes(
+    known: Pendulum, fit: ClosedLoopFit, plant: PlantSettings
+) -> tuple[ParameterChange, ...]:
+    """Return the parameters of a pendulum that changed since its identification.
+
+    Friction is compared at the rates of the log. After a fit with viscous friction alone, c
+    contains a part of the dry friction that decreases with the rate: every value between no dry
+    friction and that of the log agrees.
+    """
+    pairs = {"w2": (known.w2, fit.w2, plant.inertia_sigma * known.w2.value)}
     if fit.unexplained < ROUGH_FIT:
-        pairs.append(("c", *_frictions(known, fit), plant.friction_sigma))
-    limit = float(norm.isf(0.025 / len(pairs)))
-    moves = [
-        ParameterChange(name=name, before=before, now=now, z=_z(before, now))
-        for name, before, now, varied in pairs
-        if abs(now.value - before.value) > varied * abs(before.value)
-    ]
-    return tuple(move for move in moves if move.z > limit)
+        before, now = _frictions(known, fit)
+        pairs["c"] = before, now, plant.friction_sigma * abs(before.value)
+    return _changes(pairs)
 
 
 def _frictions(known: Pendulum, fit: ClosedLoopFit) -> tuple[Estimate, Estimate]:
@@ -305,127 +370,106 @@ def _frictions(known: Pendulum, fit: ClosedLoopFit) -> tuple[Estimate, Estimate]
     return Estimate.normal(value, sigma, "identified"), fit.friction
 
 
-def _z(before: Estimate, now: Estimate) -> float:
-    """Return the difference in standard deviations, from the facing halves of the intervals."""
-    low, high = sorted((before, now), key=lambda estimate: estimate.value)
-    halves = low.high - low.value, high.value - high.low
-    return 1.96 * (high.value - low.value) / float(np.hypot(*halves))
+def actuator_changes(
+    known: Actuator, response: Mapping[str, Estimate], arm: Arm, plant: PlantSettings
+) -> tuple[ParameterChange, ...]:
+    """Return the changed parameters of an actuator.
+
+    The training's range of the delay covers lags too: to slow motion both are equivalent.
+
+    Args:
+        known: The actuator as identified before.
+        response: Parameters identified from logs, by name [s].
+        arm: The arm.
+        plant: Ranges of delay and lags in the training.
+    """
+    pairs: dict[str, tuple[Estimate, Estimate, float]] = {}
+    for name, now in response.items():
+        before = numbers(known, arm)[name]
+        varied = 0.0 if name == "cycle" else plant.delay_spread
+        varied += 0.0 if name == "delay" else plant.lag_spread * before.value
+        pairs[name] = before, now, varied
+    return _changes(pairs)
 
 
-class _Rows(NamedTuple):
-    """Equation at each time, or averaged over a window around it."""
+def _changes(
+    pairs: Mapping[str, tuple[Estimate, Estimate, float]],
+) -> tuple[ParameterChange, ...]:
+    """Return significant changes of values before and now beyond the range of the training."""
+    from scipy.stats import norm
 
-    time: Array
-    """Shape (n,)."""
-    terms: Array
-    """Regressors of the coefficients, shape (n, p)."""
-    acceleration: Array
-    """phi_ddot [rad/s^2], shape (n,)."""
-    gap: Array
-    """Zero outside the neighbourhood of gaps, shape (n,)."""
-    rate: Array
-    """Smoothed phi_dot [rad/s], shape (n,)."""
-
-
-class _Solution(NamedTuple):
-    """Least-squares solution of the equation."""
-
-    values: Array
-    """Coefficients, shape (p,)."""
-    spread: Array
-    """Covariance of the coefficients, shape (p, p)."""
-    reach: Array
-    """Increase of each coefficient with exchanged roles, shape (p,)."""
-    unexplained: float
-    """Root mean square residual over the root mean square acceleration."""
-    rate: float
-    """Mean square of phi_dot over its mean absolute value [rad/s]."""
+    limit = float(norm.isf(0.025 / max(len(pairs), 1)))
+    moves: list[ParameterChange] = []
+    for name, (before, now, varied) in pairs.items():
+        low, high = sorted((before, now), key=lambda estimate: estimate.value)
+        # In standard deviations, from the facing halves of the intervals.
+        halves = float(np.hypot(low.high - low.value, high.value - high.low))
+        z = NORMAL * (high.value - low.value) / max(halves, 1e-300)
+        if z > limit and high.value - low.value > varied:
+            moves.append(ParameterChange(name=name, before=before, now=now, z=z))
+    return tuple(moves)
 
 
-# The last four coefficients; before them w2, or w2 and k.
-VISCOUS, DRY, ZERO, LATE = range(-4, 0)
+def combine(estimates: Sequence[Estimate]) -> tuple[Estimate, float]:
+    """Return the weighted mean of estimates, and their Birge ratio.
+
+    The Birge ratio is their spread in units of their intervals. The interval of the mean is widened
+    by it if it exceeds one: the parameter varies between the logs.
+
+    Args:
+        estimates: At least one, each with an interval of positive width.
+    """
+    if len(estimates) == 1:
+        return estimates[0], 0.0
+    table = np.array([(e.value, e.value - e.low, e.high - e.value) for e in estimates])
+    values, halves = table[:, 0], table[:, 1:]
+    weights = 1.0 / np.mean(halves, axis=1) ** 2
+    mean = float(weights @ values / np.sum(weights))
+    birge = NORMAL * sqrt(float(weights @ (values - mean) ** 2) / (len(values) - 1))
+    below, above = (max(birge, 1.0) / np.sqrt(np.sum(halves**-2.0, axis=0))).tolist()
+    return Estimate(value=mean, low=mean - below, high=mean + above, source="identified"), birge
 
 
-def _check(time: Array, phi: Array, x: Array) -> None:
-    for name, values in (("time", time), ("phi", phi), ("x", x)):
-        if values.shape != (len(time),) or not np.all(np.isfinite(values)):
-            raise RecordingError(
-                f"{name} has shape {values.shape}, expected {len(time)} finite numbers, one per "
-                "time stamp; leave broken samples out"
-            )
-    if len(time) < 16 or np.any(np.diff(time) <= 0.0):
-        raise RecordingError(
-            f"the log has {len(time)} samples, expected at least 16 whose time increases; "
-            "sort it and leave repeated samples out"
-        )
+def combine_fits(fits: Sequence[ClosedLoopFit]) -> tuple[ClosedLoopFit, float]:
+    """Return the joint fit of several logs of one pendulum, and the Birge ratio of w2."""
+    if len(fits) == 1:
+        return fits[0], 0.0
+    names = [name for name, value in fits[0] if isinstance(value, Estimate)]
+    together = {name: combine([getattr(fit, name) for fit in fits]) for name in names}
+    squares = [(fit.rate, fit.unexplained**2) for fit in fits]
+    rate, unexplained = np.average(squares, axis=0, weights=[fit.samples for fit in fits])
+    changes: dict[str, Any] = {name: estimate for name, (estimate, _) in together.items()}
+    changes |= {"rate": float(rate), "unexplained": sqrt(unexplained)}
+    changes |= {name: sum(getattr(fit, name) for fit in fits) for name in ("duration", "samples")}
+    return fits[0].model_copy(update=changes), together["w2"][1]
 
 
-def _rows(time: Array, phi: Array, x: Array, g: float, tied: bool) -> _Rows:
-    """Return the equation averaged over a moving window, without gaps; empty for a short log."""
-    from scipy.interpolate import CubicSpline
-    from scipy.signal import oaconvolve
+def _moved_pendulum(known: Pendulum, fit: ClosedLoopFit, moved: set[str]) -> Pendulum:
+    """Return the pendulum with its changed parameters; a new inertia has no mass and length.
 
-    usual = float(np.median(np.diff(time)))
-    step = usual / POINTS_PER_SAMPLE
-    fine = np.arange(time[0], time[-1], step)
-    angle, pivot = CubicSpline(time, phi), CubicSpline(time, x)
-    sine, cosine = np.sin(angle(fine)), np.cos(angle(fine))
-    phi_dot, x_ddot = angle(fine, 1), pivot(fine, 2)
-    rate = oaconvolve(phi_dot, _bump(RATE_WINDOW, step), "same")
-    push = x_ddot * cosine
-    terms = [sine - push / g] if tied else [sine, -push]
-    # To first order, a zero error rotates gravity and the pivot's acceleration relative to phi, and
-    # a latency tau of x subtracts tau x_dddot.
-    turned = cosine + x_ddot * sine / g
-    terms += [-phi_dot, -np.sign(rate), -turned, -pivot(fine, 3) * cosine]
-    steps = np.diff(time)[np.searchsorted(time, fine, side="right") - 1]
-    gap = np.asarray(steps > GAP_RATIO * usual, dtype=np.float64)
-    rows = _Rows(fine, np.stack(terms, axis=1), angle(fine, 2), gap, rate)
-    bump = _bump(WINDOW, float(fine[1] - fine[0]))
-    if len(bump) > len(fine):
-        return _Rows(*(column[:0] for column in rows))
-    shape = {1: (-1,), 2: (-1, 1)}
-    means = (oaconvolve(each, bump.reshape(shape[each.ndim]), "valid", axes=0) for each in rows)
-    rows = _Rows(*(mean[::POINTS_PER_SAMPLE] for mean in means))
-    # Convolution by FFT leaves 1e-17 outside gaps.
-    return _Rows(*(column[rows.gap < 1e-6] for column in rows))
+    Balancing is too slow to identify air drag.
+    """
+    changes: dict[str, Any] = {"fit": None, "friction": None} if moved else {}
+    found: dict[str, Estimate] = {}
+    if "w2" in moved:
+        found |= {"w2": fit.w2, "k": fit.k}
+        changes |= {"mass": None, "length": None, "inertia": None}
+    if "c" in moved:
+        none = Estimate(value=0.0, low=0.0, high=0.0, source="assumed")
+        found |= {"c": fit.c.not_negative(), "coulomb": fit.coulomb.not_negative(), "drag": none}
+        changes |= {"friction_model": "coulomb"}
+    covariance = np.array(known.covariance)
+    for place, name in enumerate(("w2", "c", "coulomb", "drag")):
+        if name in found:
+            covariance[place, :] = covariance[:, place] = 0.0
+            covariance[place, place] = (found[name].half_width / NORMAL) ** 2
+    changes |= {"covariance": tuple(map(tuple, covariance.tolist())), **found}
+    return known.model_copy(update=changes)
 
 
-def _bump(length: float, step: float) -> Array:
-    """Return a smooth window (1 - s^2)^3 of length `length` [s] and sum one."""
-    n = max(round(length / step), 4)
-    bump = (1.0 - np.linspace(-1.0, 1.0, n + 1)[1:-1] ** 2) ** 3
-    return bump / np.sum(bump)
-
-
-def _solve(rows: _Rows, blocks: int) -> _Solution:
-    M, y = rows.terms, rows.acceleration
-    values = np.linalg.lstsq(M, y, rcond=None)[0].astype(np.float64)
-    residual = y - M @ values
-    # Increase of the slope in a regression of term j on all others.
-    inverse = np.diag(np.linalg.pinv(M.T @ M, hermitian=True))
-    reach = float(residual @ residual) * inverse / np.where(values == 0.0, np.inf, values)
-    return _Solution(
-        values=values,
-        spread=jackknife(M, residual, blocks_of_time(rows.time, blocks)),
-        reach=reach,
-        unexplained=float(np.linalg.norm(residual) / max(float(np.linalg.norm(y)), 1e-12)),
-        rate=float(np.mean(rows.rate**2) / max(float(np.mean(np.abs(rows.rate))), 1e-12)),
-    )
-
-
-def _warnings(fit: ClosedLoopFit, phi: Array) -> tuple[str, ...]:
-    warnings: list[str] = []
-    if fit.unexplained > ROUGH_FIT:
-        warnings.append(
-            f"the equation leaves {fit.unexplained:.0%} of the acceleration unexplained, expected "
-            f"less than {ROUGH_FIT:.0%}: friction is hidden in noise, and w2 is rough; phi moves "
-            f"by {np.rad2deg(np.std(phi)):.2g} deg RMS, let it move more or use a finer encoder"
-        )
-    if max(fit.late.low, -fit.late.high) > MAX_LATENESS:
-        warnings.append(
-            f"x comes {1e3 * abs(fit.late.value):.1f} ms "
-            f"{'later' if fit.late.value > 0.0 else 'earlier'} than the phi of its time stamp; "
-            "the fit allows for it, but look at the clocks"
-        )
-    return tuple(warnings)
+def _moved_actuator(known: Actuator, response: dict[str, Estimate], arm: Arm) -> Actuator:
+    """Return the actuator with all identified parameters, which one fit identified together."""
+    now = numbers(known, arm) | response
+    lags = tuple(now[_lag(arm, j)] for j in range(FREE_JOINTS))
+    changes = {"delay": now["delay"], "cycle": now["cycle"], "lags": lags, "fit": None}
+    return known.model_copy(update=changes)

@@ -2,50 +2,53 @@
 
 The turning points give a period and an amplitude. Polynomials over short windows give angle, rate
 and acceleration. An acceleration that gravity and friction do not explain indicates a hand on the
-pendulum. Rotations over the top are left out; the search continues after them.
+pendulum.
 """
 
-from dataclasses import replace
 from math import pi
-from typing import Any, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.errors import RecordingError
-from equipoise.identification.averages import average, spikes
-from equipoise.model.pendulum import PendulumParameters, swing
-from equipoise.settings import IdentificationSettings
-from equipoise.trajectory import Trajectory
+from equipoise.identification.recording import Trajectory
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-SAMPLES_PER_PERIOD = 200
+SAMPLES_PER_PERIOD: Final = 200
 """Number of means per period that replace a denser recording. A mean differs from the motion at its
 centre by up to 1e-4 of the amplitude; the fit accounts for that."""
-PERIOD_RANGE = (0.05, 20.0)
+PERIOD_RANGE: Final = (0.05, 20.0)
 """Accepted range of the period of a small swing [s]: point pendulums of 0.6 mm and 100 m. Periods
 outside indicate a wrong unit, mostly milliseconds taken for seconds."""
-MAX_AMPLITUDE = np.deg2rad(170.0)
-"""Amplitude limit of a swing after a rotation over the top [rad]. Nearer to the top, w2 and
-friction depend on the time that the pendulum lingers there, and a small error has a large
-effect."""
-MAX_NOISE = 0.1
-"""Largest plausible noise of an encoder [rad] or of a gyro [rad/s]; more noise indicates a motion
-that is sampled too slowly."""
-MIN_MOTION = 1e-6
+MIN_MOTION: Final = 1e-6
 """Smallest analysed motion [rad], of a gyro [rad/s]: no sensor resolves less."""
-MIN_REVERSAL = 0.1
-"""Smallest reversal that ends a rotation [rad]: well above an encoder's steps, well below a
-swing."""
-MAX_SWING_CHANGE = 0.05
-"""Largest change of a swing across a disturbance that does not count as a touch, as a share of the
-amplitude. The rough model is off by at most 2 % of the phase; a hand changes a swing by more."""
-STATE_WINDOWS = (1 / 8, 1 / 4, 1 / 16)
+STATE_WINDOWS: Final = (1 / 8, 1 / 4, 1 / 16)
 """Windows for estimating the first state, in periods of a small swing, the likeliest first. An
 eighth of a period is short enough for a cubic. Coarse encoders need a longer window, the fastest
 part of a large swing needs a shorter one."""
+MIN_SAMPLES_PER_PERIOD: Final = 10.0
+"""Minimum number of samples per period; with fewer, turning points are uncertain."""
+NOISE_MULTIPLE: Final = 8.0
+"""Minimum reversal after a turning point, in standard deviations of the noise: noise alone does
+not reach it within the samples around a turn."""
+TURN_SHARE: Final = 0.02
+"""Minimum reversal after a turning point, as a share of the whole range, so that a tremor gives
+no turning points."""
+LOCAL_PERIODS: Final = 1 / 6
+"""Half width of the windows of the local polynomials for angle, rate and acceleration, in
+periods: wide enough for an encoder's steps, narrow enough to detect a release."""
+RELEASE_SHARE: Final = 0.25
+"""Share of the nearby peak acceleration that gravity and friction do not explain, above which a
+hand is on the pendulum. On recorded swings, hands showed 0.5 and more, errors of the time
+stamps up to 0.18."""
+RELEASE_NOISE: Final = 5.0
+"""Second threshold for a hand, in standard deviations of the unexplained acceleration of a free
+swing; both must be exceeded."""
+REST_SHARE: Final = 0.02
+"""Share of the maximum amplitude at which the swing ends: stiction dominates the rest."""
 
 
 class Oscillation(NamedTuple):
@@ -84,64 +87,80 @@ class FreeSwing(NamedTuple):
     """Warnings about excluded parts of the recording, with the reasons."""
 
 
+class Averages(NamedTuple):
+    """Means over bins of equal length in time; empty bins are left out."""
+
+    time: Array
+    """Mean time of the samples in each bin [s], shape (n,)."""
+    values: Array
+    """Mean value of the samples in each bin, in the recording's unit, shape (n,)."""
+    spread: Array
+    """Standard deviation of the times in each bin [s], shape (n,); zero for a single sample."""
+
+
+def average(time: Array, values: Array, width: float) -> Averages:
+    """Return the means of samples over bins.
+
+    Means over a fraction of a degree of the motion carry as much information about a pendulum as
+    millions of samples; the white noise averages out in both. With fewer than two samples per bin,
+    the samples are returned unchanged.
+
+    Args:
+        time: Time stamps [s], increasing, shape (n,).
+        values: Recorded values, shape (n,).
+        width: Length of the bins [s].
+    """
+    elapsed = time - time[0]
+    bins = np.floor(elapsed / width)
+    first = np.flatnonzero(np.diff(bins, prepend=-1.0))
+    count = np.diff(first, append=len(time)).astype(np.float64)
+    if len(time) < 2 * len(first):
+        return Averages(time, values, np.zeros_like(time))
+    middle = np.add.reduceat(elapsed, first) / count
+    squares = (elapsed - np.repeat(middle, count.astype(np.intp))) ** 2
+    return Averages(
+        time[0] + middle,
+        np.add.reduceat(values, first) / count,
+        np.sqrt(np.add.reduceat(squares, first) / count),
+    )
+
+
 # Turning points.
 
 
-def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -> Oscillation:
+def find_oscillation(trajectory: Trajectory) -> Oscillation:
     """Estimate period and amplitude from the turning points.
 
     Raises:
         RecordingError: There are too few samples, no oscillation above the noise, or less than one
-            period.
+            period; or a unit is wrong.
     """
     time, values, name = trajectory.time, trajectory.values, trajectory.source
-    unit = "rad/s" if trajectory.theta is None else "rad"
-    least, several = settings.samples_per_period, "record at least three periods, better ten"
-    if len(time) < 2 * least:
+    lasts, spread = float(np.ptp(time)), float(np.ptp(values))
+    found = f"{len(time)} samples in {lasts:.3g} s that vary by {spread:.3g} rad, or rad/s"
+    advice = (
+        "; release the pendulum from 40 to 60 deg, record ten periods with at least "
+        f"{MIN_SAMPLES_PER_PERIOD:g} samples in each, and give the unit in the column's name"
+    )
+    if trajectory.theta is not None and spread >= 2.0 * pi:
         raise RecordingError(
-            f"{name} has {len(time)} samples, expected at least {2 * least:.0f}; {several}"
+            f"{name} goes over the top: {found}, expected a swing below it{advice}"
         )
-    lasts = float(np.ptp(time))
-    sampled = f"{(len(time) - 1) / lasts:.3g} samples per second"
-    spread, noise = float(np.ptp(values)), _white_noise(values)
-    quiet = max(1.5 * settings.noise_multiple * noise, 4.0 * trajectory.resolution, MIN_MOTION)
-    reversal = max(settings.noise_multiple * noise, settings.turn_share * spread)
-    turns = _turning_points(values, max(reversal, 2.0 * trajectory.resolution))
-    hardly = spread <= quiet or len(turns) < 2
-    if hardly and (in_a_period := _samples_per_period(values)) < least:
+    enough = len(time) >= 2 * MIN_SAMPLES_PER_PERIOD
+    noise = _white_noise(values) if enough else 0.0
+    reversal = max(NOISE_MULTIPLE * noise, TURN_SHARE * spread, 2.0 * trajectory.resolution)
+    turns = _turning_points(values, reversal)
+    quiet = max(1.5 * NOISE_MULTIPLE * noise, 4.0 * trajectory.resolution, MIN_MOTION)
+    if not enough or spread <= quiet or len(turns) < 2:
         raise RecordingError(
-            f"{name} is sampled too slowly: {sampled}, about {in_a_period:.1f} in a period, "
-            f"expected {least:g} or more; sample faster"
-        )
-    if spread <= quiet and noise > MAX_NOISE:
-        jump = float(np.median(np.abs(np.diff(values))))
-        raise RecordingError(
-            f"{name} is sampled too slowly, or holds nothing but noise: at {sampled} it moves by "
-            f"{jump:.2g} {unit} from one to the next, expected {least:g} samples or more in a "
-            "period; sample faster"
-        )
-    if spread <= quiet:
-        raise RecordingError(
-            f"{name} shows no oscillation above the noise: it varies by {spread:.3g} {unit}, "
-            f"expected clearly more than its noise of {noise:.2g} {unit} and its sensor's step of "
-            f"{trajectory.resolution:.2g} {unit}; release the pendulum from a larger angle"
-        )
-    if len(turns) < 2:
-        raise RecordingError(
-            f"{name} holds less than one period of a swing: in {lasts:.3g} s it turns round "
-            f"{len(turns)} times; {several}"
+            f"{name} shows no oscillation: {found}, with noise of {noise:.2g} and {len(turns)} "
+            f"turning points{advice}"
         )
     period = 2.0 * float(np.median(np.diff(time[turns])))
-    if lasts < period:
+    if lasts < period or len(time) * period / lasts < MIN_SAMPLES_PER_PERIOD:
         raise RecordingError(
-            f"{name} holds less than one period of a swing: it lasts {lasts:.3g} s, and a period "
-            f"is about {period:.3g} s; {several}"
-        )
-    if (rate := len(time) * period / lasts) < least:
-        raise RecordingError(
-            f"{name} shows no oscillation above the noise, or is sampled too slowly: at {sampled} "
-            f"it turns round every {0.5 * rate:.1f} samples, expected {0.5 * least:g} or more; "
-            "sample faster, or release the pendulum from a larger angle"
+            f"{name} holds less than one period, or too few samples in each: {found}, with a "
+            f"period of about {period:.3g} s{advice}"
         )
     spacing = np.diff(time[turns]) / (0.5 * period)
     run = _longest_run((spacing > 0.6) & (spacing < 1.6))
@@ -156,22 +175,9 @@ def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -
     if not PERIOD_RANGE[0] <= rough.small_period <= PERIOD_RANGE[1]:
         raise RecordingError(
             f"{name}: a small swing would have a period of {rough.small_period:.3g} s, expected "
-            f"{PERIOD_RANGE[0]:g} to {PERIOD_RANGE[1]:g} s; is the time in seconds? Name its "
-            "column time_ms or time_us where it is not"
+            f"{PERIOD_RANGE[0]:g} to {PERIOD_RANGE[1]:g} s{advice}"
         )
     return rough
-
-
-def _samples_per_period(values: Array) -> float:
-    """Return the number of samples per period at the dominant frequency, infinity without one."""
-    n = len(values)
-    power = np.abs(np.fft.rfft(values - np.mean(values))) ** 2
-    peak = int(np.argmax(power))
-    width = max(2, n // 50)
-    near = power[max(peak - width, 1) : peak + width + 1]
-    if peak == 0 or float(np.sum(near)) < 0.4 * float(np.sum(power[1:])):
-        return float("inf")
-    return n / peak
 
 
 def _white_noise(values: Array) -> float:
@@ -184,8 +190,7 @@ def _turning_points(values: Array, least: float) -> npt.NDArray[np.intp]:
     """Return the indices of turning points that a reversal of more than `least` follows."""
     turns: list[int] = []
     low = high = direction = 0
-    places = _extremes(values)
-    series = values[places].tolist()
+    series = values.tolist()
     for i, value in enumerate(series):
         if value > series[high]:
             high = i
@@ -198,19 +203,7 @@ def _turning_points(values: Array, least: float) -> npt.NDArray[np.intp]:
             turns.append(low)
             direction, low, high = 1, i, i
     # The first sample of a recording is no turning point.
-    return places[[turn for turn in turns if turn > 0]]
-
-
-def _extremes(values: Array) -> npt.NDArray[np.intp]:
-    """Return the indices of candidate turning points: the extremes of blocks in long recordings."""
-    n = len(values)
-    size = n // 50_000
-    if size < 4:
-        return np.arange(n)
-    end = n - n % size
-    blocks, begins = values[:end].reshape(-1, size), np.arange(0, end, size)
-    extremes = (begins + np.argmin(blocks, axis=1), begins + np.argmax(blocks, axis=1))
-    return np.unique(np.concatenate(([0], *extremes, np.arange(end, n))))
+    return np.array([turn for turn in turns if turn > 0], np.intp)
 
 
 def _longest_run(flags: Flags) -> slice:
@@ -267,142 +260,19 @@ class _SwingLaw(NamedTuple):
         return motion.acceleration + gravity + friction
 
 
-def without_spikes(trajectory: Trajectory) -> tuple[Trajectory, list[str]]:
-    """Remove single wrong samples; return the trajectory with warnings."""
-    values, unit = trajectory.values, "deg/s" if trajectory.theta is None else "deg"
-    if len(values) < 20:
-        return trajectory, []
-    wrong = spikes(values, _white_noise(values), trajectory.resolution)
-    if not (n := int(np.count_nonzero(wrong))):
-        return trajectory, []
-    at = int(np.flatnonzero(wrong)[0])
-    off = np.rad2deg(values[at] - np.median(values[max(at - 2, 0) : at + 3]))
-    left_out = "a single sample is" if n == 1 else f"{n} single samples are"
-    return _part(trajectory, ~wrong), [
-        f"{left_out} left out: at {trajectory.time[at]:.3f} s the recording is {off:+.3g} {unit} "
-        "off its neighbours; look at the sensor and its cable"
-    ]
-
-
-def _part(trajectory: Trajectory, kept: Flags) -> Trajectory:
-    quantity = "theta" if trajectory.theta is not None else "theta_dot"
-    kept_values: dict[str, Any] = {quantity: trajectory.values[kept]}
-    return replace(trajectory, time=trajectory.time[kept], x_ddot=None, **kept_values)
-
-
-def find_free_swing(
-    trajectory: Trajectory, settings: IdentificationSettings
-) -> tuple[Oscillation, FreeSwing]:
+def find_free_swing(trajectory: Trajectory) -> tuple[Oscillation, FreeSwing]:
     """Find the freely swinging part of a recording.
 
     Raises:
         RecordingError: No free swing lasts a period, or a unit is wrong.
     """
-    until = _end_of_rotation(trajectory)
-    over: float | None = None
-    while True:
-        try:
-            if until is not None:
-                over = until
-                trajectory = _after_the_top(trajectory, until)
-            rough = find_oscillation(trajectory, settings)
-            free = _find_free(trajectory, rough, settings)
-        except RecordingError:
-            if over is None:
-                raise
-            raise RecordingError(
-                f"{trajectory.source}: the pendulum goes over the top until {over:.2f} s, and no "
-                "free swing of a period follows; expected a swing to and fro below the top: "
-                "release it from a smaller angle, and record ten periods"
-            ) from None
-        if isinstance(free, FreeSwing):
-            break
-        until = free
-    if over is not None:
-        free.warnings.append(
-            f"the pendulum goes over the top until {over:.2f} s: the recording is used from "
-            f"{free.begin:.2f} s"
-        )
-    return rough, free
-
-
-def _end_of_rotation(trajectory: Trajectory) -> float | None:
-    """Return the end of the last rotation by a full turn [s], or None.
-
-    Raises:
-        RecordingError: The rotations alternate in direction, which no free pendulum does.
-    """
-    time = trajectory.time
-    if len(time) < 20:
-        return None
-    angle, turns = _reversals(trajectory, time, trajectory.values)
-    turns = np.concatenate(([0], turns, [len(time) - 1]))
-    travel = np.abs(np.diff(angle[turns]))
-    # The bias of a gyro adds to the travel of half a swing.
-    slack = 0.5 if trajectory.theta is None else 0.0
-    rotations = np.flatnonzero(travel >= 2.0 * pi + slack)
-    if rotations.size >= 3 and np.any(np.diff(rotations, 2) == 0):
-        largest = float(np.max(travel)) / 2.0
-        unit = "are these degrees? Name the column theta_deg, or give counts --counts-per-rev"
-        if trajectory.theta is None:
-            unit = "is the rate in deg/s? Give it in rad/s"
-        raise RecordingError(
-            f"{trajectory.source}: the pendulum swings to and fro by {largest:.3g} rad, "
-            f"{largest / (2.0 * pi):.1f} turns to each side, expected less than half a turn; {unit}"
-        )
-    return float(time[turns[rotations[-1] + 1]]) if rotations.size else None
-
-
-def _reversals(
-    trajectory: Trajectory, time: Array, angle: Array
-) -> tuple[Array, npt.NDArray[np.intp]]:
-    """Return an angle, or the integral of a rate [rad], with its clear turning points."""
-    if trajectory.theta is None:
-        steps = np.diff(time) * (angle[1:] + angle[:-1]) / 2.0
-        angle = np.concatenate(([0.0], np.cumsum(steps)))
-    noise = _white_noise(angle) if len(angle) >= 20 else 0.0
-    least = max(MIN_REVERSAL, 8.0 * noise, 2.0 * trajectory.resolution)
-    return angle, _turning_points(angle, least)
-
-
-def _after_the_top(trajectory: Trajectory, until: float) -> Trajectory:
-    """Return the recording after the last rotation, from an amplitude below `MAX_AMPLITUDE` on.
-
-    Raises:
-        RecordingError: Less than one period follows.
-    """
-    kept = trajectory.time > until
-    time = trajectory.time[kept]
-    angle, turns = _reversals(trajectory, time, trajectory.values[kept])
-    if len(turns) < 2:
-        raise RecordingError(f"{trajectory.source}: less than a period is left; record longer")
-    amplitude = np.abs(np.diff(angle[turns])) / 2.0
-    low = np.flatnonzero(amplitude < MAX_AMPLITUDE)
-    if low.size and len(turns) - low[0] > 7:
-        begin = time[turns[low[0] + 1]]
-    else:
-        # The hanging position lies in the middle between two turning points.
-        middle = 0.5 * (angle[turns[0]] + angle[turns[1]])
-        side = np.sign(angle[turns[0]] - middle)
-        passed = np.flatnonzero(side * (angle[: turns[0]] - middle) < 0.0)
-        begin = time[passed[-1]] if passed.size else time[turns[0]]
-    return _part(trajectory, trajectory.time >= begin)
-
-
-def _find_free(
-    trajectory: Trajectory, rough: Oscillation, settings: IdentificationSettings
-) -> FreeSwing | float:
-    """Return the free swing, or the end of a rotation over the top within it [s].
-
-    Raises:
-        RecordingError: The free swing is shorter than a period.
-    """
+    rough = find_oscillation(trajectory)
     name, is_rate, warnings = trajectory.source, trajectory.theta is None, list[str]()
     time, values, _ = average(trajectory.time, trajectory.values, rough.period / SAMPLES_PER_PERIOD)
     # A window holds at least seven samples. A large swing has a long period, but passes the bottom
     # as fast as a small one.
     step = float(np.median(np.diff(time)))
-    half = max(settings.local_periods * min(rough.period, rough.small_period), 3.2 * step)
+    half = max(LOCAL_PERIODS * min(rough.period, rough.small_period), 3.2 * step)
     angle = _angle(time, values) if is_rate else values
     motion = _local_motion(time, values, angle, half, is_rate)
     if len(motion.time) < 4:
@@ -417,26 +287,23 @@ def _find_free(
     theta = law.theta(angle, time - time[0])
     first, last, release = 0, len(time) - 1, None
     if not trajectory.released:
-        share = _unexplained_share(motion, law, steady, rough.period, settings)
-        touched = _remove_false_touches(share > 1.0, motion, law, rough)
-        moved = np.abs(law.theta_dot(motion.rate))
-        begin, end = _longest_stretch(touched, moved)
+        share = _unexplained_share(motion, law, steady, rough.period)
+        touched = share > 1.0
+        begin, end = _longest_stretch(touched, np.abs(law.theta_dot(motion.rate)))
         if begin > 0:
             first = min(int(np.searchsorted(time, motion.time[begin - 1] + half)), last)
-            if _swings(~touched[:begin], moved[:begin], rough, half):
-                warnings.append(_touch_warning(motion.time[begin - 1], time[first], "from"))
-            elif float(np.max(share[:begin])) > 2.0:
-                release = float(time[first])
+            release = float(time[first]) if np.max(share[:begin]) > 2.0 else None
         if end < len(touched):
             last = int(np.searchsorted(time, motion.time[end] - half)) - 1
-            if float(np.max(share[end:])) > 2.0:
-                warnings.append(_touch_warning(motion.time[end], time[max(last, 0)], "up to"))
+            if np.max(share[end:]) > 2.0:
+                warnings.append(
+                    f"something touched the pendulum at about {motion.time[end]:.2f} s: the "
+                    "recording is used up to there; choose another window with --start and --end"
+                )
     part = slice(first, last + 1)
-    if (over := _last_over_the_top(time[part], values[part], theta[part], law)) is not None:
-        return over
     if last > first:
         size = np.abs(theta[part])
-        moving = time[part][size > settings.rest_share * np.max(size)][-1]
+        moving = time[part][size > REST_SHARE * np.max(size)][-1]
         last = min(last, int(np.searchsorted(time, moving + 0.5 * rough.period)))
         part = slice(first, last + 1)
     if (lasts := float(time[last] - time[first]) if last > first else 0.0) < rough.period:
@@ -445,29 +312,13 @@ def _find_free(
             f"a period is about {rough.period:.3g} s; record at least three periods after the hand "
             "lets go"
         )
-    return FreeSwing(
+    return rough, FreeSwing(
         begin=float(time[first] if first > 0 else trajectory.time[0]),
         end=float(time[last] if last < len(time) - 1 else trajectory.time[-1]),
         release=release,
         starts=_first_guesses(time[part], values[part], theta[part], law, rough),
         warnings=warnings,
     )
-
-
-def _touch_warning(at: float, used: float, side: str) -> str:
-    return (
-        f"something touched the pendulum at about {at:.2f} s: the recording is used {side} "
-        f"{used:.2f} s; choose another window with --start and --end"
-    )
-
-
-def _swings(free: Flags, moved: Array, rough: Oscillation, half: float) -> bool:
-    """Return whether the pendulum swings freely for half a period at more than 20 % of its rate."""
-    run = _longest_run(free)
-    # Windows follow each other at a sixth of `half`.
-    if run.stop - run.start < 3.0 * rough.period / half:
-        return False
-    return float(np.max(moved[run])) > 0.2 * float(np.sqrt(rough.w2)) * rough.amplitude
 
 
 def _first_guesses(
@@ -589,9 +440,7 @@ def _w2_from_period(period: float, amplitude: float, is_rate: bool) -> float:
     return root * root  # unlike a power, infinite instead of an error for a period of 1e-200 s
 
 
-def _unexplained_share(
-    motion: _Motion, law: _SwingLaw, steady: Flags, period: float, settings: IdentificationSettings
-) -> Array:
+def _unexplained_share(motion: _Motion, law: _SwingLaw, steady: Flags, period: float) -> Array:
     """Return the ratio of the unexplained acceleration to the threshold of a touch."""
     unexplained = np.abs(law.unexplained(motion))
     # 0.6745 is the median of |N(0, 1)|.
@@ -600,41 +449,8 @@ def _unexplained_share(
     low = np.searchsorted(motion.time, motion.time - 0.5 * period)
     high = np.searchsorted(motion.time, motion.time + 0.5 * period, side="right")
     peak = np.array([np.max(pull[a:b]) for a, b in zip(low, high, strict=True)])
-    limit = np.maximum(settings.release_share * peak, settings.release_noise * noise)
+    limit = np.maximum(RELEASE_SHARE * peak, RELEASE_NOISE * noise)
     return unexplained / np.maximum(limit, 1e-300)
-
-
-def _remove_false_touches(
-    touched: Flags, motion: _Motion, law: _SwingLaw, rough: Oscillation
-) -> Flags:
-    """Return the touched windows without those that leave the swing unchanged.
-
-    A hand changes the swing. If the model maps the motion before a suspected touch to the motion
-    after it, a sample was wrong or a window barely exceeded the threshold.
-    """
-    places = np.flatnonzero(touched)
-    # A wrong sample affects some of the windows that overlap it; a window spans twelve.
-    groups = np.split(places, np.flatnonzero(np.diff(places) > 12) + 1) if places.size else []
-    theta = law.theta(motion.angle, motion.elapsed)
-    theta_dot = law.theta_dot(motion.rate)
-    w, result = float(np.sqrt(law.w2)), touched.copy()
-    model = PendulumParameters(law.w2, 0.0, law.c, law.coulomb)
-    for group in groups:
-        begin, end = int(group[0]), int(group[-1]) + 1
-        if begin == 0 or end == len(touched):
-            continue
-        before, after = max(begin - 6, 0), min(end + 5, len(touched) - 1)
-        times = motion.time[[before, after]]
-        if times[1] - times[0] > rough.period:
-            continue
-        thetas, theta_dots = np.empty(2), np.empty(2)
-        h = rough.period / 128.0
-        swing(times, theta[before], theta_dot[before], h, model, thetas, theta_dots)
-        off = np.hypot(thetas[1] - theta[after], (theta_dots[1] - theta_dot[after]) / w)
-        size = np.hypot(2.0 * np.sin(0.5 * theta[after]), theta_dot[after] / w)
-        if off < MAX_SWING_CHANGE * size:
-            result[begin:end] = False
-    return result
 
 
 def _longest_stretch(touched: Flags, moved: Array) -> tuple[int, int]:
@@ -645,15 +461,3 @@ def _longest_stretch(touched: Flags, moved: Array) -> tuple[int, int]:
     travel = np.concatenate(([0.0], np.cumsum(moved)))
     longest = int(np.argmax(travel[ends] - travel[begins]))
     return int(begins[longest]), int(ends[longest])
-
-
-def _last_over_the_top(time: Array, values: Array, theta: Array, law: _SwingLaw) -> float | None:
-    """Return the last time at which the pendulum goes over the top [s], or None."""
-    if not law.is_rate:
-        over = np.flatnonzero(np.abs(theta) >= pi)
-        return float(time[over[-1]]) if over.size else None
-    # The integral of a rate drifts, but not within a turn.
-    falling = law.theta_dot(values) < 0.0
-    turns = np.concatenate(([0], np.flatnonzero(np.diff(falling)), [len(time) - 1]))
-    over = np.flatnonzero(np.abs(np.diff(theta[turns])) >= 2.0 * pi)
-    return float(time[turns[over[-1] + 1]]) if over.size else None

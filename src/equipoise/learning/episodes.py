@@ -33,6 +33,8 @@ from equipoise.learning.learner import (
     Tables,
     UpdateParams,
     new_decisions,
+    new_draws,
+    new_results,
     new_tables,
 )
 from equipoise.model.elementary import BATCH_SIZE, zeros
@@ -80,7 +82,6 @@ class TrainingConfig(NamedTuple):
     gamma: float
     epsilon_initial: float
     epsilon_until: float
-    reward_failure: float
     hold_action: bool
     update: UpdateParams
     """Constants of an update."""
@@ -91,8 +92,8 @@ class TrainingConfig(NamedTuple):
     delay_spread: float
     lag_spread: float
     zero_error: float
-    actions: tuple[float, ...]
-    """Accelerations [m/s^2]."""
+    actions: Array
+    """Accelerations [m/s^2], shape (8,)."""
     boxes: Grid
     """Grid of the tables."""
 
@@ -121,6 +122,10 @@ class TrainingState(NamedTuple):
     """Current decision of each episode."""
     before: Array
     """Observation before the step; a block of 4 rows."""
+    draws: Draws
+    """Scratch for the random numbers of a decision."""
+    results: Results
+    """Results of the last step."""
     totals: npt.NDArray[np.int64]
     """Episodes begun, episodes ended, lanes in use, steps, steps of ended episodes; shape (5,)."""
 
@@ -139,6 +144,8 @@ def new_training_state(boxes: int, tables: int = 0) -> TrainingState:
         tick=np.zeros(BATCH_SIZE, np.int64),
         decisions=new_decisions(),
         before=zeros(4 * BATCH_SIZE),
+        draws=new_draws(),
+        results=new_results(),
         totals=np.zeros(5, np.int64),
     )
 
@@ -219,16 +226,67 @@ def begin_episode(
 
 
 @inlined
-def draw_decisions(
-    draws: Draws, seed: int, tick: IntArray, episode: IntArray, number: int, lanes: int
-) -> None:
+def draw_decisions(training: TrainingState, key: IntArray, lanes: int) -> None:
     """Draw the random numbers of a decision in each lane, at its tick."""
-    explore, choice, chance = draws
+    explore, choice, chance = training.draws
+    tick, episode = training.tick, training.episode
     for n in range(lanes):
-        w0, w1, w2, _ = philox(seed, tick[n], episode[n], number, TRAINING_ACTION)
+        w0, w1, w2, _ = philox(key[0], tick[n], episode[n], key[1], TRAINING_ACTION)
         explore[n] = uniform(w0, 0.0, 1.0)
         choice[n] = uniform(w1, 0.0, 1.0)
         chance[n] = uniform(w2, 0.0, 1.0)
+
+
+@inlined
+def decide(
+    config: TrainingConfig,
+    learner: LearnerKernel,
+    training: TrainingState,
+    key: IntArray,
+    lanes: int,
+) -> None:
+    """Choose the actions of undecided episodes, and write the accelerations of all."""
+    decisions, controller = training.decisions, training.batch.controller
+    draw_decisions(training, key, lanes)
+    learner.choose(training.tables, decisions, training.draws, lanes)
+    action, u, actions = decisions.action, controller.u, config.actions
+    for n in range(lanes):
+        u[n] = actions[action[n]]
+    before, observation = training.before, controller.observation
+    for i in range(before.size):
+        before[i] = observation[i]
+
+
+@inlined
+def learn(
+    config: TrainingConfig,
+    learner: LearnerKernel,
+    training: TrainingState,
+    key: IntArray,
+    lanes: int,
+) -> None:
+    """Learn from a step: rewards, boxes and outcomes, then the updates of complete decisions."""
+    block, decisions, tick = training.batch, training.decisions, training.tick
+    box, gained, discount = decisions.box, decisions.gained, decisions.discount
+    reward, box_next, outcome = training.results
+    seen, u, cause = block.controller.observation, block.controller.u, block.cause
+    learner.rewards(training.before, u, seen, cause, reward, lanes)
+    for n in range(lanes):
+        box_next[n] = box_of(seen, config.boxes, n)
+    for n in range(lanes):
+        gained[n] += discount[n] * reward[n]
+        discount[n] *= config.gamma
+        tick[n] += 1
+    for n in range(lanes):
+        held = config.hold_action & (box_next[n] == box[n])
+        going = CONTINUES if held else DECIDED
+        going = TIMED_OUT if tick[n] >= config.max_steps else going
+        outcome[n] = FAILED if cause[n] != TRUNCATED else going
+    if learner.chooses_ahead:
+        draw_decisions(training, key, lanes)
+    learner.learn(
+        training.tables, decisions, training.results, training.draws, config.update, lanes
+    )
 
 
 @kernel
@@ -241,47 +299,22 @@ def train_episodes(loop: Any, until: int) -> None:
         loop: The training, from `new_training_loop`; the next call continues from its state.
         until: Number of ended episodes at which to stop, at most `config.episodes`.
     """
-    plant, pendulum, config = loop.plant, loop.pendulum, loop.config
-    learner, training, seed, number = loop.learner, loop.training, loop.key[0], loop.key[1]
-    tables, block, before = training.tables, training.batch, training.before
-    decisions, episode, tick = training.decisions, training.episode, training.tick
-    box, action, chance, gained, discount, epsilon, place = decisions
-    totals, cause = training.totals, block.cause
-    noise, seen, u = block.controller.noise, block.controller.observation, block.controller.u
-    accelerations = np.array(config.actions)
-    reward = np.zeros(BATCH_SIZE)
-    box_next, outcome = np.zeros(BATCH_SIZE, np.int64), np.zeros(BATCH_SIZE, np.int64)
-    results = Results(reward, box_next, outcome)
-    draws = Draws(np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE))
+    plant, pendulum, config, learner = loop.plant, loop.pendulum, loop.config, loop.learner
+    training, key = loop.training, loop.key
+    block, episode, tick = training.batch, training.episode, training.tick
+    box, action, chance, gained, discount, epsilon, place = training.decisions
+    totals, outcome, noise = training.totals, training.results.outcome, block.controller.noise
+    seed, number = key[0], key[1]
     lanes = totals[IN_USE]
     while lanes < BATCH_SIZE and totals[BEGUN] < config.episodes:
         begin_episode(plant, pendulum, config, training, seed, number, lanes)
         lanes += 1
     while totals[ENDED] < until and lanes > 0:
-        draw_decisions(draws, seed, tick, episode, number, lanes)
-        learner.choose(tables, decisions, draws, lanes)
-        for n in range(lanes):
-            u[n] = accelerations[action[n]]
-        for i in range(before.size):
-            before[i] = seen[i]
+        decide(config, learner, training, key, lanes)
         draw_noise(noise, seed, tick, episode, number, TRAINING_NOISE, lanes)
         step(plant, block, lanes)
         totals[STEPS] += lanes
-        learner.rewards(before, u, seen, cause, config.reward_failure, reward, lanes)
-        for n in range(lanes):
-            box_next[n] = box_of(seen, config.boxes, n)
-        for n in range(lanes):
-            gained[n] += discount[n] * reward[n]
-            discount[n] *= config.gamma
-            tick[n] += 1
-        for n in range(lanes):
-            held = config.hold_action & (box_next[n] == box[n])
-            going = CONTINUES if held else DECIDED
-            going = TIMED_OUT if tick[n] >= config.max_steps else going
-            outcome[n] = FAILED if cause[n] != TRUNCATED else going
-        if learner.chooses_ahead:
-            draw_decisions(draws, seed, tick, episode, number, lanes)
-        learner.learn(tables, decisions, results, draws, config.update, lanes)
+        learn(config, learner, training, key, lanes)
         for n in range(lanes - 1, -1, -1):
             if outcome[n] < TIMED_OUT:
                 continue
@@ -323,18 +356,14 @@ def decide_in_world(loop: Any, observation: Array) -> float:
         loop: The training; its first lane keeps the decision.
         observation: x, x_dot, phi, phi_dot as predicted, shape (4,).
     """
-    config, training, learner = loop.config, loop.training, loop.learner
-    block, decisions, tick = training.batch, training.decisions, training.tick
+    config, training = loop.config, loop.training
+    controller = training.batch.controller
     for i in range(4):
-        block.controller.observation[i * BATCH_SIZE] = observation[i]
-        training.before[i * BATCH_SIZE] = observation[i]
-    if tick[0] == 0:
-        decisions.box[0] = box_of(block.controller.observation, config.boxes, 0)
-    draws = Draws(np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE))
-    draw_decisions(draws, loop.key[0], tick, training.episode, loop.key[1], 1)
-    learner.choose(training.tables, decisions, draws, 1)
-    block.controller.u[0] = config.actions[decisions.action[0]]
-    return block.controller.u[0]
+        controller.observation[i * BATCH_SIZE] = observation[i]
+    if training.tick[0] == 0:
+        training.decisions.box[0] = box_of(controller.observation, config.boxes, 0)
+    decide(config, loop.learner, training, loop.key, 1)
+    return controller.u[0]
 
 
 @kernel
@@ -346,32 +375,14 @@ def learn_in_world(loop: Any, observation: Array, cause: int) -> bool:
         observation: x, x_dot, phi, phi_dot after the step, as predicted, shape (4,).
         cause: Cause of the failure in the step, `TRUNCATED` without one.
     """
-    config, training, learner = loop.config, loop.training, loop.learner
-    block, tables, totals = training.batch, training.tables, training.totals
-    decisions, tick, seen = training.decisions, training.tick, block.controller.observation
-    reward = np.zeros(BATCH_SIZE)
-    box_next, outcome = np.zeros(BATCH_SIZE, np.int64), np.zeros(BATCH_SIZE, np.int64)
+    training = loop.training
     for i in range(4):
-        seen[i * BATCH_SIZE] = observation[i]
-    block.cause[0] = cause
-    totals[STEPS] += 1
-    u = block.controller.u
-    learner.rewards(training.before, u, seen, block.cause, config.reward_failure, reward, 1)
-    box_next[0] = box_of(seen, config.boxes, 0)
-    decisions.gained[0] += decisions.discount[0] * reward[0]
-    decisions.discount[0] *= config.gamma
-    tick[0] += 1
-    held = config.hold_action & (box_next[0] == decisions.box[0])
-    going = CONTINUES if held else DECIDED
-    going = TIMED_OUT if tick[0] >= config.max_steps else going
-    outcome[0] = FAILED if cause != TRUNCATED else going
-    draws = Draws(np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE))
-    if learner.chooses_ahead:
-        draw_decisions(draws, loop.key[0], tick, training.episode, loop.key[1], 1)
-    results = Results(reward, box_next, outcome)
-    learner.learn(tables, decisions, results, draws, config.update, 1)
-    if outcome[0] < TIMED_OUT:
+        training.batch.controller.observation[i * BATCH_SIZE] = observation[i]
+    training.batch.cause[0] = cause
+    training.totals[STEPS] += 1
+    learn(loop.config, loop.learner, training, loop.key, 1)
+    if training.results.outcome[0] < TIMED_OUT:
         return True
-    totals[ENDED] += 1
-    totals[ENDED_STEPS] += tick[0]
+    training.totals[ENDED] += 1
+    training.totals[ENDED_STEPS] += training.tick[0]
     return False

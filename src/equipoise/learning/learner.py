@@ -72,7 +72,6 @@ class UpdateParams(NamedTuple):
     alpha_initial: float
     alpha_decay: float
     alpha_minimum: float
-    trace_decay: float
     mirrored: bool
 
 
@@ -331,13 +330,12 @@ def rewards_of(reward: Callable[..., float]) -> Callable[..., None]:
         u: Array,
         after: Array,
         cause: IntArray,
-        reward_failure: float,
         out: Array,
         lanes: int,
     ) -> None:
         for n in range(lanes):
             failed = cause[n] != TRUNCATED
-            out[n] = reward(observed(before, n), u[n], observed(after, n), failed, reward_failure)
+            out[n] = reward(observed(before, n), u[n], observed(after, n), failed)
 
     return rewards
 
@@ -389,8 +387,8 @@ def new_results() -> Results:
 
 def rewards_signature() -> Any:
     """Return Numba's signature of `LearnerKernel.rewards`."""
-    number, array, whole = numba.float64, numba.float64[::1], numba.int64
-    return numba.void(array, array, array, whole[::1], number, array, whole)
+    array, whole = numba.float64[::1], numba.int64
+    return numba.void(array, array, array, whole[::1], array, whole)
 
 
 def choose_signature() -> Any:
@@ -401,6 +399,6 @@ def choose_signature() -> Any:
 
 def learn_signature() -> Any:
     """Return Numba's signature of `LearnerKernel.learn`."""
-    params = UpdateParams(0.0, 0.0, 0.0, 0.0, False)
+    params = UpdateParams(0.0, 0.0, 0.0, False)
     given = new_tables(1, 0), new_decisions(), new_results(), new_draws(), params
     return numba.void(*map(numba.typeof, given), numba.int64)

@@ -1,23 +1,33 @@
 """Conditions of a run, which are known before it begins, and its end."""
 
+from math import isfinite
 from typing import Annotated, Any, Final, Literal, TypeAlias, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from equipoise.artefacts import Count, Name, Number, Seed, Value
-from equipoise.control.states import Phase
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import PendulumParameters
+from equipoise.outcomes import EXIT_CODES, End, Outcome, Phase, describe
 from equipoise.settings import Settings
 
 IDEAL: Final = "ideal"
 """Placeholder for the digest of an actuator: the arm follows its commands at once."""
 
 MAX_TEXT_LENGTH: Final = 4096
-"""Maximum length of a reason [characters]; longer ones are truncated."""
-TruncatedText = Annotated[str, BeforeValidator(lambda text: text[:MAX_TEXT_LENGTH])]
-"""Text of an error, which may quote an exception of a custom policy."""
+"""Maximum length of a text [characters]; longer ones are truncated."""
+
+
+def _storable(value: Any) -> Any:
+    """Return evidence for a file: a truncated text, and a number that is not finite as text."""
+    if isinstance(value, float) and not isfinite(value):
+        return str(value)
+    return value[:MAX_TEXT_LENGTH] if isinstance(value, str) else value
+
+
+EvidenceValue = Annotated[float | str, BeforeValidator(_storable)]
+"""Number or text of an end; a text may quote an exception of a custom policy."""
 PendulumName: TypeAlias = Literal["w2", "k", "c", "coulomb", "drag"]
 
 
@@ -103,21 +113,18 @@ class RunConditions(Value):
 class RunEnd(Value):
     """End of a run."""
 
-    cause: Name | None = None
-    """Short name of the cause: lasted, angle, track, operator, a safety rule; None if an error
-    ended the program."""
-    guard: Name = ""
-    """Safety rule that ended a simulated run; empty otherwise."""
-    reason: TruncatedText = ""
-    """Cause as a sentence."""
-    fault: TruncatedText = ""
-    """Error that ended the program."""
+    outcome: Outcome = Outcome.ERROR
+    """How it ended."""
+    evidence: dict[Name, EvidenceValue] = Field(default_factory=dict, max_length=64)
+    """Numbers and texts of the end (`equipoise.outcomes.SENTENCES`)."""
     lasted: Number | None = None
     """Duration of the balancing [s]."""
     stoppable: bool = True
     """Whether software stopped the arm."""
     zero: Number | None = None
     """Encoder counts of the hanging pendulum; None in simulation, and before the self-test."""
+    max_speed: Number | None = None
+    """Flange speed limit from the pre-flight [m/s]; None without one."""
     identified: Actuator | None = None
     """Actuator that an excitation before the lift identified; None without one."""
     missed: Count = 0
@@ -129,3 +136,13 @@ class RunEnd(Value):
     """The same percentiles of the computing time of a tick [s]."""
     lost_rows: Count = 0
     """Number of rows that full rings dropped."""
+
+    @property
+    def reason(self) -> str:
+        """The end as a sentence."""
+        return describe(End(self.outcome, self.evidence))
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the command that ran it."""
+        return EXIT_CODES.get(self.outcome, 1) if self.stoppable else 3

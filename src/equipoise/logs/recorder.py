@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from equipoise.control.ticks import TickInputs, TickOutput
 from equipoise.logs.columns import tables
+from equipoise.outcomes import describe
 
 BUFFERED: Final = 10.0
 """Time span of the rows that a ring holds [s]."""
@@ -175,7 +176,7 @@ class Recorder:
             self.reply.push(reply.received, reply.sent, q, torque, now)
         timing = (now, inputs.lateness, compute)
         self.tick.push(*timing, output.state, *output.record, output.q, output.dq)
-        for name, texts in ((WORD_TYPED, inputs.lines), (FAILED, inputs.faults)):
+        for name, texts in ((WORD_TYPED, inputs.lines), (FAILED, map(describe, inputs.faults))):
             for text in texts:
                 push_event(self.event, now, name, (), text)
         self.pulse[:3] = now, output.state, output.record.estimated_phi

@@ -11,13 +11,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.artefacts import Provenance, StrPath, write_whole
-from equipoise.control.states import Phase
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.logs.columns import MAX_NUMBER, TABLES, Rows, canonical, tables
 from equipoise.logs.conditions import RunConditions, RunEnd
@@ -25,12 +24,10 @@ from equipoise.logs.digest import digest_of
 from equipoise.logs.reader import read_log
 from equipoise.logs.recorder import LoggedEvent, read_events
 from equipoise.logs.writer import LogEncoder
+from equipoise.outcomes import Outcome, Phase
 
 Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-
-BROKEN_OFF: Final = "log broken off"
-"""Cause of the end of a run if the log has no end."""
 
 
 class TruthColumns(NamedTuple):
@@ -132,20 +129,15 @@ class RunLog:
         object.__setattr__(self, "tables", frozen)
 
     def __repr__(self) -> str:
-        """Return one line: arm, world, duration and cause of the end."""
+        """Return one line: arm, world, duration and outcome."""
         where = f"{self.conditions.arm.name!r} in {self.conditions.world!r}"
         lasted = f"{self.lasted:g} of {self.conditions.duration:g} s"
-        return f"<RunLog of {where}: lasted {lasted}, ended {self.cause!r}>"
+        return f"<RunLog of {where}: lasted {lasted}, ended {self.outcome}>"
 
     @property
-    def cause(self) -> str:
-        """Short name of the cause of the end."""
-        return BROKEN_OFF if self.end is None else self.end.cause or "error"
-
-    @property
-    def guard(self) -> str:
-        """Safety rule that ended a simulated run; empty otherwise."""
-        return self.end.guard if self.end else ""
+    def outcome(self) -> Outcome:
+        """How the run ended."""
+        return Outcome.BROKEN_OFF if self.end is None else self.end.outcome
 
     @cached_property
     def events(self) -> tuple[LoggedEvent, ...]:
@@ -192,7 +184,7 @@ class RunLog:
             RecordingError: The run did not reach balancing.
         """
         if not len(self.ticks):
-            reason = f" ({self.end.reason})" if self.end and self.end.reason else ""
+            reason = f" ({self.end.reason})" if self.end else ""
             raise RecordingError(f"the run did not reach balancing{reason}; give one that did")
 
     @property

@@ -4,34 +4,16 @@ import csv
 import io
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any
 
 import numpy.typing as npt
 
 from equipoise.artefacts import write_whole
-from equipoise.control.states import Phase
 from equipoise.errors import RecordingError
 from equipoise.logs.columns import TABLES, Rows
-from equipoise.logs.run_log import BROKEN_OFF, RunLog
+from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import PendulumParameters
-
-ERROR: Final = "error"
-"""Cause of the end of a run that an error of the program ended."""
-FAULT_EVENTS: Final = ("stopping", "fault")
-"""Names of the events with the reason of a stop."""
-
-
-class LoggedEnding(NamedTuple):
-    """End of a run, from its log."""
-
-    cause: str
-    """Cause in a word or two."""
-    reason: str
-    """Cause in a sentence; empty if the log has none."""
-    phase: Phase | None
-    """Phase of a run on a rig at its stop; None before the first tick, and in simulation."""
-    whole: bool
-    """Whether the log includes the end."""
+from equipoise.outcomes import End, Outcome
 
 
 def load_run(path: Path) -> RunLog:
@@ -50,16 +32,12 @@ def load_run(path: Path) -> RunLog:
     return run
 
 
-def ending(run: RunLog) -> LoggedEnding:
-    """Return the end of a run on a rig."""
-    end, phase = run.end, run.last_phase
-    if end is None:
-        stops = [event.text for event in run.events if event.name in FAULT_EVENTS]
-        return LoggedEnding(BROKEN_OFF, stops[-1] if stops else "", phase, False)
-    if end.cause is None:
-        fault = end.fault or "an error ended the run; the output of deploy names it"
-        return LoggedEnding(ERROR, fault, phase, True)
-    return LoggedEnding(end.cause, end.reason, phase, True)
+def ending(run: RunLog) -> End:
+    """Return the end of a run; of a broken-off log, the evidence is its last stop or fault."""
+    if run.end is not None:
+        return End(run.end.outcome, run.end.evidence)
+    stops = [event.text for event in run.events if event.name in ("stopping", "fault")]
+    return End(Outcome.BROKEN_OFF, {"text": stops[-1]} if stops else {})
 
 
 def pendulum_of(run: RunLog) -> PendulumParameters:

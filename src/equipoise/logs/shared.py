@@ -20,10 +20,10 @@ from typing import Annotated, BinaryIO, Final
 from pydantic import Field
 
 from equipoise.artefacts import Name, Value
-from equipoise.control.states import Phase
 from equipoise.errors import OutsideError
 from equipoise.logs.recorder import Recorder
 from equipoise.model.arms.arm import Arm
+from equipoise.outcomes import Phase
 
 FOLDER: Final = Path("/dev/shm")
 """Folder for files without a disk on Linux; elsewhere the folder of temporary files serves."""

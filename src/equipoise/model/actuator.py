@@ -182,14 +182,24 @@ def follow(
             q[i] = target[i]
 
 
+class DelayedSetpoint(NamedTuple):
+    """A setpoint that takes effect in one of the servo cycles until the next one."""
+
+    before: Array
+    """Setpoints in force in the first cycles [rad], a block of 6 rows."""
+    target: Array
+    """Setpoints in force in the others [rad], a block of 6 rows."""
+    turn: Array
+    """Number of the first cycle with `target`, a block of 6 rows."""
+    delayed: bool
+    """Whether `before` and `turn` are used; otherwise `target` is always in force."""
+
+
 @inlined
 def follow_setpoint(
     q: Array,
     dq: Array,
-    before: Array,
-    target: Array,
-    turn: Array,
-    delayed: bool,
+    setpoint: DelayedSetpoint,
     share: Array,
     actuator: ActuatorParameters,
     cycles: int,
@@ -201,10 +211,7 @@ def follow_setpoint(
     Args:
         q: Joint positions [rad], a block of 6 rows, changed in place.
         dq: Joint velocities [rad/s], a block of 6 rows, changed in place.
-        before: Setpoints in force in the first cycles [rad], a block of 6 rows.
-        target: Setpoints in force in the others [rad], a block of 6 rows.
-        turn: Number of the first cycle with `target`, a block of 6 rows.
-        delayed: Whether `before` and `turn` are used; otherwise `target` is always in force.
+        setpoint: The setpoint.
         share: Gain of the lag per cycle, from `lag_share`, a block of 6 rows.
         actuator: Constants.
         cycles: Number of cycles.
@@ -214,20 +221,21 @@ def follow_setpoint(
     cycle = 0
     if actuator.kind == KST and lanes > 1:
         while cycle + FUSED_CYCLES <= cycles:
-            _follow_fused(q, dq, before, target, turn, delayed, share, actuator, cycle, scratch)
+            _follow_fused(q, dq, setpoint, share, actuator, cycle, scratch)
             cycle += FUSED_CYCLES
     while cycle < cycles:
-        aim = target
-        if delayed:
+        aim = setpoint.target
+        if setpoint.delayed:
             aim = scratch
-            aim_at(cycle, before, target, turn, aim)
+            aim_at(cycle, setpoint, aim)
         follow(q, dq, aim, share, actuator, lanes)
         cycle += 1
 
 
 @inlined
-def aim_at(cycle: int, before: Array, target: Array, turn: Array, aim: Array) -> None:
-    """Write the setpoints in force in a cycle to `aim`; the blocks of `follow_setpoint`."""
+def aim_at(cycle: int, setpoint: DelayedSetpoint, aim: Array) -> None:
+    """Write the setpoints in force in a cycle to `aim`, a block of 6 rows."""
+    before, target, turn = setpoint.before, setpoint.target, setpoint.turn
     for i in range(FREE_JOINTS * BATCH_SIZE):
         old, new = before[i], target[i]
         aim[i] = old if cycle < turn[i] else new
@@ -237,16 +245,14 @@ def aim_at(cycle: int, before: Array, target: Array, turn: Array, aim: Array) ->
 def _follow_fused(
     q: Array,
     dq: Array,
-    before: Array,
-    target: Array,
-    turn: Array,
-    delayed: bool,
+    setpoint: DelayedSetpoint,
     share: Array,
     actuator: ActuatorParameters,
     first: int,
     scratch: Array,
 ) -> None:
     """Advance the free joints of all lanes by `FUSED_CYCLES` cycles of the shaping law."""
+    before, target, turn, delayed = setpoint
     count, limit = FREE_JOINTS * BATCH_SIZE, NEAR * actuator.width
     # Joints are almost always near their setpoints: for them the law is a short series. Both loops
     # give equal bits where it holds.
@@ -292,19 +298,35 @@ def _in_force(t: float, effect: float, spread: float) -> float:
     return (since + spread) ** 2 / (4.0 * spread) if since > -spread else 0.0
 
 
+class JointResponse(NamedTuple):
+    """Model of one joint's response to setpoints."""
+
+    delay: float
+    """Time from sending a setpoint to its effect [s]."""
+    lag: float
+    """T [s]."""
+    actuator: ActuatorParameters
+    """Constants of the servo."""
+    spread: float = 0.0
+    """Half width of the uniform distribution of the delay [s]."""
+    push: float = 0.0
+    """Constant bias of the load, on the desired velocity for `unshaped` and `kst` [rad/s], else on
+    the setpoint [rad]."""
+    memory: float = 1.0
+    """Share of its own position and velocity that the observer keeps, 0 to 1: 1 is an open-loop
+    simulation, 0 restarts at each measurement."""
+    compliance: float = 0.0
+    """Reciprocal of the drive's inertia, where its load acts on it [1/(kg m^2)]; zero for a drive
+    that does not notice its load. For `unshaped` and `kst` only."""
+
+
 @kernel
 def track(
     stream_time: Array,
     stream_q: Array,
     reply_time: Array,
     reply_q: Array,
-    delay: float,
-    spread: float,
-    lag: float,
-    push: float,
-    memory: float,
-    actuator: ActuatorParameters,
-    compliance: float,
+    response: JointResponse,
     load_inertia: Array,
     load_torque: Array,
     predicted: Array,
@@ -324,22 +346,14 @@ def track(
         stream_q: Setpoints [rad], shape (m,); each is held until the next takes effect.
         reply_time: Measurement times [s], increasing, shape (p,), p > 1.
         reply_q: Measured positions [rad], shape (p,).
-        delay: Time from sending a setpoint to its effect [s].
-        spread: Half width of the uniform distribution of the delay [s].
-        lag: T [s].
-        push: Constant bias of the load, on the desired velocity for `unshaped` and `kst` [rad/s],
-            else on the setpoint [rad].
-        memory: Share of its own position and velocity that the observer keeps, 0 to 1: 1 is an
-            open-loop simulation, 0 restarts at each measurement.
-        actuator: Constants.
-        compliance: Reciprocal of the drive's inertia, where its load acts on it [1/(kg m^2)]; zero
-            for a drive that does not notice its load. For `unshaped` and `kst` only.
+        response: Model of the joint.
         load_inertia: Inertia of the load in each cycle from the first measurement on [kg m^2],
             shape (cycles,) or longer; unused without compliance.
         load_torque: Torque of the load in each cycle but for that of the joint's own acceleration
             [N m], likewise.
         predicted: Receives the positions before their correction [rad], shape (p,).
     """
+    delay, lag, actuator, spread, push, memory, compliance = response
     rate, amplitude, width = 1.0 / actuator.cycle, actuator.amplitude, actuator.width
     shaped, driven = actuator.kind == KST, actuator.kind >= UNSHAPED
     share = 1.0 if actuator.kind == IDEAL else lag_share(lag)

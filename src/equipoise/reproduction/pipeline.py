@@ -18,8 +18,9 @@ from equipoise.artefacts import StrPath
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArmError
 from equipoise.executors import available_cores
-from equipoise.identification import identify
-from equipoise.learning.training import LEARNERS, TARGET, train_to_target
+from equipoise.identification.recording import Trajectory, read_swing, write_swing
+from equipoise.identification.swing import identify
+from equipoise.learning.target import LEARNERS, TARGET, train_to_target
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
@@ -51,7 +52,6 @@ from equipoise.reproduction.results import (
 from equipoise.reproduction.synthetic_swing import SyntheticSwing, synthetic_swing
 from equipoise.rig.simulate import simulate_run
 from equipoise.settings import Settings
-from equipoise.trajectory import Trajectory, read_swing, write_swing
 from equipoise.worlds.evaluation import Evaluation, evaluate
 
 T = TypeVar("T")
@@ -212,8 +212,10 @@ def _trained(
     if not quick and settings.selection.every > 0:
         wanted = {"target": TARGET, "learners": LEARNERS}
     progress = TrainingProgress(settings, report, wanted["learners"])
-    given: dict[str, Any] = {"seed": seed, "workers": workers, "progress": progress}
-    return train_to_target(pendulum, arm, settings, **wanted, **given).policy
+    given: dict[str, Any] = {"seed": seed, "workers": workers, "observer": progress}
+    trained = train_to_target(pendulum, arm, settings, **wanted, **given)
+    progress.ended()
+    return trained.policy
 
 
 def _has_twin(arm: Arm) -> bool:

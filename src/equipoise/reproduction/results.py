@@ -18,13 +18,14 @@ from equipoise import paper
 from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Value
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError
+from equipoise.identification.recording import Trajectory, read_swing
 from equipoise.logs.run_log import RunLog, TruthColumns
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import MODEL
+from equipoise.outcomes import Outcome
 from equipoise.reproduction.synthetic_swing import SyntheticSwing
-from equipoise.trajectory import Trajectory, read_swing
 from equipoise.worlds.evaluation import Evaluation
-from equipoise.worlds.formatting import LASTED, format_end, format_failures, percent, plus_minus
+from equipoise.worlds.formatting import format_end, format_failures, percent, plus_minus
 
 SWING: Final = "swing.csv"
 PENDULUM: Final = "pendulum.json"
@@ -149,7 +150,7 @@ def _survival(evaluation: Evaluation) -> str:
     text = (
         f"On {where} the table stood {evaluation.duration:g} s in {summary.survived} of "
         f"{summary.trials} trials (95 % interval {low} to {high}), "
-        f"{format_failures(summary.causes)}"
+        f"{format_failures(summary.outcomes)}"
     )
     return f"{text}; baselines on the same trials: {', '.join(others)}." if others else f"{text}."
 
@@ -158,8 +159,8 @@ def _run(run: RunLog) -> str:
     shown, conditions = truth(run), run.conditions
     phi, x = np.rad2deg(np.max(np.abs(shown.phi))), np.max(np.abs(shown.x))
     end = f"stood all {run.lasted:g} s"
-    if run.cause != LASTED:
-        end = f"{format_end(run.cause)} after {run.lasted:.3g} s of {conditions.duration:g} s"
+    if run.outcome != Outcome.LASTED:
+        end = f"{format_end(run.outcome)} after {run.lasted:.3g} s of {conditions.duration:g} s"
     where = "plant of its training" if conditions.world == MODEL else f"twin {conditions.world}"
     return (
         f"The recorded run on the {where} {end}, with |x| up to {x:.2f} of {paper.X_LIMIT:g} m and "

@@ -12,10 +12,9 @@ from pydantic import Field
 
 from equipoise import paper
 from equipoise.artefacts import Value
-from equipoise.model.encoder import simulate_swing
+from equipoise.identification.recording import Trajectory, simulate_swing
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import FINEST_ENCODER
-from equipoise.trajectory import Trajectory
 
 
 class SyntheticSwing(Value):

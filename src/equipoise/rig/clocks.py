@@ -1,11 +1,18 @@
-"""Clocks: the machine's monotonic clock, and virtual time that passes only in waits."""
+"""Clocks of a rig: the machine's, virtual time that passes only in waits, and one that drains."""
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final
+
+from equipoise.errors import LinkError
+from equipoise.rig.interfaces import AngleSensor, Clock
 
 TICK: Final = 0.001
 """Step of virtual time [s]."""
+DRAIN_PERIOD: Final = 0.010
+"""Time between two reads of the encoder while a clock drains it [s]; a terminal buffers 0.1 s of
+lines."""
 
 
 class SystemClock:
@@ -46,3 +53,27 @@ class VirtualClock:
             self._ticks += 1
             for work in self._work:
                 work(self.now())
+
+
+class DrainingClock:
+    """Clock for waits before a run; the encoder's samples are dropped meanwhile."""
+
+    def __init__(self, clock: Clock, sensor: AngleSensor) -> None:
+        """Wrap a clock, and drain a sensor."""
+        self._clock, self._sensor = clock, sensor
+        self.drains = True
+        """Whether samples are dropped: not while a robot that sets the pace waits in the stream."""
+
+    def now(self) -> float:
+        """Return the time [s]."""
+        return self._clock.now()
+
+    def wait_until(self, time: float) -> None:
+        """Wait until a time [s], and drop the samples that come meanwhile."""
+        until = self._clock.now()
+        while until < time:
+            until = min(time, until + DRAIN_PERIOD)
+            self._clock.wait_until(until)
+            with suppress(LinkError):  # not connected yet; or the next reader gets the error again
+                if self.drains:
+                    self._sensor.samples()

@@ -8,6 +8,7 @@ setpoint sent with the velocity of its reference. It never clips a setpoint.
 from collections.abc import Iterator, Sequence
 
 from equipoise.errors import LinkError
+from equipoise.outcomes import End, describe
 from equipoise.rig.interfaces import Array, Reply, Robot
 from equipoise.safety.rules import Limits, check_first, check_setpoint
 from equipoise.safety.stop import Ramp, ramp
@@ -33,8 +34,8 @@ class GuardedRobot:
         """References of the last two setpoints [rad], the older one first."""
         self._ramp: Ramp | None = None
         self._sent = 0  # setpoints of the ramp
-        self.held_back: str | None = None
-        """Reason for holding a setpoint back; None without one."""
+        self.held_back: End | None = None
+        """Broken rule of a setpoint that was held back; None without one."""
 
     @property
     def joints(self) -> int:
@@ -69,7 +70,7 @@ class GuardedRobot:
             LinkError: A reply is late or invalid, or this guard has stopped.
         """
         if self.held_back is not None:
-            raise LinkError(f"the guard has stopped ({self.held_back}); begin a new run")
+            raise LinkError(f"the guard has stopped ({describe(self.held_back)}); begin a new run")
         self.started_at = tuple(self._robot.measured().tolist())
         self.last = None
         self._robot.start()
@@ -108,12 +109,12 @@ class GuardedRobot:
             if self.last is None:
                 last = reference
                 if broken := check_first(self._limits, setpoint, self.started_at):
-                    self.held_back = broken.reason
-                    raise LinkError(f"nothing was sent: {broken.reason}")
+                    self.held_back = broken
+                    raise LinkError(f"nothing was sent: {describe(broken)}")
             else:
                 path, sent = (reference, last, before), (setpoint, self.last)
                 if broken := check_setpoint(self._limits, *path, self._period, to_rest, sent):
-                    self.held_back = broken.reason
+                    self.held_back = broken
                     self._begin_ramp(self.last)
             if self._ramp is None:
                 self._robot.send(setpoint)

@@ -1,4 +1,4 @@
-"""Interfaces of a rig: robot, angle sensor, clock, and the transport of their bytes.
+"""Interfaces of a rig: robot, angle sensor, clock, operator, and the transport of bytes.
 
 All times are those of the rig's `Clock` [s], from an arbitrary zero, and never decrease. Methods do
 not block unless their docstring says so: one thread reads robot and sensor, and waits at the clock
@@ -6,12 +6,14 @@ only. A device that fails raises `equipoise.errors.LinkError`, and never resumes
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.control.ticks import Reply, Sample
+from equipoise.control.ticks import OperatorMessage, Reply, Sample
+from equipoise.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
@@ -199,3 +201,36 @@ class Transport(Protocol):
 
     def close(self) -> None:
         """Close; never raises, and may be called again."""
+
+
+@runtime_checkable
+class Operator(Protocol):
+    """Person, program or emulation that supervises a run."""
+
+    def notify(self, event: OperatorMessage) -> None:
+        """Receive a message; never blocks."""
+        ...
+
+    def read_input(self) -> list[str]:
+        """Return the lines typed since the last call, the oldest first; never blocks."""
+        ...
+
+
+def checked_setpoint(q: Sequence[float] | Array, joints: int) -> Array:
+    """Validate a setpoint, and return a copy as an array [rad], shape (joints,).
+
+    Args:
+        q: The setpoint [rad].
+        joints: Number of joints.
+
+    Raises:
+        InputError: The setpoint is not one finite number per joint.
+    """
+    with suppress(TypeError, ValueError, OverflowError):
+        setpoint = np.array(q, np.float64)
+        if setpoint.shape == (joints,) and np.isfinite(setpoint).all():
+            return setpoint
+    raise InputError(
+        f"a setpoint is {joints} finite numbers, one for each joint, not {str(q)[:120]}; "
+        "nothing was sent"
+    )

@@ -28,9 +28,9 @@ from equipoise.control.ticks import (
 )
 from equipoise.errors import LinkError
 from equipoise.logs.recorder import PULSE, Recorder, push_event
+from equipoise.outcomes import End, Outcome, describe
 from equipoise.rig.guarded import GuardedRobot
-from equipoise.rig.interfaces import AngleSensor, Clock, Sample
-from equipoise.rig.operator import Operator
+from equipoise.rig.interfaces import AngleSensor, Clock, Operator, Sample
 
 Array = npt.NDArray[np.float64]
 
@@ -87,7 +87,7 @@ class Timing(NamedTuple):
 class LoopResult(NamedTuple):
     """End of a loop."""
 
-    fault: str | None
+    fault: End | None
     """Fault that ended the loop; None after a regular end."""
     stoppable: bool
     """Whether software still commands the arm; otherwise the operator must stop it."""
@@ -125,10 +125,10 @@ def run_loop(
     late, compute = np.zeros((2, round(max_duration / h)))
     executor = InlineExecutor() if executor is None else executor
     ticks = missed = unsent = 0
-    faults: list[str] = []
+    faults: list[End] = []
     sensor_lost = refused = still = False
     deadline = clock.now() + h
-    fault: str | None = None
+    fault: End | None = None
     stoppable = True
     try:
         while True:
@@ -146,7 +146,7 @@ def run_loop(
                     samples = sensor.samples()
                 except LinkError as error:
                     sensor_lost = True
-                    faults.append(str(error))
+                    faults.append(End(Outcome.ENCODER_LOST, {"text": str(error)}))
             replies, words = robot.replies(), operator.read_input()
             done = executor.result()
             inputs = TickInputs(samples, replies, words, faults, lateness, done, unsent)
@@ -187,14 +187,17 @@ def run_loop(
             deadline += h
     except LinkError as error:
         # The arm rests if the guard refused the first setpoint, since no other was sent.
-        fault, stoppable = str(error), robot.held_back is not None and robot.last is None
+        stoppable = robot.held_back is not None and robot.last is None
+        lost = End(Outcome.LINK_LOST, {"text": str(error)})
+        fault = robot.held_back if stoppable else lost
     except KeyboardInterrupt:  # Ctrl-C in virtual time, or from a driver
         _rest(robot, clock, recorder, h / 2.0)
         raise
     except BaseException as error:  # after any failure the arm has to come to rest
-        fault = f"the controller failed ({type(error).__name__}: {error})"
+        text = f"the controller failed ({type(error).__name__}: {error})"
+        fault = End(Outcome.FAULT, {"text": text})
     if fault is not None:
-        text = fault if stoppable else f"{fault}; {CANNOT_STOP}"
+        text = describe(fault) if stoppable else f"{describe(fault)}; {CANNOT_STOP}"
         _notify_best_effort(recorder, operator, clock, text)
     if stoppable and (fault is not None or not robot.at_rest):
         stoppable = _rest(robot, clock, recorder, h / 2.0)

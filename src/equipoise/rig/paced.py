@@ -17,13 +17,20 @@ Requests are answered while the loop waits for its clock: the stream is the cloc
 """
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import inf
 from typing import Final
 
 from equipoise.errors import LinkError
-from equipoise.rig.interfaces import SETPOINT_PERIOD, Array, Clock, PacedRobot, Reply
-from equipoise.rig.setpoints import checked
+from equipoise.rig.clocks import DrainingClock
+from equipoise.rig.interfaces import (
+    SETPOINT_PERIOD,
+    Array,
+    Clock,
+    PacedRobot,
+    Reply,
+    checked_setpoint,
+)
 
 MARGIN: Final = 0.001
 """Lateness of a setpoint that does not change the path [s]; a tick computes for 0.3 ms."""
@@ -44,7 +51,7 @@ class PacedStream:
         robot: PacedRobot,
         clock: Clock,
         period: float = SETPOINT_PERIOD,
-        streams: Callable[[bool], None] = lambda _: None,
+        draining: DrainingClock | None = None,
     ) -> None:
         """Create the stream of a robot.
 
@@ -52,9 +59,9 @@ class PacedStream:
             robot: The robot.
             clock: Clock of the rig.
             period: Time between two setpoints [s].
-            streams: Called with True when requests begin, and with False when they end.
+            draining: Clock of the driver, which keeps the encoder's samples while requests come.
         """
-        self._notify = streams
+        self._draining = draining
         self._robot, self._clock, self._period = robot, clock, period
         self._streams = False
         self._held = True
@@ -118,8 +125,8 @@ class PacedStream:
         self._knots.extend([held] * 3)
         for queue in (self._ahead, self._sent, self._replies):
             queue.clear()
-        self._begin, self._streams, self._held = -inf, True, True
-        self._notify(True)
+        self._begin, self._held = -inf, True
+        self._set_streams(True)
 
     def send(self, q: Sequence[float] | Array) -> None:
         """Add a setpoint of all joints to the path.
@@ -131,7 +138,7 @@ class PacedStream:
             LinkError: No servo runs, or setpoints come faster than their period.
             InputError: The setpoint is not one finite number per joint; it was not added.
         """
-        setpoint = checked(q, self.joints)
+        setpoint = checked_setpoint(q, self.joints)
         if not self._streams:
             raise LinkError("the robot has no servo running; call start first")
         if len(self._ahead) >= MAX_AHEAD:
@@ -165,17 +172,18 @@ class PacedStream:
         Raises:
             LinkError: The reply is late or invalid.
         """
-        self._end()
+        self._set_streams(False)
         self._robot.stop()
 
     def close(self) -> None:
         """Disconnect."""
-        self._end()
+        self._set_streams(False)
         self._robot.close()
 
-    def _end(self) -> None:
-        self._streams = False
-        self._notify(False)
+    def _set_streams(self, streams: bool) -> None:
+        self._streams = streams
+        if self._draining is not None:
+            self._draining.drains = not streams
 
     # The path.
 

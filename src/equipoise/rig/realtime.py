@@ -1,145 +1,91 @@
 """Settings of the process with which a loop in Python keeps its deadlines.
 
-The result of each setting states whether the machine granted it. A run is possible without; late
-ticks are then likelier. The log contains the results.
+Each setting returns a finding: whether the machine granted it. A run is possible without; late
+ticks are then likelier. The log contains the findings.
 """
 
 import ctypes
 import gc
 import os
-import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, TypeVar
+
+from equipoise.rig.findings import Finding, find
 
 T = TypeVar("T")
 
 PRIORITY: Final = 60
 """Priority of the loop under SCHED_FIFO: above all ordinary work. The threads of the kernel's
 interrupts, which carry the loop's bytes, have 50 on a real-time kernel unless they are tuned."""
-MCL_CURRENT: Final = 1
-MCL_FUTURE: Final = 2
-ALLOW: Final = (
-    "sudo groupadd -f realtime; sudo usermod -aG realtime $USER; put `@realtime - rtprio 99` and "
-    "`@realtime - memlock unlimited` into /etc/security/limits.conf; log in again"
+MCL_CURRENT, MCL_FUTURE = 1, 2
+REMEDY: Final = (
+    "on Linux: sudo groupadd -f realtime; sudo usermod -aG realtime $USER; put `@realtime - rtprio "
+    "99` and `@realtime - memlock unlimited` into /etc/security/limits.conf; log in again"
 )
-"""Commands that allow real-time priority and locked memory on Linux."""
+"""Commands that allow real-time priority and locked memory."""
 
 
-class RealtimeSetting(NamedTuple):
-    """Result of one setting."""
-
-    name: str
-    """Subject of the setting."""
-    taken: bool
-    """Whether the machine allowed it."""
-    found: str
-    """State of the machine now."""
-    cure: str = ""
-    """Action that allows the setting; empty where it was taken."""
-
-
-def prepare(core: int = -1) -> tuple[RealtimeSetting, ...]:
+def prepare(core: int = -1) -> list[Finding]:
     """Apply all settings to this process; call it once all memory is allocated and all code ran.
 
     Args:
         core: Index of the core to stay on among the allowed ones (default: the last).
-
-    Returns:
-        The result of each setting.
     """
-    return freeze_garbage(), lock_memory(), real_time_priority(), stay_on_core(core)
-
-
-def freeze_garbage() -> RealtimeSetting:
-    """Turn off Python's garbage collection, which would stop the loop for milliseconds."""
     gc.collect()
     gc.freeze()
-    gc.disable()
-    return RealtimeSetting("garbage collection", True, "off")
+    gc.disable()  # a collection would stop the loop for milliseconds
+    settings = (
+        ("memory locked", _lock_memory),
+        ("real-time priority", _real_time_priority),
+        ("own core", lambda: _stay_on_core(core)),
+    )
+    findings: list[Finding] = []
+    for name, apply in settings:
+        try:
+            apply()
+            state = "yes"
+        except (OSError, AttributeError, TypeError) as error:  # denied, or not on this system
+            state = str(error)
+        findings.append(find(name, {"granted": state}, REMEDY, warning=state != "yes"))
+    return findings
 
 
-def lock_memory() -> RealtimeSetting:
-    """Keep all memory in RAM."""
-    name = "memory locked"
-    try:
-        libc = ctypes.CDLL(None, use_errno=True)
-        if libc.mlockall(MCL_CURRENT | MCL_FUTURE) == 0:
-            return RealtimeSetting(name, True, "all pages stay in memory")
-        reason = os.strerror(ctypes.get_errno())
-    except (AttributeError, OSError, TypeError) as error:
-        return RealtimeSetting(name, False, f"not possible here ({error})", "use Linux")
-    return _denied(name, reason, "RLIMIT_MEMLOCK", 1024, " KiB")
+def _lock_memory() -> None:
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(MCL_CURRENT | MCL_FUTURE):
+        raise OSError(os.strerror(ctypes.get_errno()))
 
 
-def real_time_priority(priority: int = PRIORITY) -> RealtimeSetting:
-    """Schedule this thread before all ordinary work."""
-    name = "real-time priority"
-    if sys.platform != "linux":
-        return RealtimeSetting(name, False, f"{sys.platform} has no SCHED_FIFO", "use Linux")
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except OSError as error:
-        return _denied(name, str(error.strerror), "RLIMIT_RTPRIO")
-    return RealtimeSetting(name, True, f"SCHED_FIFO {priority}")
+def _real_time_priority() -> None:
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
 
 
-def _denied(
-    name: str, reason: str, resource_name: str, unit: int = 1, suffix: str = ""
-) -> RealtimeSetting:
-    """Return the result of a setting that the system's limit forbids."""
-    import resource
-
-    limit, _ = resource.getrlimit(getattr(resource, resource_name))
-    text = "unlimited" if limit == resource.RLIM_INFINITY else f"{limit // unit}{suffix}"
-    found = f"not allowed ({reason}); the limit {resource_name[7:].lower()} is {text}"
-    return RealtimeSetting(name, False, found, ALLOW)
-
-
-def stay_on_core(core: int = -1) -> RealtimeSetting:
-    """Pin this thread to one processor core, whose caches stay warm.
-
-    Args:
-        core: Index of the core among the allowed ones.
-    """
-    name = "own core"
-    if sys.platform != "linux":
-        return RealtimeSetting(name, False, f"{sys.platform} cannot do that", "use Linux")
+def _stay_on_core(core: int) -> None:
+    """Pin this thread to one core, whose caches stay warm."""
     allowed = sorted(os.sched_getaffinity(0))
     if len(allowed) < 2:
-        return RealtimeSetting(name, False, "one core only", "use a machine with two or more")
-    chosen = allowed[core]
-    try:
-        os.sched_setaffinity(0, {chosen})
-    except OSError as error:
-        cure = f"choose one of {allowed}"
-        return RealtimeSetting(name, False, f"core {chosen}: {error.strerror}", cure)
-    return RealtimeSetting(name, True, f"core {chosen}")
+        raise OSError("there is one core only")
+    os.sched_setaffinity(0, {allowed[core]})
 
 
-def run_with_realtime_priority(
-    work: Callable[[], T], *, take: Callable[[], tuple[RealtimeSetting, ...]] = prepare
-) -> tuple[T, tuple[RealtimeSetting, ...]]:
+def run_with_realtime_priority(work: Callable[[], T]) -> tuple[T, list[Finding]]:
     """Run a function on a thread of its own under the settings of a run, and undo them.
 
     Priority and core belong to the thread and end with it; garbage collection and the memory lock
     belong to the process and are restored.
 
-    Args:
-        work: The function.
-        take: Applies the settings.
-
     Returns:
-        Its result, and the result of each setting.
+        The function's result, and the finding of each setting.
     """
-    done: Future[tuple[T, tuple[RealtimeSetting, ...]]] = Future()
+    done: Future[tuple[T, list[Finding]]] = Future()
 
     def run() -> None:
         try:
-            measures = take()
-            done.set_result((work(), measures))
+            findings = prepare()
+            done.set_result((work(), findings))
         except BaseException as error:
             done.set_exception(error)
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.control.control_step import SETPOINTS_PER_TICK
-from equipoise.control.grid import box_indices, cause_named, partition
+from equipoise.control.grid import TRUNCATED, box_indices, partition
 from equipoise.control.policy import TaskPolicy
 from equipoise.logs.conditions import IDEAL, RunConditions, RunEnd, named
 from equipoise.logs.run_log import RunLog
@@ -32,14 +32,11 @@ from equipoise.model.worlds import (
     pivot_friction,
     read_world,
 )
-from equipoise.safety.trial import guard_named
+from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import Settings
 from equipoise.worlds import Recorder, find_world, run_trial, setup_of, simulate
 
 Array = npt.NDArray[np.float64]
-
-EXCITED = "excited"
-"""Cause of the end of an excitation."""
 
 
 def simulate_run(
@@ -82,6 +79,10 @@ def simulate_run(
     time = np.arange(len(rows.u), dtype=np.float64) * h
     sent = (time[:, None] + np.arange(SETPOINTS_PER_TICK) * h / SETPOINTS_PER_TICK).ravel()
     setpoints = rows.setpoints.reshape(-1, FREE_JOINTS)
+    state = ("x", "x_dot", "phi", "phi_dot")
+    evidence: dict[str, float | str] = {}
+    if cause != TRUNCATED and len(rows.state):
+        evidence = dict(zip(state, rows.state[-1].tolist(), strict=True))
     measured: dict[str, Any] = {}
     if twin is not None:
         measured = {
@@ -90,7 +91,6 @@ def simulate_run(
             "encoder": {"time": rows.encoder[:, 1], "counts": rows.encoder[:, 0]},
         }
     boxes = partition(settings.boxes, pendulum.parameters().k)
-    state = ("x", "x_dot", "phi", "phi_dot")
     return RunLog.simulated(
         RunConditions(
             arm=arm,
@@ -108,7 +108,7 @@ def simulate_run(
             pendulum=named(loop.pendulum),
             **_twin_conditions(pendulum, twin),
         ),
-        RunEnd(cause=cause_named(cause), guard=guard_named(cause), lasted=round(len(time) * h, 9)),
+        RunEnd(outcome=TRIAL_OUTCOMES[cause], evidence=evidence, lasted=round(len(time) * h, 9)),
         {
             "time": time,
             **dict(zip(state, rows.observation.T, strict=True)),
@@ -168,7 +168,7 @@ def excite(
             pendulum_digest=pendulum.digest,
             **_twin_conditions(pendulum, twin.settings),
         ),
-        RunEnd(cause=EXCITED),
+        RunEnd(outcome=Outcome.EXCITED),
         {},
         stream={"time": record.stream_time, "q": _all_joints(arm, record.stream_q)},
         replies={"time": record.reply_time, "q": _all_joints(arm, record.reply_q)},

@@ -8,12 +8,12 @@ Two checks, both without a clock and without I/O:
     Check of the run, once per tick, from its current state (`SafetyInputs`) and the state of the
     checks that span several ticks (`MonitorState`, from `update_monitor`).
 
-Each returns the first broken rule in the order of `Rule`, or None. A broken rule leads to a latched
-stop (`equipoise.control.states`, `equipoise.safety.stop`).
+Each returns the first broken rule in the order of `SAFETY_RULES` (`equipoise.outcomes`), or None. A
+broken rule leads to a latched stop (`equipoise.safety.stop`).
 
 The deciding functions are `@compilable`: the same ones run in the trials of the digital twin
 (`equipoise.safety.trial`), where a broken rule ends the trial. They return codes and
-numbers; this module adds the messages.
+numbers, of which this module makes an `End`.
 
 Rules never clip: with a reduced setpoint the controller would continue a motion that does not
 happen.
@@ -29,9 +29,8 @@ jumps and its position of rest are judged.
 """
 
 from collections.abc import Iterator, Sequence
-from enum import Enum
 from itertools import pairwise
-from math import copysign, inf, isfinite, nan, pi, radians
+from math import copysign, inf, isfinite, pi, radians
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -41,6 +40,7 @@ from equipoise import paper
 from equipoise.jit import compilable
 from equipoise.model.actuator import MAX_LEAD
 from equipoise.model.arms.arm import Arm
+from equipoise.outcomes import SAFETY_RULES, End, Outcome
 
 Numbers = tuple[float, ...]
 Row = Sequence[float] | npt.NDArray[np.float64]
@@ -110,160 +110,31 @@ TILT_LIMIT: Final = radians(2.0)
 `twin:nominal` it is 0.2 deg."""
 
 
-class Rule(Enum):
-    """Safety rules; of several broken ones the first in this order is named.
-
-    First the rules that make all other numbers meaningless, then limits of the robot, then harm,
-    then the end of the balance.
-    """
-
-    NUMBER = "not a number"
-    """A value is not a finite number."""
-    COUNT = "wrong count"
-    """A setpoint has more or fewer numbers than the arm has joints."""
-    LINK = "link overdue"
-    """The robot does not answer in time: software may be unable to stop it."""
-    NOT_FOLLOWING = "robot not following"
-    """The arm stands still while it should move: something else has stopped it."""
-    TORQUE = "contact"
-    """External torque: something touches the arm."""
-    FOLLOWING = "following error"
-    """The arm is not where it should be."""
-    FIRST = "first setpoint"
-    """The first setpoint is away from the measured posture."""
-    POSITION = "joint position"
-    """A setpoint is too near to a position limit, or could not be stopped before it."""
-    JUMP = "jump"
-    """A setpoint is far from the one before."""
-    VELOCITY = "joint velocity"
-    """A setpoint asks for more than the joint's velocity."""
-    ACCELERATION = "joint acceleration"
-    """A setpoint asks for more than the joint's acceleration."""
-    LEAD = "setpoint lead"
-    """A setpoint is too far from its reference: the arm goes there if nothing follows."""
-    SINGULAR = "near singularity"
-    """The arm is close to a singular posture."""
-    TRACK = "track"
-    """The flange could not be stopped within its track any more."""
-    SPEED = "flange speed"
-    """The flange reaches its speed limit, such as that of T1."""
-    DRIFT = "flange drift"
-    """The flange has left its line."""
-    TILT = "flange tilt"
-    """The flange has left its orientation."""
-    TICK = "late tick"
-    """The loop does not keep its time."""
-    MEASUREMENT_STALE = "stale joints"
-    """No measured joints came for too long: the robot answers too late, or without them."""
-    ENCODER_STALE = "stale encoder"
-    """No encoder sample came for too long."""
-    ENCODER_ILLEGAL = "illegal transition"
-    """The encoder's two lines changed at once: counts are lost."""
-    ENCODER_GAP = "encoder gap"
-    """Encoder samples are missing: how far it turned meanwhile is not known."""
-    ENCODER_JUMP = "count jump"
-    """The counts moved as no pendulum does."""
-    ANGLE = "angle"
-    """The pendulum has fallen."""
-
-
-RULES: Final = tuple(Rule)
-"""Rules by code: compiled functions name a rule by its index here."""
 NO_VIOLATION: Final = -1
 """Code for no broken rule."""
-FOLLOWING_CODE: Final = RULES.index(Rule.FOLLOWING)
-POSITION_CODE: Final = RULES.index(Rule.POSITION)
-JUMP_CODE: Final = RULES.index(Rule.JUMP)
-VELOCITY_CODE: Final = RULES.index(Rule.VELOCITY)
-ACCELERATION_CODE: Final = RULES.index(Rule.ACCELERATION)
-LEAD_CODE: Final = RULES.index(Rule.LEAD)
-SINGULAR_CODE: Final = RULES.index(Rule.SINGULAR)
-TRACK_CODE: Final = RULES.index(Rule.TRACK)
-SPEED_CODE: Final = RULES.index(Rule.SPEED)
-DRIFT_CODE: Final = RULES.index(Rule.DRIFT)
-TILT_CODE: Final = RULES.index(Rule.TILT)
-ANGLE_CODE: Final = RULES.index(Rule.ANGLE)
+FOLLOWING_CODE: Final = SAFETY_RULES.index(Outcome.FOLLOWING)
+POSITION_CODE: Final = SAFETY_RULES.index(Outcome.POSITION)
+JUMP_CODE: Final = SAFETY_RULES.index(Outcome.JUMP)
+VELOCITY_CODE: Final = SAFETY_RULES.index(Outcome.VELOCITY)
+ACCELERATION_CODE: Final = SAFETY_RULES.index(Outcome.ACCELERATION)
+LEAD_CODE: Final = SAFETY_RULES.index(Outcome.LEAD)
+SINGULAR_CODE: Final = SAFETY_RULES.index(Outcome.SINGULAR)
+TRACK_CODE: Final = SAFETY_RULES.index(Outcome.TRACK)
+SPEED_CODE: Final = SAFETY_RULES.index(Outcome.SPEED)
+DRIFT_CODE: Final = SAFETY_RULES.index(Outcome.DRIFT)
+TILT_CODE: Final = SAFETY_RULES.index(Outcome.TILT)
+ANGLE_CODE: Final = SAFETY_RULES.index(Outcome.ANGLE)
 
-FROM_MEASURED: Final = frozenset({Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.TORQUE, Rule.FIRST})
+FROM_MEASURED: Final = frozenset(
+    {Outcome.NOT_FOLLOWING, Outcome.FOLLOWING, Outcome.TORQUE, Outcome.FIRST}
+)
 """Rules whose violation shows that the arm is not at its setpoint: after the ramp the targets go
 back towards the measured joints."""
 
 
-class Violation(NamedTuple):
-    """A broken rule."""
-
-    rule: Rule
-    """The rule."""
-    reason: str
-    """Message for the operator: the value, and the expected one."""
-    value: float
-    """Value that violates the rule, in SI units."""
-    limit: float
-    """Limit of the rule."""
-    joint: int | None = None
-    """Number of the joint, from one; None for a rule about the whole arm or rig."""
-
-    @property
-    def from_measured(self) -> bool:
-        """Whether the targets go back towards the measured posture after the ramp."""
-        return self.rule in FROM_MEASURED
-
-
-MESSAGES: Final = {
-    Rule.NUMBER: "{what}, expected a finite number",
-    Rule.COUNT: "{what} has {value:g} numbers, expected {limit:g}, one per joint",
-    Rule.LINK: "the robot has not answered for {milli:.0f} ms, expected at most {max_milli:.0f} "
-    "ms; software may be unable to stop it: use the emergency stop",
-    Rule.NOT_FOLLOWING: "the arm stands still where a joint should have moved by {value:.3f} rad: "
-    "emergency stop, enabling switch, protective stop or another mode",
-    Rule.TORQUE: "the external torque at joint {joint} is {value:.1f} N m from that at rest, "
-    "expected at most {limit:.1f} N m: something touches the arm",
-    Rule.FOLLOWING: "joint {joint} is {value:.3f} rad from where it is expected for "
-    "{lasted:.0f} ms, expected at most {limit:g} rad",
-    Rule.FIRST: "the first setpoint of joint {joint} is {value:.4f} rad from where it is "
-    "measured, expected at most {limit:g} rad",
-    Rule.POSITION: "the setpoint of joint {joint} {what} at {value:.4f} rad, expected {lower:.4f} "
-    "to {upper:.4f} rad: its limits less the margin of the rig",
-    Rule.JUMP: "the setpoint of joint {joint} jumps by {value:.4f} rad, expected at most "
-    "{limit:.4f} rad; are its units right?",
-    Rule.VELOCITY: "the setpoint of joint {joint} asks for {value:.3f} rad/s, expected at most "
-    "{limit:.3f} rad/s",
-    Rule.ACCELERATION: "the setpoint of joint {joint} asks for {value:.2f} rad/s^2, expected at "
-    "most {limit:.2f} rad/s^2",
-    Rule.LEAD: "the setpoint of joint {joint} leads its reference by {value:.4f} rad, expected at "
-    "most {limit:.4f} rad",
-    Rule.SINGULAR: "the arm is near a singularity: |det J| is {value:.2g} m^3, expected at least "
-    "{limit:.2g} m^3",
-    Rule.TRACK: "the flange is at {x:.3f} m with {x_dot:.3f} m/s and could be stopped at "
-    "{reach:.3f} m, expected less than {limit:g} m from home",
-    Rule.SPEED: "the flange moves at {value:.3f} m/s, expected less than {limit:.3g} m/s",
-    Rule.DRIFT: "the flange is {milli:.1f} mm off its line, expected at most {max_milli:g} mm",
-    Rule.TILT: "the flange is tilted by {degrees:.2f} deg, expected at most {max_degrees:g} deg",
-    Rule.TICK: "the loop {what}; `equipoise rig doctor` looks for the cause",
-    Rule.MEASUREMENT_STALE: "the joints were last measured {milli:.0f} ms ago, expected at most "
-    "{max_milli:g} ms: the robot's link is too slow; look at its cable and its network",
-    Rule.ENCODER_STALE: "the newest encoder sample is {milli:.1f} ms old, expected at most "
-    "{max_milli:g} ms; look at its cable",
-    Rule.ENCODER_ILLEGAL: "the encoder's lines changed both at once: counts are lost; look at its "
-    "wiring",
-    Rule.ENCODER_GAP: "{value:g} encoder samples are missing, expected one at most, and that "
-    "seldom; look at its cable and at the load of this machine",
-    Rule.ENCODER_JUMP: "the encoder jumped by {degrees:.2f} deg more than a pendulum moves, "
-    "expected at most {max_degrees:g} deg; look at its coupling",
-    Rule.ANGLE: "the pendulum leans by {degrees:.1f} deg, expected less than {max_degrees:g} deg",
-}
-"""Message of each rule; `milli` is the value in thousandths, `degrees` converted from radians."""
-
-
-def _violation(
-    rule: Rule, value: float, limit: float, joint: int | None = None, **more: object
-) -> Violation:
-    """Return the violation of a rule, `more` being further values of its message."""
-    milli, degrees = (1e3 * value, 1e3 * limit), (np.rad2deg(value), np.rad2deg(limit))
-    more |= {"milli": milli[0], "max_milli": milli[1]}
-    more |= {"degrees": degrees[0], "max_degrees": degrees[1]}
-    reason = MESSAGES[rule].format(value=value, limit=limit, joint=joint, **more)
-    return Violation(rule, reason, value, limit, joint)
+def _violation(outcome: Outcome, value: float, limit: float, **more: float | str) -> End:
+    """Return the end by a broken rule, `more` being further evidence."""
+    return End(outcome, {"value": value, "limit": limit, **more})
 
 
 class Limits(NamedTuple):
@@ -371,7 +242,7 @@ def check_setpoint(
     dt: float,
     to_rest: bool = False,
     setpoints: tuple[Sequence[float], Sequence[float]] | None = None,
-) -> Violation | None:
+) -> End | None:
     """Return the rule that forbids a setpoint, or None.
 
     Args:
@@ -392,12 +263,11 @@ def check_setpoint(
         code, joint, value, limit = broken_lead(limits, *setpoints, q, last, dt, to_rest)
     if code == NO_VIOLATION:
         return None
-    what = "is" if value == q[joint - 1] else "could only be stopped"
-    lower, upper = limits.lower[joint - 1], limits.upper[joint - 1]
-    return _violation(RULES[code], value, limit, joint, what=what, lower=lower, upper=upper)
+    more = {"joint": joint, "lower": limits.lower[joint - 1], "upper": limits.upper[joint - 1]}
+    return _violation(SAFETY_RULES[code], value, limit, **more)
 
 
-def check_first(limits: Limits, q: Sequence[float], measured: Sequence[float]) -> Violation | None:
+def check_first(limits: Limits, q: Sequence[float], measured: Sequence[float]) -> End | None:
     """Return the rule that forbids the first setpoint of a stream, or None.
 
     Args:
@@ -411,17 +281,17 @@ def check_first(limits: Limits, q: Sequence[float], measured: Sequence[float]) -
     for joint, (angle, measured_angle) in enumerate(zip(q, measured, strict=True), start=1):
         distance = abs(angle - measured_angle)
         if distance > FIRST_LIMIT:
-            return _violation(Rule.FIRST, distance, FIRST_LIMIT, joint)
+            return _violation(Outcome.FIRST, distance, FIRST_LIMIT, joint=joint)
     return check_setpoint(limits, q, q, q, inf)
 
 
-def _invalid_numbers(limits: Limits, q: Sequence[float], name: str) -> Violation | None:
+def _invalid_numbers(limits: Limits, q: Sequence[float], name: str) -> End | None:
     if len(q) != limits.joints:
-        return _violation(Rule.COUNT, float(len(q)), float(limits.joints), what=name)
+        return _violation(Outcome.COUNT, float(len(q)), float(limits.joints), name=name)
     for joint, angle in enumerate(q, start=1):
         if not isfinite(angle):
-            what = f"{name} has {angle} for joint {joint}"
-            return _violation(Rule.NUMBER, angle, nan, joint, what=what)
+            evidence = {"name": f"{name}, joint {joint},", "got": str(angle), "joint": joint}
+            return End(Outcome.NUMBER, evidence)
     return None
 
 
@@ -593,8 +463,8 @@ def update_monitor(
     return MonitorState(missed, 0, error_time, rest, then, expected_motion)
 
 
-def check(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> Violation | None:
-    """Return the broken rule that stops the run, or None; of several the first of `Rule`.
+def check(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> End | None:
+    """Return the broken rule that stops the run, or None; of several the first.
 
     Args:
         params: Safety limits of the rig.
@@ -604,26 +474,26 @@ def check(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> 
     return next(violations(params, monitor, inputs), None)
 
 
-def violations(
-    params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs
-) -> Iterator[Violation]:
-    """Yield the broken rules in the order of `Rule`; arguments as of `check`."""
+def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> Iterator[End]:
+    """Yield the broken rules in the order of `SAFETY_RULES`; arguments as of `check`."""
     for name, value in zip(inputs._fields, inputs, strict=True):
         if value is None or (name == "manipulability" and value == inf):
             continue
         for number in value if isinstance(value, tuple) else (value,):
             if not isfinite(number):
-                yield _violation(Rule.NUMBER, number, nan, what=f"{name} is {number}")
+                yield End(Outcome.NUMBER, {"name": name, "got": str(number)})
     if inputs.overdue > MAX_STALL:
-        yield _violation(Rule.LINK, inputs.overdue, MAX_STALL)
+        yield _violation(Outcome.LINK, inputs.overdue, MAX_STALL)
     if monitor.expected_motion > EXPECTED_MOTION:
-        yield _violation(Rule.NOT_FOLLOWING, monitor.expected_motion, EXPECTED_MOTION)
+        yield _violation(Outcome.NOT_FOLLOWING, monitor.expected_motion, EXPECTED_MOTION)
     if inputs.torque is not None and (joint := overloaded_joint(inputs.torque, params.torque)):
-        yield _violation(Rule.TORQUE, inputs.torque[joint - 1], params.torque[joint - 1], joint)
+        yield _violation(
+            Outcome.TORQUE, inputs.torque[joint - 1], params.torque[joint - 1], joint=joint
+        )
     lasted, measured, expected = monitor.error_time, inputs.measured, inputs.expected
     if error_time_exceeded(lasted) and measured is not None and expected is not None:
         error, joint = largest_difference(measured, expected)
-        yield _violation(Rule.FOLLOWING, error, FOLLOWING_LIMIT, joint, lasted=1e3 * lasted)
+        yield _violation(Outcome.FOLLOWING, error, FOLLOWING_LIMIT, joint=joint, lasted=lasted)
     if inputs.on_track:
         x, x_dot = inputs.x, inputs.x_dot
         code, value, limit = broken_flange(
@@ -631,26 +501,22 @@ def violations(
         )
         if code != NO_VIOLATION:
             reach = stopping_reach(x, x_dot, params.reaction, params.u_max)
-            yield _violation(RULES[code], value, limit, x=x, x_dot=x_dot, reach=reach)
-    if inputs.lateness > MAX_STALL:
-        late, most = 1e3 * inputs.lateness, 1e3 * MAX_STALL
-        what = f"was {late:.1f} ms late, expected at most {most:g} ms"
-        yield _violation(Rule.TICK, inputs.lateness, MAX_STALL, what=what)
-    if monitor.missed >= MAX_MISSED_TICKS:
-        what = f"missed {monitor.missed} ticks in a row, expected fewer than {MAX_MISSED_TICKS}"
-        yield _violation(Rule.TICK, float(monitor.missed), float(MAX_MISSED_TICKS), what=what)
+            yield _violation(SAFETY_RULES[code], value, limit, x=x, x_dot=x_dot, reach=reach)
+    if inputs.lateness > MAX_STALL or monitor.missed >= MAX_MISSED_TICKS:
+        missed = {"missed": monitor.missed, "limit_missed": MAX_MISSED_TICKS}
+        yield _violation(Outcome.TICK, inputs.lateness, MAX_STALL, **missed)
     if inputs.measured_age > MAX_MEASUREMENT_AGE:
-        yield _violation(Rule.MEASUREMENT_STALE, inputs.measured_age, MAX_MEASUREMENT_AGE)
+        yield _violation(Outcome.MEASUREMENT_STALE, inputs.measured_age, MAX_MEASUREMENT_AGE)
     if inputs.encoder_age > MAX_STALL:
-        yield _violation(Rule.ENCODER_STALE, inputs.encoder_age, MAX_STALL)
+        yield _violation(Outcome.ENCODER_STALE, inputs.encoder_age, MAX_STALL)
     if inputs.encoder_illegal:
-        yield _violation(Rule.ENCODER_ILLEGAL, 1.0, 0.0)
+        yield _violation(Outcome.ENCODER_ILLEGAL, 1.0, 0.0)
     if inputs.encoder_missing > 0:
-        yield _violation(Rule.ENCODER_GAP, float(inputs.encoder_missing), 0.0)
+        yield _violation(Outcome.ENCODER_GAP, float(inputs.encoder_missing), 0.0)
     if inputs.encoder_jump > MAX_COUNT_JUMP:
-        yield _violation(Rule.ENCODER_JUMP, inputs.encoder_jump, MAX_COUNT_JUMP)
+        yield _violation(Outcome.ENCODER_JUMP, inputs.encoder_jump, MAX_COUNT_JUMP)
     if inputs.balancing and has_fallen(inputs.phi):
-        yield _violation(Rule.ANGLE, inputs.phi, ANGLE_RULE_LIMIT)
+        yield _violation(Outcome.ANGLE, inputs.phi, ANGLE_RULE_LIMIT)
 
 
 @compilable

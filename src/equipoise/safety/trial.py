@@ -21,7 +21,6 @@ from equipoise.control.control_step import (
     horizon,
 )
 from equipoise.control.controller import flange_pose
-from equipoise.control.grid import SAFETY_STOP
 from equipoise.jit import inlined, kernel
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
@@ -184,8 +183,3 @@ def trial_violation(
     if code == NO_VIOLATION and rules.has_fallen(at(state.estimate, EST_PHI, 0)):
         return rules.ANGLE_CODE
     return code
-
-
-def guard_named(cause: int) -> str:
-    """Return the name of the rule that ended a trial, by its cause; empty for another cause."""
-    return rules.RULES[cause - SAFETY_STOP].value if cause >= SAFETY_STOP else ""

@@ -28,14 +28,13 @@ from equipoise.artefacts import (
     value_digest,
 )
 from equipoise.control.baselines import baselines
-from equipoise.control.grid import CAUSES, cause_named
 from equipoise.control.policy import MAX_ACTUATORS, PolicyKernel, TaskPolicy
 from equipoise.executors import Workers
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.random import TEST
 from equipoise.model.worlds import MODEL, PivotFriction, TwinSettings, World, pivot_friction
-from equipoise.safety.trial import guard_named
+from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
 from equipoise.worlds import Trials, find_world, setup_of, simulate
 
@@ -63,8 +62,8 @@ class Summary(NamedTuple):
     """Median survival [s]."""
     quantiles: tuple[float, float, float, float]
     """Survival at 5, 25, 75 and 95 % of the trials [s]."""
-    causes: dict[str, int]
-    """Number of trials by the cause of their end."""
+    outcomes: dict[Outcome, int]
+    """Number of trials by their outcome."""
 
 
 def exact_interval(count: int, of: int) -> tuple[float, float]:
@@ -85,25 +84,23 @@ class TrialResults(Value):
     """Name of the policy."""
     survival: Annotated[tuple[Survival, ...], Field(min_length=1, max_length=MOST_TRIALS)]
     """Duration of each trial [s]."""
-    causes: Annotated[tuple[Name, ...], Field(max_length=MOST_TRIALS)]
-    """Cause of the end of each trial: lasted, angle, track, joint limit, guard."""
-    guards: Annotated[tuple[Name, ...], Field(max_length=MOST_TRIALS)] = ()
-    """Guard that ended each trial, empty for another cause; no entries if no guard ended one."""
+    outcomes: Annotated[tuple[Outcome, ...], Field(max_length=MOST_TRIALS)]
+    """Outcome of each trial."""
 
     @model_validator(mode="after")
     def _is_whole(self) -> Self:
         trials = len(self.survival)
-        if len(self.causes) != trials or len(self.guards) not in (0, trials):
-            raise ValueError(f"{trials} trials need as many causes, and guards if there are any")
+        if len(self.outcomes) != trials:
+            raise ValueError(f"{trials} trials need as many outcomes")
         return self
 
     def summary(self) -> Summary:
-        """Return share, interval, quantiles and causes."""
-        trials, survived = len(self.survival), self.causes.count(CAUSES[0])
+        """Return share, interval, quantiles and outcomes."""
+        trials, survived = len(self.survival), self.outcomes.count(Outcome.LASTED)
         rate, interval = survived / trials, exact_interval(survived, trials)
         q05, q25, q50, q75, q95 = np.quantile(self.survival, [0.05, 0.25, 0.5, 0.75, 0.95]).tolist()
-        quantiles, causes = (q05, q25, q75, q95), dict(Counter(self.causes))
-        return Summary(trials, survived, rate, interval, q50, quantiles, causes)
+        quantiles, outcomes = (q05, q25, q75, q95), dict(Counter(self.outcomes))
+        return Summary(trials, survived, rate, interval, q50, quantiles, outcomes)
 
 
 def trial_results(name: str, trials: Trials, h: float) -> TrialResults:
@@ -115,10 +112,8 @@ def trial_results(name: str, trials: Trials, h: float) -> TrialResults:
         h: Time step [s].
     """
     survival = tuple(round(steps * h, 6) for steps in trials.steps.tolist())
-    codes = trials.cause.tolist()
-    causes, guards = (tuple(map(named, codes)) for named in (cause_named, guard_named))
-    guards = guards if any(guards) else ()
-    return TrialResults(name=name, survival=survival, causes=causes, guards=guards)
+    outcomes = tuple(TRIAL_OUTCOMES[code] for code in trials.cause.tolist())
+    return TrialResults(name=name, survival=survival, outcomes=outcomes)
 
 
 class Evaluation(Artefact):

@@ -1,30 +1,26 @@
 """Text for numbers of trials and runs."""
 
 from collections.abc import Mapping
-from typing import Final
 
 import numpy as np
 
-from equipoise.control.grid import CAUSES
-
-LASTED: Final = CAUSES[0]
-"""Cause of the end of a successful trial."""
+from equipoise.outcomes import Outcome
 
 
-def format_end(cause: str) -> str:
+def format_end(outcome: Outcome) -> str:
     """Return the end of a trial or a run as text."""
     return {
-        LASTED: "stood to the end",
-        "angle": "fell over",
-        "track": "left the track",
-        "joint limit": "met a joint limit",
-        "guard": "was stopped by a guard",
-    }.get(cause, cause)
+        Outcome.LASTED: "stood to the end",
+        Outcome.ANGLE: "fell over",
+        Outcome.TRACK: "left the track",
+        Outcome.JOINT_LIMIT: "met a joint limit",
+    }.get(outcome, f"ended by {outcome}")
 
 
-def format_failures(causes: Mapping[str, int]) -> str:
-    """Return the numbers of failed trials by cause as text."""
-    failed = [f"{n} {format_end(cause)}" for cause, n in causes.items() if cause != LASTED]
+def format_failures(outcomes: Mapping[Outcome, int]) -> str:
+    """Return the numbers of failed trials by outcome as text."""
+    lasted = Outcome.LASTED
+    failed = [f"{n} {format_end(outcome)}" for outcome, n in outcomes.items() if outcome != lasted]
     return ", ".join(sorted(failed)) or "none failed"
 
 

@@ -55,6 +55,7 @@ from equipoise.model.actuator import (
     CYCLE,
     IDEAL_ACTUATOR,
     Actuator,
+    DelayedSetpoint,
     aim_at,
     follow,
     follow_setpoint,
@@ -358,15 +359,13 @@ def move_arms(
         lanes: Number of lanes.
     """
     q, dq, share, actuator = block.q, block.dq, block.share, controller.actuator
-    before, target, turn = block.before, block.target, block.turn
+    setpoint = DelayedSetpoint(block.before, block.target, block.turn, True)
     state, frame, scratch = block.state, block.frame, block.controller.scratch
     cycles = round(controller.h / SETPOINTS_PER_TICK / CYCLE)
     if not dry:
         for s in range(SETPOINTS_PER_TICK):
             _send(block, s, lanes)
-            follow_setpoint(
-                q, dq, before, target, turn, True, share, actuator, cycles, scratch, lanes
-            )
+            follow_setpoint(q, dq, setpoint, share, actuator, cycles, scratch, lanes)
         controller.motion(q, dq, frame, lanes)
         return
     for n in range(lanes):
@@ -374,7 +373,7 @@ def move_arms(
     for s in range(SETPOINTS_PER_TICK):
         _send(block, s, lanes)
         for cycle in range(cycles):
-            aim_at(cycle, before, target, turn, scratch)
+            aim_at(cycle, setpoint, scratch)
             follow(q, dq, scratch, share, actuator, lanes)
             for n in range(lanes):
                 put(state, TRACKED, n, -pivot_velocity(frame, controller.pivot, n))

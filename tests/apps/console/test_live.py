@@ -10,11 +10,11 @@ import pytest
 
 from equipoise.apps.console import server as console_server
 from equipoise.apps.console.server import serve
-from equipoise.control.states import Phase
 from equipoise.logs.recorder import push_event
 from equipoise.logs.shared import RunInfo, open_recorder, share
 from equipoise.model.arms.iiwa import iiwa7
-from equipoise.rig.operator import OperatorMessage
+from equipoise.outcomes import Phase
+from equipoise.rig.interfaces import OperatorMessage
 from equipoise.rig.processes import OperatorProxy
 from equipoise.rig.run_controller import PHASES
 from tests.apps.console.browser import browser, needs_browser, press, requests, shown, wait_until

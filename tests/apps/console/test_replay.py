@@ -1,11 +1,8 @@
 """The replay: its time line and events, its page without a browser, and in one."""
 
 import json
-import threading
-import time
 from dataclasses import replace
 from http.cookiejar import CookieJar
-from types import SimpleNamespace
 from urllib.error import HTTPError
 from urllib.request import HTTPCookieProcessor, Request, build_opener
 
@@ -15,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise.apps.console.replay import MAX_MARKS, Playback, ReplayPage, marks_of
-from equipoise.control.states import Phase
 from equipoise.logs.motion import Motion
+from equipoise.outcomes import Phase
 from equipoise.rig.explanation import explain
 from equipoise.rig.run_controller import PHASES
 from tests.apps.console.browser import (
@@ -101,7 +98,7 @@ def test_the_events_are_phases_warnings_and_the_causes_that_explain_names():
         (2.5, "warning", "The disk is nearly full."),
     ]
     causes = {(mark.name, mark.text) for mark in marks if mark.cause}
-    assert causes == {(one.name.value, one.evidence) for one in explain(RUN).causes}
+    assert causes == {(one.cause, one.evidence) for one in explain(RUN).causes}
     state = np.resize([PHASES.index(Phase.LIFTING), PHASES.index(Phase.BALANCING)], 901)
     many = changed_table(RUN, "tick", state=state)
     assert len(marks_of(many, Motion.of(many))) == MAX_MARKS
@@ -119,50 +116,6 @@ def test_texts_of_the_log_do_not_become_markup():
         assert "&lt;img" in page._panel._state.content
     finally:
         server.stop()
-
-
-@pytest.fixture
-def page():
-    """The page, playing in a thread of its own."""
-    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
-    page = ReplayPage(server, RUN, "a run")
-    ended = threading.Event()
-    player = threading.Thread(target=page.play, args=(ended.is_set,))
-    player.start()
-    yield page
-    ended.set()
-    player.join(10.0)
-    server.stop()
-    assert not player.is_alive()
-
-
-def pressed(handle, value=None):
-    """Press a control as a browser does."""
-    if value is not None:
-        handle._impl.value = value
-    for callback in handle._impl.update_cb:
-        callback(SimpleNamespace(client_id=1, target=handle))
-
-
-def test_buttons_keys_and_events_move_the_run(page):
-    before = page._panel.view.pivot
-    pressed(page._speed, "4×")
-    pressed(page._button)
-    wait_until(lambda: page._slider.value > 0.5, "motion", 20.0)
-    pressed(page._button)
-    wait_until(lambda: page._button.label == "Play", "pause", 20.0)
-    assert np.linalg.norm(page._panel.view.pivot - before) > 0.01
-    pressed(page._slider, 1.25)
-    wait_until(lambda: page.playback.time == 1.25, "drag", 20.0)
-    page.ask("+1 tick")
-    wait_until(lambda: page._slider.value == 1.26, "step", 20.0)
-    handles = page._server.gui._gui_input_handle_from_uuid.values()
-    labels = {handle.label: handle for handle in handles if hasattr(handle, "label")}
-    pressed(labels["+2.01 s  lasted"])
-    wait_until(lambda: page._slider.value == 2.01, "jump", 20.0)
-    assert "lasted (a cause of the end)" in page._sentence.content
-    time.sleep(0.1)
-    assert page._slider.value == 2.01
 
 
 @pytest.fixture(scope="module")

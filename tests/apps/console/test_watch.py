@@ -9,11 +9,11 @@ import pytest
 from equipoise.apps.console.gauges import messages_list, question_card, state_card
 from equipoise.apps.console.publisher import publishing
 from equipoise.apps.console.watch import RunWatch
-from equipoise.control.states import Phase
 from equipoise.logs.recorder import push_event
 from equipoise.logs.shared import RunInfo, live_runs, open_recorder, share
 from equipoise.model.arms.iiwa import iiwa7
-from equipoise.rig.operator import OperatorMessage
+from equipoise.outcomes import Phase
+from equipoise.rig.interfaces import OperatorMessage
 from equipoise.rig.processes import OperatorProxy
 from equipoise.rig.run_controller import PHASES
 

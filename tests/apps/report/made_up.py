@@ -5,16 +5,17 @@ import numpy as np
 from equipoise import paper
 from equipoise.artefacts import Estimate, Provenance
 from equipoise.control.policy import Checkpoint, LearningPoint, TabularPolicy
+from equipoise.identification.recording import Trajectory
 from equipoise.logs.conditions import IDEAL, RunConditions, RunEnd
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, SwingFit
 from equipoise.model.worlds import MODEL, read_world
+from equipoise.outcomes import Outcome
 from equipoise.reproduction.results import PipelineStage, ReproductionRecord, Results, digests
 from equipoise.reproduction.synthetic_swing import SyntheticSwing
 from equipoise.settings import resolve
-from equipoise.trajectory import Trajectory
 from equipoise.worlds.evaluation import Evaluation, TrialResults
 
 W2, C, RELEASE = 70.2, 0.15, 0.5
@@ -111,12 +112,12 @@ def policy(of, recipe="robust", unvisited=7):
     )
 
 
-def trials(name, falls, count=20, cause="track"):
+def trials(name, falls, count=20, cause=Outcome.TRACK):
     """Trials of a minute, of which the first fell after the given times."""
     return TrialResults(
         name=name,
         survival=(*falls, *[60.0] * (count - len(falls))),
-        causes=(*[cause] * len(falls), *["lasted"] * (count - len(falls))),
+        outcomes=(*[cause] * len(falls), *[Outcome.LASTED] * (count - len(falls))),
     )
 
 
@@ -135,7 +136,7 @@ def evaluation(of, falls=(3.0, 20.0)):
         results=trials("policy", falls),
         baselines=(
             trials("LQR", ()),
-            trials("random", np.linspace(0.2, 0.9, 20).tolist(), cause="angle"),
+            trials("random", np.linspace(0.2, 0.9, 20).tolist(), cause=Outcome.ANGLE),
         ),
     )
 
@@ -146,7 +147,7 @@ def twin_evaluation(of):
     return evaluation(of, ()).model_copy(update={**there, "baselines": ()})
 
 
-def run(of, lasted=60.0, cause="lasted", world=MODEL):
+def run(of, lasted=60.0, cause=Outcome.LASTED, world=MODEL):
     """A run of sines, with the boxes of a few states; on a twin the policy saw them early."""
     n = round(lasted / 0.01)
     time = 0.01 * np.arange(n)
@@ -181,7 +182,7 @@ def run(of, lasted=60.0, cause="lasted", world=MODEL):
             zero_error=ZERO if twin else None,
             settings=of.settings,
         ),
-        RunEnd(cause=cause, lasted=lasted),
+        RunEnd(outcome=cause, lasted=lasted),
         {
             "time": time,
             **state(time),

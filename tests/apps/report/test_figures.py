@@ -11,8 +11,8 @@ from equipoise.apps.report.figures import free_swing, learning_curve
 from equipoise.apps.report.page import FIGURES
 from equipoise.apps.style import render, save
 from equipoise.errors import RecordingError
-from equipoise.identification import identify
-from equipoise.model.pendulum import fitted_curve
+from equipoise.identification.fitted import fitted_curve
+from equipoise.identification.swing import identify
 from equipoise.reproduction.synthetic_swing import SyntheticSwing, synthetic_swing
 from tests.apps.report import made_up
 

@@ -9,10 +9,11 @@ from equipoise import film, paper
 from equipoise.apps.report import page as page_module
 from equipoise.apps.report.page import FIGURES, PAGE, build, page
 from equipoise.errors import ArtefactError, OutsideError
+from equipoise.identification.recording import write_swing
 from equipoise.model.worlds import MODEL, TwinSettings
+from equipoise.outcomes import Outcome
 from equipoise.reproduction import results as files
 from equipoise.settings import Settings
-from equipoise.trajectory import write_swing
 from tests.apps.report import made_up
 
 HOSTILE = "<script>alert('x')</script>&\x1b[2J.csv"
@@ -108,7 +109,7 @@ def test_the_numbers_are_those_of_the_results_and_of_the_paper(plain):
     [
         ({"quick": True}, "Quick run", "The film of the run is missing"),
         ({"missing": "no OpenGL"}, "The film of the run is missing: no OpenGL", "Quick run"),
-        ({"lasted": 20.0, "cause": "track"}, "left the track after 20 s", "stood all"),
+        ({"lasted": 20.0, "cause": Outcome.TRACK}, "left the track after 20 s", "stood all"),
         ({"given": "mine.csv"}, "equipoise reproduce --swing mine.csv", "one is simulated"),
         ({"warnings": ["friction is odd"]}, "friction is odd", "mine.csv"),
         ({"recipe": "paper"}, "no selection took place", "A later table is not always better"),
@@ -148,7 +149,7 @@ def folder(tmp_path_factory):
         policy=policy,
         evaluation=made_up.evaluation(policy),
         twin_evaluation=made_up.twin_evaluation(policy),
-        run=made_up.run(policy, lasted=8.0, cause="track", world="twin:nominal"),
+        run=made_up.run(policy, lasted=8.0, cause=Outcome.TRACK, world="twin:nominal"),
     )
     record = found.record.model_copy(update={"files": dict(files.digests(found))})
     for value, name in (

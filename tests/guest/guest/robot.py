@@ -13,12 +13,10 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from equipoise.errors import InputError, LinkError
-from equipoise.rig.interfaces import Request
-from equipoise.rig.plugins import EmulatedRobot, RobotPlugin
-from equipoise.rig.setpoints import checked
+from equipoise.rig.interfaces import Request, checked_setpoint
+from equipoise.rig.plugins import Emulated, RobotPlugin
 from equipoise.rig.transports import SocketTransport, memory_pipe
 
-FORM = "guest://HOST:4000"
 MEASURE, START, STOP, SETPOINT, REQUEST, STOPPED = range(6)
 PERIOD_MS = 4
 UNANSWERED = 6
@@ -78,7 +76,7 @@ class GuestRobot:
 
     def answer(self, q):
         self._requests.popleft()
-        self._send(SETPOINT, tuple(checked(q, self.joints).tolist()))
+        self._send(SETPOINT, tuple(checked_setpoint(q, self.joints).tolist()))
 
     def stop(self):
         self._measured = None
@@ -160,13 +158,15 @@ def host_and_port(address):
         parts = urlsplit(address)
         if parts.hostname and parts.port:
             return parts.hostname, parts.port
-    raise InputError(f"{address!r} is no address of a guest's robot; expected {FORM}")
+    raise InputError(f"{address!r} is no address of a guest's robot; expected guest://HOST:4000")
 
 
 def open_robot(address, session):
+    where = host_and_port(address)
+
     def connected():
         try:
-            return SocketTransport(socket.create_connection(host_and_port(address), timeout=2.0))
+            return SocketTransport(socket.create_connection(where, timeout=2.0))
         except OSError as error:
             raise LinkError(f"no connection to {address} ({error}); switch the robot on") from None
 
@@ -182,12 +182,11 @@ def emulate(rig, arm, session, delay, seed):
             controller.feed(there.read())
             there.write(controller.advance())
 
-    return EmulatedRobot(GuestRobot(lambda: here, session, rig.joints), advance, controller, there)
+    driver = GuestRobot(lambda: here, session, rig.joints)
+    return Emulated(driver, advance, controller, there)
 
 
 PLUGIN = RobotPlugin(
-    form=FORM,
-    check=host_and_port,
     open=open_robot,
     emulate=emulate,
     servo={"transport": 0.0045},

@@ -41,13 +41,6 @@ def test_limits_are_those_of_the_model(size):
     assert iiwa(size).held_joint == HELD_JOINT
 
 
-@pytest.mark.parametrize("size", [7, 14])
-def test_the_arm_stands_upright_at_zero(size):
-    pose = iiwa(size).pose(np.zeros(6))
-    assert pose.position == pytest.approx([0.0, 0.0, UPRIGHT[size]], abs=1e-15)
-    assert np.array_equal(pose.rotation, np.eye(3))
-
-
 @pytest.mark.parametrize(("size", "height"), [(7, 0.49), (14, 0.53)])
 def test_home_points_down_with_outward_along_base_y(size, height):
     arm = iiwa(size, media_flange=0.035)
@@ -69,16 +62,6 @@ def test_the_track_is_far_from_singularities_and_limits(size, speed):
     # A1 is the joint that limits the speed at home: x is tangential.
     rates = np.linalg.solve(arm.kinematics(arm.home_free).jacobian, np.eye(6)[0])
     assert np.argmax(np.abs(rates) / [joint.velocity for joint in arm.free_joints]) == 0
-
-
-def test_an_arm_in_the_plane_of_motion_would_be_slower_and_not_reach():
-    for size in (7, 14):
-        arm = iiwa(size)
-        inward = arm.model_copy(update={"home": (0.0, *arm.home[1:])})
-        home = arm.home_free, inward.home_free
-        assert x_speed_limit(inward, home[1]) < 0.6 * x_speed_limit(arm, home[0])
-        with pytest.raises(ArmError, match="cannot carry its flange"):
-            along_x(inward, [0.1, X_LIMIT])
 
 
 def test_postures_along_x_hold_the_orientation():

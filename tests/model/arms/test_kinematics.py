@@ -13,10 +13,8 @@ from hypothesis.extra.numpy import arrays
 
 from equipoise.jit import kernel
 from equipoise.model.arms.compiler import BIAS, FRAME_SIZE, JACOBIAN, POSITION, ROTATION, TWIST
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from tests.model.arms.witnesses import ARMS, MuJoCo, Pinocchio
-from tests.reference import kinematics as reference
 
 STATES = 1000
 TOLERANCE = 1e-9
@@ -81,13 +79,6 @@ def test_pose_jacobian_and_bias_equal_those_of_an_independent_library(case, libr
         assert frame[JACOBIAN:] == pytest.approx(J.ravel(), abs=TOLERANCE)
 
 
-def test_every_entry_equals_the_slow_reference(case):
-    arm, _, q, dq, frames = case
-    for q_i, dq_i, frame in zip(q[:100], dq[:100], frames[:100], strict=True):
-        parts = reference.kinematics(arm, q_i, dq_i)
-        assert frame == pytest.approx(np.concatenate([p.ravel() for p in parts]), abs=TOLERANCE)
-
-
 def test_python_and_compiled_kinematics_agree(case):
     arm, _, q, dq, frames = case
     for q_i, dq_i, frame in zip(q[:20], dq[:20], frames[:20], strict=True):
@@ -139,13 +130,3 @@ def test_kernels_get_the_limits_of_the_free_joints():
     assert np.array_equal(limits.lower, -limits.upper)
     assert np.degrees(limits.max_velocity) == pytest.approx([85, 85, 75, 130, 135, 135])
     assert np.array_equal(limits.max_acceleration, np.full(6, 10.0))
-
-
-def test_two_arms_in_one_process_have_their_own_kinematics():
-    q, dq = np.full((1, 6), 0.4), np.zeros((1, 6))
-    seven, fourteen = np.zeros((1, FRAME_SIZE)), np.zeros((1, FRAME_SIZE))
-    frames_of(iiwa(7).compiled(), q, dq, seven)
-    frames_of(iiwa(14).compiled(), q, dq, fourteen)
-    assert seven[0, :3] == pytest.approx(iiwa(7).pose(q[0]).position, abs=1e-13)
-    assert fourteen[0, :3] == pytest.approx(iiwa(14).pose(q[0]).position, abs=1e-13)
-    assert abs(seven[0, 2] - fourteen[0, 2]) > 0.01

@@ -1,8 +1,5 @@
 """The E-line protocol: what is a line, what is none, and what a damaged one can pass for."""
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,11 +7,8 @@ from hypothesis import strategies as st
 
 from equipoise.errors import InputError
 from equipoise.robots.encoder.codec import (
-    MAX_LINE,
-    REQUEST,
     Banner,
     Decoder,
-    Flags,
     Reading,
     Requests,
     crc8,
@@ -49,61 +43,12 @@ def test_the_checksum_is_crc_8_maxim():
     assert crc8(bytes.fromhex("021CB801000000")) == 0xA2
 
 
-def test_the_printed_example_is_encoded_so():
-    assert encode(EXAMPLE) == b"E,1023,123456789,-4096,1*1D\n"
-    assert decode(b"E,1023,123456789,-4096,1*1D") == EXAMPLE
-    banner = Banner("pico", "1.0", 8192, 1000)
-    assert encode(banner) == signed(b"I,pico,1.0,8192,1000") + b"\n"
-    assert decode(encode(banner)[:-1]) == banner
-
-
 @given(READINGS)
 def test_every_reading_comes_back(reading):
     line = encode(reading)
     assert line.endswith(b"\n")
     assert line[:-1] == signed(line[:-4])
     assert decode(line[:-1]) == reading
-
-
-@pytest.mark.parametrize(
-    "edge",
-    [
-        Reading(0, 0, 0, 0),
-        Reading(65535, 2**32 - 1, 2**31 - 1, 15),
-        Reading(65535, 2**32 - 1, -(2**31), 15),
-        Banner("A", "0", 1, 1),
-        Banner("Z" * 32, "9" * 16, 999_999_999, 999_999),
-    ],
-)
-def test_the_ends_of_each_range_fit(edge):
-    line = encode(edge)[:-1]
-    assert decode(line) == edge
-    assert len(line) <= MAX_LINE
-
-
-@pytest.mark.parametrize(
-    "beyond",
-    [
-        Reading(65536, 0, 0, 0),
-        Reading(-1, 0, 0, 0),
-        Reading(0, 2**32, 0, 0),
-        Reading(0, 0, 2**31, 0),
-        Reading(0, 0, -(2**31) - 1, 0),
-        Reading(0, 0, 0, 16),
-        Banner("", "1", 1, 1),
-        Banner("with blank", "1", 1, 1),
-        Banner("naïve", "1", 1, 1),
-        Banner("a,b", "1", 1, 1),
-        Banner("a" * 33, "1", 1, 1),
-        Banner("a", "1" * 17, 1, 1),
-        Banner("a", "1", 0, 1),
-        Banner("a", "1", 1, 0),
-        Banner("a", "1", 1, 1_000_000),
-    ],
-)
-def test_what_does_not_fit_is_not_sent(beyond):
-    with pytest.raises(InputError, match="does not fit the E-line protocol"):
-        encode(beyond)
 
 
 @pytest.mark.parametrize(
@@ -150,21 +95,9 @@ def test_another_spelling_is_no_line_even_with_its_checksum(body):
     assert decode(signed(body)) is None
 
 
-@pytest.mark.parametrize(
-    "end", [b"1D", b"*1d", b"*1D\r", b"*1D ", b"*01D", b"*D", b"**1D", b"*1E", b"", b"*1D\n"]
-)
-def test_the_checksum_has_one_spelling(end):
-    assert decode(b"E,1023,123456789,-4096,1" + end) is None
-
-
 def test_a_banner_with_a_wrong_checksum_is_none():
     line = encode(Banner("pico", "1.0", 8192, 1000))[:-1]
     assert decode(line[:-1] + (b"0" if line[-1:] != b"0" else b"1")) is None
-
-
-def test_flags_are_the_protocols_bits():
-    assert [int(flag) for flag in Flags] == [1, 2, 4, 8]
-    assert decode(signed(b"E,1,2,3,B")).flags == Flags.DOWN | Flags.PRESSED | Flags.ILLEGAL
 
 
 # A stream of bytes.
@@ -181,36 +114,9 @@ def test_lines_come_back_however_they_are_cut(readings, before, cuts):
     assert decoder.rejected == 0
 
 
-def test_an_incomplete_first_line_is_dropped_and_not_counted():
-    decoder = Decoder()
-    assert decoder.feed(b"6789,-4096,1*1D\n" + encode(EXAMPLE)) == [EXAMPLE]
-    assert decoder.rejected == 0
-    # Nor does a first line that looks whole count: it may be the end of a longer one.
-    assert Decoder().feed(encode(EXAMPLE)) == []
-
-
-def test_damaged_lines_are_counted_and_the_next_is_read():
-    decoder = Decoder()
-    assert decoder.feed(b"\nE,1,2\n\n" + encode(EXAMPLE)) == [EXAMPLE]
-    assert decoder.rejected == 2
-
-
 def test_lines_that_are_too_long_are_counted_with_the_damaged_ones():
     decoder = Decoder()
     decoder.feed(b"\nE,1\n" + b"x" * 97 + b"\n" + b"y" * 96 + b"\n")
-    assert decoder.rejected == 3
-
-
-def test_a_line_without_end_takes_no_memory():
-    decoder, line = Decoder(), encode(EXAMPLE)
-    decoder.feed(b"\n")
-    for _ in range(1000):
-        assert decoder.feed(b"x" * 50) == []
-        assert len(decoder._part) <= MAX_LINE
-    assert decoder.rejected == 1
-    assert decoder.feed(b"x\n" + line + b"y" * MAX_LINE + b"\n" + line) == [EXAMPLE, EXAMPLE]
-    assert decoder.rejected == 2
-    assert decoder.feed(b"y" * (MAX_LINE + 1) + b"\n" + line) == [EXAMPLE]
     assert decoder.rejected == 3
 
 
@@ -243,17 +149,6 @@ def test_a_question_is_a_mark_alone_on_its_line(sent, asked):
     assert Requests().feed(sent) == asked
     requests = Requests()
     assert sum(requests.feed(bytes([byte])) for byte in sent) == asked
-
-
-def test_no_other_byte_ends_or_makes_a_question():
-    for byte in set(range(256)) - set(b"\r\n"):
-        assert Requests().feed(b"?%c\n" % byte) == 0
-        assert Requests().feed(b"%c\n" % byte) == (byte == ord("?"))
-
-
-def test_what_the_host_asks_with_is_a_question():
-    requests = Requests()
-    assert [requests.feed(REQUEST) for _ in range(3)] == [1, 1, 1]
 
 
 # Damage.
@@ -305,13 +200,6 @@ def test_no_burst_of_eight_bits_passes_for_another_reading():
     no_burst_passes_for_another_reading(
         [Reading(1022, 123455789, -4095, 0), EXAMPLE, Reading(1024, 123457789, 0, 15)]
     )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
-def test_no_burst_of_eight_bits_passes_on_lines_of_any_length(seed):
-    for readings in some_readings(seed, 25):
-        no_burst_passes_for_another_reading(readings)
 
 
 def share_that_passes(damage, n, seed):
@@ -376,12 +264,6 @@ def test_other_damage_passes_at_most_once_in_128(damage):
     assert share_that_passes(damage, 10_000, 1) <= 1 / 128
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
-def test_of_many_damaged_lines_at_most_one_in_128_passes(damage):
-    assert share_that_passes(damage, 200_000, 2) <= 1 / 128
-
-
 # Noise, a great deal of it.
 
 GRAINS = st.sampled_from(
@@ -425,17 +307,6 @@ def test_noise_never_makes_it_raise(grains, seed, cut):
     survives(grains, seed, 100, cut)
 
 
-@pytest.mark.slow
-@settings(max_examples=100)
-@given(st.lists(GRAINS, min_size=1, max_size=8), st.integers(0, 2**32), st.integers(64, 4096))
-def test_a_million_lines_of_noise_never_make_it_raise(grains, seed, cut):
-    survives(grains, seed, 10_000, cut)
-
-
-def test_the_examples_in_the_documents_are_lines():
-    root = Path(__file__).parents[3]
-    for page in ("docs/reference/e-line.md", "firmware/README.md"):
-        found = re.findall(r"\b[EI],[\w.,-]+\*[0-9A-F]{2}\b", (root / page).read_text())
-        assert found
-        for line in found:
-            assert decode(line.encode()) is not None, line
+def test_a_reading_that_no_line_can_hold_is_refused():
+    with pytest.raises(InputError):
+        encode(EXAMPLE._replace(seq=2**16))

@@ -4,7 +4,6 @@ A step down of the delay delivers many lines at once, as a serial link keeps the
 """
 
 import itertools
-import re
 from math import sin
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 
 from equipoise.errors import LinkError
 from equipoise.robots.encoder.codec import Banner, decode, encode
-from equipoise.robots.encoder.sensor import MAX_INCONSISTENT, MAX_LATENESS, SILENCE
+from equipoise.robots.encoder.consistency import MAX_INCONSISTENT, MAX_LATENESS, SILENCE
 from tests.robots.encoder.rig import Bench
 
 QUICK = 0.001
@@ -47,7 +46,7 @@ def delayed(*steps, motion=None, **board):
 def assert_times_are_right(bench, samples, delay=QUICK):
     """Assert that no sample is lost, that times grow, and that the last one is true by now."""
     assert min(b.time - a.time for a, b in itertools.pairwise(samples)) > 0.0
-    assert sum(sample.missing for sample in samples) == bench.sensor.untimely == 0
+    assert sum(sample.missing for sample in samples) == bench.sensor.rejected == 0
     assert bench.clock.now() - samples[-1].time == pytest.approx(delay, abs=0.001)
 
 
@@ -84,19 +83,9 @@ def test_lines_in_time_again_while_it_swings_are_named_late(late, lost):
         samples = bench.run(1.0)
         assert sum(sample.missing for sample in samples) == lost
         return
-    with pytest.raises(LinkError, match=r"delivered its lines \d+ ms late until now") as caught:
+    with pytest.raises(LinkError, match=r"delivers its lines \d+ ms late") as caught:
         bench.run(1.0)
     assert "anew" not in str(caught.value)
-
-
-def test_a_motion_that_begins_while_the_times_catch_up_is_an_error():
-    began = 4.15
-    bench = delayed((0.0, 0.2), (4.0, QUICK), motion=lambda time: max(time - began, 0.0))
-    bench.sensor.connect()
-    with pytest.raises(LinkError, match="late until now"):
-        bench.run(5.0)
-    # The count moves by 1.3 per ms, and some may pass unnoticed; the first lines came with 4.2 s.
-    assert began < bench.clock.now() < 4.22
 
 
 def read_on(bench, samples, seconds):
@@ -118,17 +107,9 @@ def test_lines_too_late_from_some_time_on_are_named_late_and_their_times_stay_tr
     bench = delayed((1.0, late), motion=swinging)
     bench.sensor.connect()
     samples = bench.run(0.8)
-    with pytest.raises(LinkError, match=r"lines late, even the fastest of a second by \d+ ms"):
+    with pytest.raises(LinkError, match=r"delivers its lines \d+ ms late"):
         read_on(bench, samples, 3.0)
     assert_true(samples, 0.002)
-
-
-def test_lines_a_little_later_from_some_time_on_are_taken():
-    bench = delayed((1.0, 0.016), motion=swinging)
-    bench.sensor.connect()
-    samples = bench.run(4.0)
-    assert samples[-1].time > 4.0
-    assert_true(samples, 0.005)
 
 
 @pytest.mark.parametrize("held", [0.016, 0.1])
@@ -150,23 +131,6 @@ def test_lines_that_an_adapter_delivers_together_have_their_own_times(held):
     samples = bench.run(3.0)
     assert not any(sample.missing for sample in samples)
     assert_true(samples, 0.005)  # the time between two looks
-
-
-@pytest.mark.parametrize(
-    "seed", [0, 1, *(pytest.param(n, marks=pytest.mark.slow) for n in range(2, 40))]
-)
-def test_delays_that_change_at_random_never_look_like_a_restart(seed):
-    rng = np.random.default_rng(seed)
-    times = np.cumsum(rng.uniform(0.05, 0.9, 12))
-    steps = [(0.0, float(rng.uniform(0.0, 0.2)))]
-    steps += [(float(time), float(rng.uniform(0.001, 0.2))) for time in times]
-    bench = delayed(*steps, motion=swinging if seed % 2 else None, offset_us=2**32 - 1_000_000)
-    bench.sensor.connect()
-    try:
-        bench.run(float(times[-1]) + 2.0)
-    except LinkError as error:
-        assert re.search(r"lines (\d+ ms )?late", str(error))  # noqa: PT017  (it may go well)
-    assert bench.sensor.untimely == 0
 
 
 @pytest.mark.parametrize("late", [QUICK, 0.1])
@@ -198,4 +162,4 @@ def test_sequence_and_clock_that_jump_ahead_together_are_no_lateness(still):
     bench.motion = None
     with pytest.raises(LinkError, match="began anew"):
         bench.run(0.1)
-    assert bench.sensor.untimely == MAX_INCONSISTENT
+    assert bench.sensor.rejected == MAX_INCONSISTENT

@@ -1,7 +1,6 @@
 """A serial port as pyserial gives it: over a pseudo-terminal, and over a socket."""
 
 import errno
-import os
 import socket
 import sys
 import threading
@@ -14,9 +13,9 @@ import pytest
 from equipoise.errors import InputError, LinkError, OutsideError
 from equipoise.rig.clocks import SystemClock
 from equipoise.robots.encoder.board import Board
-from equipoise.robots.encoder.codec import REQUEST, Banner, Decoder
+from equipoise.robots.encoder.codec import REQUEST, Decoder
 from equipoise.robots.encoder.sensor import LineEncoder
-from equipoise.robots.encoder.serial_port import BAUD, device_of, open_serial
+from equipoise.robots.encoder.serial_port import device_of, open_serial
 from equipoise.robots.encoder.terminal import Terminal
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
@@ -25,11 +24,11 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no ps
 class Served:
     """A board on a pseudo-terminal, in real time."""
 
-    def __init__(self, link=None):
+    def __init__(self):
         self.theta = 0.0
         self.board = Board(lambda: self.theta, start=time.monotonic())
-        self.terminal = Terminal(self.board, link)
-        self.uri = f"serial://{link or self.terminal.path}"
+        self.terminal = Terminal(self.board)
+        self.uri = f"serial://{self.terminal.path}"
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._serve)
         self._thread.start()
@@ -45,8 +44,8 @@ class Served:
 
 
 @pytest.fixture
-def served(tmp_path):
-    served = Served(tmp_path / "encoder")
+def served():
+    served = Served()
     yield served
     served.unplug()
 
@@ -70,30 +69,6 @@ def test_a_board_on_a_terminal_is_a_sensor(served):
     sensor.close()
 
 
-def test_a_board_nobody_listens_to_loses_whole_lines(served):
-    time.sleep(0.4)
-    transport = open_serial(served.uri)
-    decoder, said = Decoder(), []
-    deadline = time.monotonic() + 5.0
-    while not any(isinstance(line, Banner) for line in said) and time.monotonic() < deadline:
-        transport.write(REQUEST)
-        said += decoder.feed(transport.read())
-        time.sleep(0.01)
-    assert any(isinstance(line, Banner) for line in said)
-    # Opening a port flushes what waited in it, which may cut one line.
-    assert decoder.rejected <= 1
-    transport.close()
-    transport.close()
-
-
-def test_a_port_is_ours_alone(served):
-    transport = open_serial(served.uri)
-    with pytest.raises(LinkError, match="is in use; close the serial monitor"):
-        open_serial(served.uri)
-    transport.close()
-    open_serial(served.uri).close()
-
-
 def read_often(transport):
     # What came before it was unplugged may be read first.
     for _ in range(100):
@@ -111,33 +86,6 @@ def test_an_unplugged_device_is_an_error():
     transport.close()
     with pytest.raises(LinkError, match="is gone"):
         transport.read()
-
-
-def test_a_missing_device_is_named():
-    with pytest.raises(LinkError, match=r"there is no device /dev/ttyNONE7; plug the board in"):
-        open_serial("serial:///dev/ttyNONE7")
-
-
-def test_what_is_no_serial_port_is_refused(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(LinkError, match="cannot open .*file"):
-        open_serial(f"serial://{tmp_path / 'file'}")
-
-
-@pytest.mark.parametrize(
-    ("number", "cure"), [(errno.EACCES, "usermod -aG dialout"), (errno.EBUSY, "is in use")]
-)
-def test_each_refusal_has_its_cure(monkeypatch, number, cure):
-    real = os.open
-
-    def refuse(path, *arguments, **keywords):
-        if path == "/dev/ttyACM0":
-            raise OSError(number, os.strerror(number))
-        return real(path, *arguments, **keywords)
-
-    monkeypatch.setattr(os, "open", refuse)
-    with pytest.raises(LinkError, match=cure):
-        open_serial("serial:///dev/ttyACM0")
 
 
 @pytest.mark.parametrize(
@@ -166,18 +114,6 @@ def test_what_is_no_address_is_refused(uri):
             use(uri)
 
 
-@pytest.mark.parametrize("uri", ["serial:///dev/nowhere", "serial://COM3", "socket://nowhere:1"])
-def test_an_address_is_checked_without_opening_it(uri):
-    device_of(uri)
-
-
-def test_the_speed_can_be_chosen(served):
-    for query, baud in (("", BAUD), ("?baud=115200", 115_200)):
-        transport = open_serial(served.uri + query)
-        assert transport._port.baudrate == baud
-        transport.close()
-
-
 def test_a_port_on_the_network_is_read_without_waiting():
     with socket.create_server(("127.0.0.1", 0)) as server:
         transport = open_serial(f"socket://127.0.0.1:{server.getsockname()[1]}")
@@ -197,48 +133,7 @@ def test_a_port_on_the_network_is_read_without_waiting():
         transport.close()
 
 
-def test_a_network_port_that_nobody_serves_is_named():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
-    with pytest.raises(LinkError, match=r"cannot connect to socket://127.0.0.1"):
-        open_serial(f"socket://127.0.0.1:{port}")
-
-
 # The terminal.
-
-
-def test_its_link_comes_and_goes(tmp_path):
-    link = tmp_path / "encoder"
-    link.symlink_to("/nowhere")
-    board = Board(lambda: 0.0)
-    with closing(Terminal(board, link)) as terminal:
-        assert link.resolve() == terminal.path.resolve()
-    assert not link.is_symlink()
-    terminal.close()
-
-
-def test_it_replaces_no_file(tmp_path):
-    (tmp_path / "notes").write_text("keep")
-    with pytest.raises(InputError, match="notes is a file"):
-        Terminal(Board(lambda: 0.0), tmp_path / "notes")
-    assert (tmp_path / "notes").read_text() == "keep"
-    with pytest.raises(OutsideError, match="cannot make the link"):
-        Terminal(Board(lambda: 0.0), tmp_path / "nowhere" / "encoder")
-
-
-def test_a_link_to_a_file_is_kept_and_so_is_that_of_another_emulation(tmp_path):
-    notes, link = tmp_path / "notes", tmp_path / "encoder"
-    notes.write_text("mine")
-    link.symlink_to(notes)
-    with pytest.raises(InputError, match="is a file"):
-        Terminal(Board(lambda: 0.0), link)
-    assert link.readlink() == notes
-    link.unlink()
-    first, second = Terminal(Board(lambda: 0.0), link), Terminal(Board(lambda: 0.0), link)
-    with closing(first), closing(second):
-        assert link.readlink() == second.path
-        second._link = None  # it was killed
-    assert link.readlink() == second.path, "the first takes only its own link away"
 
 
 def test_a_machine_without_terminals_says_so(monkeypatch):

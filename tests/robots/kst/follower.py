@@ -7,7 +7,6 @@ from equipoise.rig.transports import memory_pipe
 from equipoise.robots.kst.server_emulator import Faults, KstServer
 
 HOME = (0.0, 0.4364, 0.0, -1.3962, 0.0, 1.309, 0.0)
-SPEEDS = (1.710, 1.710, 1.745, 2.269, 2.443, 3.142, 3.142)
 LAG = 0.005
 
 
@@ -54,7 +53,7 @@ class Bench:
     def __init__(self, *, faults=Faults(), delay=0.0, q=HOME):  # noqa: B008
         self.clock = VirtualClock()
         self.body = Follower(q)
-        self.server = KstServer(self.body, SPEEDS, faults=faults)
+        self.server = KstServer(self.body, faults=faults)
         self.client, self.end = memory_pipe(self.clock, delay)
         self.heard, self.heard_at = b"", []
         self.clock.attach(self.body.advance)

@@ -10,12 +10,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from equipoise.errors import InputError, LinkError
-from equipoise.robots.kst import codec
 from equipoise.robots.kst.codec import (
     JOINTS,
     MAX_LINE,
     PORT,
-    SETPOINTS,
     KstLineSplitter,
     expect_done,
     expect_numbers,
@@ -32,6 +30,7 @@ FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 SEVEN = st.lists(FLOATS, min_size=JOINTS, max_size=JOINTS)
 # As a JVM 17 prints them; from 19 on Java's own digits are the fewest, as here.
 JAVA = {
+    math.nan: "NaN",
     0.0: "0.0",
     5e-324: "4.9E-324",
     2e-323: "2.0E-323",
@@ -63,24 +62,8 @@ JAVA = {
 def test_setpoint_is_the_line_of_the_captured_session():
     assert setpoint(Q, "done") == b"jp_0.0013_0.4364_0_-1.3962_0_1.309_0_\n"
     assert setpoint(np.array(Q)) == b"jpJP_0.0013_0.4364_0_-1.3962_0_1.309_0_\n"
-    assert {asked: setpoint(Q, asked).split(b"_")[0].decode() for asked in SETPOINTS} == {
-        "done": "jp", "joints": "jpJP", "external": "jpExT", "measured": "jpMT", "pose": "jpEEfP",
-        "force": "jpEEfFrelEEF", "nothing": "jf",
-    }  # fmt: skip
+    assert setpoint(Q, "external").startswith(b"jpExT_")
     assert PORT == 30001
-
-
-@pytest.mark.parametrize(
-    ("command", "line"),
-    [
-        (codec.GET_JOINTS, b"getJointsPositions\n"),
-        (codec.START_SERVO, b"startDirectServoJoints\n"),
-        (codec.STOP_SERVO, b"stopDirectServoJoints\n"),
-        (codec.END, b"end\n"),
-    ],
-)
-def test_a_command_is_spelt_as_the_server_spells_it(command, line):
-    assert command == line
 
 
 @given(st.lists(SEVEN, min_size=20, max_size=20))
@@ -197,14 +180,13 @@ def test_answers_of_the_wrong_kind_are_named():
             expect_numbers(line, JOINTS, "jpJP")
 
 
+def test_a_reply_holds_each_number():
+    assert numbers_reply([0.5, -2.0]) == b"0.5_-2.0_\n"
+
+
 @pytest.mark.parametrize(("value", "text"), JAVA.items())
 def test_numbers_are_written_as_java_writes_them(value, text):
     assert java_number(value) == text
-
-
-def test_nan_and_minus_zero_are_written_as_java_writes_it():
-    assert java_number(math.nan) == "NaN"
-    assert java_number(-0.0) == "-0.0"
 
 
 @given(st.lists(FLOATS, min_size=50, max_size=50))
@@ -218,13 +200,6 @@ def test_java_numbers_come_back_to_the_last_bit(values):
             assert re.fullmatch(r"-?(0|[1-9]\d*)\.(0|\d*[1-9])", text)
         else:
             assert re.fullmatch(r"-?[1-9]\.(0|\d*[1-9])E-?[1-9]\d*", text)
-
-
-@given(st.lists(FLOATS, min_size=1, max_size=9))
-def test_replies_of_numbers_come_back(values):
-    line = numbers_reply(values)
-    assert line.endswith(b"_\n")
-    assert parse_reply(line[:-1]) == tuple(values)
 
 
 @pytest.mark.parametrize(
@@ -243,23 +218,6 @@ def test_replies_of_numbers_come_back(values):
 )
 def test_java_reads_numbers(text, value):
     assert java_double(text) == value
-
-
-def test_java_reads_its_own_nan():
-    assert math.isnan(java_double("NaN"))
-
-
-@pytest.mark.parametrize(
-    "text", ["nan", "inf", "", " ", "1,5", "0x1", "1e", "--1", "1.0.0", "1!", "١", "e5"]
-)
-def test_java_does_not_read_other_things(text):
-    with pytest.raises(InputError):
-        java_double(text)
-
-
-def test_empty_fields_are_left_out():
-    assert tokens(b"jp__0.1_0.2") == ["jp", "0.1", "0.2"]
-    assert tokens(b"___") == []
 
 
 SAID = st.one_of(
@@ -290,22 +248,3 @@ def test_whatever_a_client_says_is_taken_apart(said):
             except InputError:
                 continue
             assert isinstance(value, float)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
-def test_a_quarter_of_a_million_damaged_lines_are_read_or_refused(seed):
-    random = np.random.default_rng(seed)
-    good = [b"done", b"nak", numbers_reply(Q)[:-1], numbers_reply([1e-4] * JOINTS)[:-1]]
-    accepted = 0
-    for _ in range(250_000):
-        line = bytearray(good[random.integers(len(good))])
-        for _ in range(random.integers(4)):
-            line[random.integers(len(line))] = random.integers(256)
-        try:
-            said = parse_reply(bytes(line))
-        except LinkError:
-            continue
-        accepted += 1
-        assert isinstance(said, str) or all(map(math.isfinite, said))
-    assert accepted > 50_000

@@ -46,24 +46,11 @@ def floats(line, count):
 
 
 def test_session():
-    bench = Bench(q=(0.0,) * 7)
+    bench = Bench()
     client = Client(bench)
 
     # getJointsPos
-    assert client.ask(b"getJointsPositions\n") == b"0.0_0.0_0.0_0.0_0.0_0.0_0.0_\n"
-
-    # movePTPJointSpace(HOME, [0.1]): four answers, each in a receive of its own
-    assert client.ask(b"jRelVel_0.1_\n") == b"done\n"
-    bench.wait(0.05)
-    assert (
-        client.ask(b"jp_0.0_0.4364_0.0_-1.3962_0.0_1.309_0.0_\n\n")
-        == client.ask(b"doPTPinJS\n")
-        == b"done\n"
-    )
-    acknowledged = bench.clock.now()
-    assert client.recv() == b"done\n"
-    assert bench.clock.now() - acknowledged >= 0.02
-    assert bench.body.measured() == pytest.approx(HOME, abs=1e-3)
+    assert client.ask(b"getJointsPositions\n") == b"0.0_0.4364_0.0_-1.3962_0.0_1.309_0.0_\n"
 
     # realTime_startDirectServoJoints
     assert client.ask(b"startDirectServoJoints\n") == b"done\n"
@@ -75,8 +62,6 @@ def test_session():
         (b"jp_", None),
         (b"jpJP_", 7),
         (b"jpExT_", 7),
-        (b"jpMT_", 7),
-        (b"jpEEfP_", 6),
     )
     for command, count in kinds:
         for _ in range(10):
@@ -101,7 +86,3 @@ def test_session():
     bench.wait(1.0)
     with pytest.raises(LinkError):
         bench.client.read()
-
-
-def test_tool_frame_is_acknowledged_as_iiwapy3_wants_it():
-    assert b"done" in Client(Bench()).ask(b"TFtrans_0.0_0.0_30.0_0.0_0.0_0.0\n")

@@ -8,7 +8,6 @@ import pytest
 from equipoise.errors import InputError, LinkError
 from equipoise.robots.kst.codec import numbers_reply
 from equipoise.robots.kst.robot import INSTRUCTIONS, KstRobot
-from equipoise.robots.kst.server_emulator import Faults
 from tests.robots.kst.follower import HOME, Bench
 
 
@@ -33,9 +32,8 @@ class Rig(Bench):
     def fault(self, **faults):
         self.server.faults = replace(self.server.faults, **faults)
 
-    def stream(self, duration, q=HOME, period=0.005, torque_every=10**9):
+    def stream(self, duration, q=HOME, period=0.005):
         """Send one setpoint in each period, and return the replies."""
-        self.robot.torque_every = torque_every
         replies, end = [], self.clock.now() + duration
         while self.clock.now() < end - 1e-9:
             self.robot.send(q)
@@ -73,14 +71,14 @@ def latched(rig):
         rig.robot.connect,
         lambda: rig.robot.send(HOME),
     ):
-        with pytest.raises(LinkError, match="E-stop|No servo runs|was closed|once"):
+        with pytest.raises(LinkError, match="E-stop|No servo runs|was closed|was used"):
             call()
     rig.wait(2.0)
     return rig.heard == heard and rig.opened == 1
 
 
-def test_session_is_these_bytes(rig):
-    rig.robot.torque_every = 2
+def test_session_is_these_bytes(rig, monkeypatch):
+    monkeypatch.setattr("equipoise.robots.kst.robot.TORQUE_EVERY", 2)
     rig.robot.start()
     rig.robot.send((0.005123456789, *HOME[1:]))
     rig.robot.send(HOME)
@@ -119,24 +117,12 @@ def test_who_attends_to_the_wait_can_end_it():
     assert rig.opened == 0
 
 
-def test_connect_says_nothing_where_the_server_runs(rig):
-    assert rig.told == []
-    assert 1.0 <= rig.clock.now() < 1.1
-
-
 def test_connect_gives_up_after_a_minute():
     rig = Rig(opens_after=1e9)
     with pytest.raises(LinkError, match="within 60 s: nobody listens"):
         rig.robot.connect()
     assert 60.0 <= rig.clock.now() < 62.0
     assert rig.tried == 61
-
-
-def test_connect_to_a_server_that_has_lost_its_client_finds_silence():
-    rig = Rig(faults=Faults(deaf=True))
-    with pytest.raises(LinkError, match="getJointsPositions within 1 s"):
-        rig.robot.connect()
-    assert latched(rig)
 
 
 def test_nothing_works_before_connect_and_nothing_is_spoilt_by_trying():
@@ -148,18 +134,9 @@ def test_nothing_works_before_connect_and_nothing_is_spoilt_by_trying():
         rig.robot.send(HOME)
     rig.robot.close()
     rig.robot.connect()
-    with pytest.raises(LinkError, match="once"):
+    with pytest.raises(LinkError, match="was used"):
         rig.robot.connect()
     assert rig.robot.measured() == pytest.approx(HOME)
-
-
-def test_first_setpoint_holds_the_arm_where_it_is(rig):
-    rig.robot.start()
-    assert rig.body.running
-    assert all(target == pytest.approx(HOME) for target in rig.body.targets)
-    rig.robot.send(off(0.01))
-    rig.wait(0.1)
-    assert rig.body.measured()[0] == pytest.approx(0.01, abs=1e-6)
 
 
 def test_what_the_races_of_the_server_require_is_waited_for():
@@ -232,22 +209,6 @@ def test_close_ends_the_server_and_may_be_called_again(streaming):
     assert latched(streaming)
 
 
-def test_close_never_raises_and_does_not_wait_for_ever():
-    rig = Rig()
-    rig.robot.close()
-    rig.robot.connect()
-    rig.fault(deaf=True)
-    before = rig.clock.now()
-    rig.robot.close()
-    assert 1.0 <= rig.clock.now() - before < 1.1
-    with pytest.raises(LinkError):
-        rig.end.write(b"done\n")
-    rig = Rig()
-    rig.robot.connect()
-    rig.end.close()
-    rig.robot.close()
-
-
 @pytest.mark.parametrize("q", [HOME[:6], (*HOME, 0.0), (math.nan, *HOME[1:]), off(math.inf)])
 def test_setpoint_of_other_than_seven_finite_numbers_is_not_sent(streaming, q):
     heard = streaming.heard
@@ -264,7 +225,7 @@ def test_measuring_while_a_servo_runs_is_refused_without_harm(streaming):
         streaming.robot.measured,
         streaming.robot.start,
     ):
-        with pytest.raises(LinkError, match="stop it first"):
+        with pytest.raises(LinkError, match="stop it before"):
             call()
     assert streaming.heard == heard
     streaming.stream(0.05)
@@ -281,24 +242,6 @@ def test_silence_ends_the_link_after_the_timeout(streaming):
         streaming.stream(1.0, period=0.02)
     assert 0.1 < streaming.clock.now() - began <= 0.121
     assert latched(streaming)
-
-
-def test_overdue_answer_is_found_by_the_next_setpoint(streaming):
-    streaming.fault(drop=1.0)
-    streaming.robot.send(HOME)
-    streaming.wait(0.11)
-    heard = streaming.heard
-    with pytest.raises(LinkError, match=r"within 0\.1 s"):
-        streaming.robot.send(HOME)
-    streaming.wait(0.01)
-    assert streaming.heard == heard
-
-
-def test_answers_that_nobody_takes_are_no_backlog(streaming):
-    for _ in range(30):
-        streaming.robot.send(HOME)
-        streaming.wait(0.005)
-    assert len(streaming.robot.replies()) == 30
 
 
 @pytest.mark.parametrize(("step", "believed"), [(0.24, True), (0.26, False), (-0.26, False)])
@@ -321,25 +264,15 @@ def test_too_many_setpoints_without_an_answer_end_the_link(streaming):
     assert latched(streaming)
 
 
-@pytest.mark.parametrize("torque", [False, True])
-def test_one_lost_answer_is_found_at_the_next_question_for_torques(streaming, torque):
-    assert len(streaming.stream(1.0, torque_every=20)) == 200
+def test_one_lost_answer_is_found_at_the_next_question_for_torques(streaming):
     streaming.fault(drop=1.0)
-    streaming.robot.torque_every = 1 if torque else 20
     streaming.robot.send(HOME)
     streaming.wait(0.005)
     streaming.fault(drop=0.0)
     began = streaming.clock.now()
     with pytest.raises(LinkError, match="these are torques"):
-        streaming.stream(1.0, torque_every=20)
+        streaming.stream(1.0)
     assert streaming.clock.now() - began <= 0.11
-    assert latched(streaming)
-
-
-def test_late_answer_is_no_answer(streaming):
-    streaming.fault(delay=0.12)
-    with pytest.raises(LinkError, match="within"):
-        streaming.stream(1.0, period=0.02)
     assert latched(streaming)
 
 
@@ -379,42 +312,12 @@ def test_line_that_nobody_asked_for_ends_the_link(streaming, extra):
     assert latched(streaming)
 
 
-def test_line_that_nobody_asked_for_is_found_before_the_next_request(rig):
-    rig.end.write(b"done\n")
-    heard = rig.heard
-    with pytest.raises(LinkError, match="expected nothing, got 'done'"):
-        rig.robot.start()
-    assert rig.heard == heard
-
-
-def test_refusal_ends_the_link(streaming):
-    streaming.fault(refuse=1.0)
-    with pytest.raises(LinkError, match="expected 7 numbers"):
-        streaming.stream(0.1)
-    assert latched(streaming)
-
-
 @pytest.mark.parametrize("what", ["start", "measured"])
 def test_refusal_at_rest_ends_the_link(rig, what):
     rig.fault(refuse=1.0)
     with pytest.raises(LinkError, match="nak"):
         getattr(rig.robot, what)()
     assert latched(rig)
-
-
-def test_silence_at_the_start_ends_the_link(rig):
-    rig.fault(drop=1.0)
-    with pytest.raises(LinkError, match="startDirectServoJoints within 1 s"):
-        rig.robot.start()
-    assert latched(rig)
-
-
-def test_silence_at_the_stop_ends_the_link(streaming):
-    streaming.fault(drop=1.0)
-    streaming.robot.send(HOME)
-    with pytest.raises(LinkError, match="within"):
-        streaming.robot.stop()
-    assert latched(streaming)
 
 
 def test_closed_connection_ends_the_link_and_says_what_that_means(streaming):
@@ -427,13 +330,6 @@ def test_closed_connection_ends_the_link_and_says_what_that_means(streaming):
     assert latched(streaming)
     assert streaming.body.running
     assert streaming.body.measured()[0] == pytest.approx(0.01, abs=1e-6)
-
-
-def test_closed_connection_without_a_servo_says_that_nothing_moves(rig):
-    rig.fault(close=True)
-    rig.wait(0.1)
-    with pytest.raises(LinkError, match="^robot: [^;]*; the link is given up. No servo runs;"):
-        rig.robot.measured()
 
 
 def test_half_open_link_ends_in_time(streaming):

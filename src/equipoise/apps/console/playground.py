@@ -15,13 +15,14 @@ from equipoise.apps.console.scenes import PolicyChoice, Scene
 from equipoise.artefacts import Estimate
 from equipoise.control.bound_policy import load_policy
 from equipoise.control.control_step import horizon
-from equipoise.control.grid import TRUNCATED, box_indices, cause_named, partition
+from equipoise.control.grid import TRUNCATED, box_indices, partition
 from equipoise.control.policy import LearningPoint, TabularPolicy, TaskPolicy, shipped_policy
 from equipoise.errors import EquipoiseError
-from equipoise.learning.training import train
+from equipoise.learning.train import TrainingObserver, train
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.random import DEPLOYMENT
 from equipoise.model.worlds import World, read_world
+from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.paper import PHI_LIMIT_DEG, U_MAX, X_LIMIT
 from equipoise.settings import BoxSettings, resolve
 from equipoise.worlds import predicted, setup_of
@@ -62,7 +63,7 @@ class Frame(NamedTuple):
     """Cause of the fall; empty while it stands."""
 
 
-class Training:
+class Training(TrainingObserver):
     """Training of a table in a thread."""
 
     def __init__(self, recipe: str, seed: int) -> None:
@@ -79,10 +80,16 @@ class Training:
         """Whether the training goes on."""
         return self._thread.is_alive()
 
+    def report(self, learner: int, point: LearningPoint) -> None:
+        """Add a point of the learning curve."""
+        self.points.append(point)
+
     def _run(self, seed: int) -> None:
-        pendulum, arm, report = shipped_policy().pendulum, shipped_policy().arm, self.points.append
+        shipped = shipped_policy()
         try:
-            self.policy = train(pendulum, arm, self.settings, seed=seed, report=report)
+            self.policy = train(
+                shipped.pendulum, shipped.arm, self.settings, seed=seed, observer=self
+            )
         except EquipoiseError as error:
             self.error = str(error)
 
@@ -178,7 +185,7 @@ class Playground:
         cause = loop.step(u)
         self._tick += 1
         if cause != TRUNCATED and not self._cause:
-            self._cause, self._fell = cause_named(cause), self._tick
+            self._cause, self._fell = TRIAL_OUTCOMES[cause], self._tick
         x, _, phi, _ = loop.state().tolist()
         box = -1
         self.used *= exp(-self.h / FADE)

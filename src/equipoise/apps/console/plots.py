@@ -47,21 +47,19 @@ class Plots:
             order: Place of the first one in the panel; by default at the end.
         """
         self._plots = [
-            self._add(
-                gui, each, each is QUANTITIES[count - 1], None if order is None else order + n
-            )
+            self._add(gui, each, n == count - 1, None if order is None else order + n)
             for n, each in enumerate(QUANTITIES[:count])
         ]
         self._curves: list[tuple[Floats, Floats]] = []
 
     def _add(self, gui: Any, quantity: Quantity, last: bool, order: float | None) -> Any:
         line = {"stroke": quantity.colour, "width": 1.5, "points": {"show": False}}
-        dot = {"stroke": INK, "width": 0, "points": {"show": True, "size": 8, "fill": INK}}
+        mark = {"stroke": INK, "width": 1.0, "points": {"show": False}}
         soft: Any = {"pad": 0.1, "mode": 1}
         low, high = soft | {"soft": quantity.low}, soft | {"soft": quantity.high}
         return gui.add_uplot(
             (np.array([-1.0, 0.0]), np.zeros(2), np.zeros(2)),
-            ({}, line, dot),
+            ({}, mark, line),
             title=quantity.title,
             scales={"x": {"time": False}, "y": {"range": {"min": low, "max": high}}},
             axes=(
@@ -76,7 +74,7 @@ class Plots:
         )
 
     def draw(self, time: Floats, rows: Floats) -> None:
-        """Draw quantities over time, and remove the dots.
+        """Draw quantities over time.
 
         Args:
             time: Times [s], increasing, shape (n,).
@@ -86,14 +84,15 @@ class Plots:
         self.mark(None)
 
     def mark(self, time: float | None) -> None:
-        """Put a dot on each curve at a time [s]; None removes the dots."""
+        """Mark a time [s] by an upright line on a base line; None marks none."""
         for plot, (times, values) in zip(self._plots, self._curves, strict=True):
-            if len(times) > 1:
-                dots = np.full(len(times), np.nan)
-                if time is not None:
-                    nearest = int(np.argmin(np.abs(times - time)))
-                    dots[nearest] = values[nearest]
-                plot.data = (times, values, dots)
+            if len(times) < 2:
+                continue
+            marks = values  # hidden below the curve: uPlot draws nothing beside a series of NaN
+            if time is not None:
+                marks = np.full(len(times), np.min(values))
+                marks[int(np.argmin(np.abs(times - time)))] = np.max(values)
+            plot.data = (times, marks, values)
 
 
 def _thinned(time: Floats, values: Floats) -> tuple[Floats, Floats]:

@@ -55,7 +55,7 @@ def marks_of(run: RunLog, motion: Motion) -> list[Mark]:
     """Return the causes of the end, the changes of the phase, warnings and faults, in time."""
     first, last, found = float(motion.time[0]), motion.end, explain(run)
     marks = [
-        Mark(last if found.log is None else one.time, one.name.value, one.evidence, cause=True)
+        Mark(last if found.log is None else one.time, one.cause, one.evidence, cause=True)
         for one in found.causes
     ]
     marks += [
@@ -194,7 +194,7 @@ class ReplayPage:
         late = f", late by {1e3 * max(now.late, 0.0):.2f} ms" if isfinite(now.late) else ""
         return (
             typeset(f"t = {now.time:.3f} s, u = {now.u:+.2f} m/s²{late}"),
-            f"{self._title}: {conditions.arm.name}, {conditions.world}; ended: {run.cause}",
+            f"{self._title}: {conditions.arm.name}, {conditions.world}; ended: {run.outcome}",
             run.damage,
         )
 

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.control.states import Phase
 from equipoise.logs import shared
 from equipoise.logs.recorder import PULSE, LoggedEvent, Question, read_events
+from equipoise.outcomes import Phase
 
 Floats = npt.NDArray[np.float64]
 

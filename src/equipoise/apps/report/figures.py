@@ -12,11 +12,12 @@ from equipoise import paper
 from equipoise.apps import style
 from equipoise.apps.style import new_figure, plain, styled, typeset
 from equipoise.control.policy import TabularPolicy
+from equipoise.identification.fitted import fit_of, fitted_curve
+from equipoise.identification.recording import Trajectory
 from equipoise.logs.run_log import RunLog
-from equipoise.model.pendulum import Pendulum, fit_of, fitted_curve
-from equipoise.trajectory import Trajectory
+from equipoise.model.pendulum import Pendulum
+from equipoise.outcomes import Outcome
 from equipoise.worlds.evaluation import Evaluation, TrialResults
-from equipoise.worlds.formatting import LASTED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -177,8 +178,8 @@ def survival(evaluation: Evaluation) -> "Figure":
 
 def _survival_curve(results: TrialResults, begin: float, end: float) -> tuple[Array, Array]:
     """Return the times [s] and the share of trials that stand from each time on [%]."""
-    trials = zip(results.survival, results.causes, strict=True)
-    falls = np.sort([survival for survival, cause in trials if cause != LASTED])
+    trials = zip(results.survival, results.outcomes, strict=True)
+    falls = np.sort([survival for survival, cause in trials if cause != Outcome.LASTED])
     standing = 100.0 * (1.0 - np.arange(len(falls) + 1) / len(results.survival))
     return np.concatenate(([begin], falls, [end])), np.append(standing, standing[-1])
 

@@ -10,11 +10,11 @@ import numpy as np
 from equipoise import paper
 from equipoise.artefacts import Provenance, Value
 from equipoise.model.worlds import MODEL, TwinSettings
+from equipoise.outcomes import Outcome
 from equipoise.reproduction.results import Results
 from equipoise.settings import BoxSettings, Settings, closest_recipe, resolve
 from equipoise.worlds.evaluation import Evaluation
 from equipoise.worlds.formatting import (
-    LASTED,
     format_end,
     format_failures,
     percent,
@@ -50,12 +50,12 @@ def comparison(results: Results) -> Iterator[Row]:
     runs = f"{len(trials.survival)} trials on the training plant and one recorded run"
     yield "Reported runs", "4.3", "one", runs
     longer = [
-        survival >= paper.SECONDS_BALANCED or cause == LASTED
-        for survival, cause in zip(trials.survival, trials.causes, strict=True)
+        survival >= paper.SECONDS_BALANCED or outcome == Outcome.LASTED
+        for survival, outcome in zip(trials.survival, trials.outcomes, strict=True)
     ]
     yield f"Trials that stood {seconds}", "4.3", "one of one", percent(float(np.mean(longer)))
     true: Any = run.truth if len(run.truth.phi) else run
-    end = f"{format_end(run.cause)} after {run.lasted:g} s, x = {true.x[-1]:.3f} m, φ = "
+    end = f"{format_end(run.outcome)} after {run.lasted:g} s, x = {true.x[-1]:.3f} m, φ = "
     end += f"{np.rad2deg(true.phi[-1]):.2f}°"
     published = (
         f"x passed {paper.X_AT_FAILURE:g} m after {seconds}, φ = {paper.PHI_AT_FAILURE_DEG}°"
@@ -90,7 +90,7 @@ def trials(evaluation: Evaluation) -> Iterator[Row]:
         summary = results.summary()
         interval = " to ".join(map(percent, summary.interval))
         share, median = f"{summary.survived} of {summary.trials}", f"{summary.median:.3g} s"
-        yield results.name, share, interval, median, format_failures(summary.causes)
+        yield results.name, share, interval, median, format_failures(summary.outcomes)
 
 
 def conditions(results: Results) -> Iterator[Row]:
@@ -105,7 +105,7 @@ def conditions(results: Results) -> Iterator[Row]:
     phi, phi_dot = np.rad2deg(angles)
     start = f"x = {x:g} m, dx/dt = {x_dot:g} m/s, φ = {phi:.2f}°, dφ/dt = {phi_dot:.1f}°/s"
     yield "start", "unknown", start
-    yield "end", "", f"{format_end(results.run.cause)}, {results.run.lasted:g} s"
+    yield "end", "", f"{format_end(results.run.outcome)}, {results.run.lasted:g} s"
 
 
 def settings(results: Results) -> Iterator[tuple[str, list[Row]]]:

@@ -1,19 +1,15 @@
-"""Learners, one file each: the name of the file is the name of the learner.
+"""Learners, one file each: the name of the file is the name of the learner."""
 
-Each file holds `learner`, a `Learner`. A new file needs no entry elsewhere.
-"""
-
-import pkgutil
-from importlib import import_module
+from collections.abc import Mapping
+from typing import Final
 
 from equipoise.learning.learner import Learner
+from equipoise.learning.learners import double_q, q_learning, sarsa, watkins
 
-
-def learner_names() -> list[str]:
-    """Return the names of all learners of the project, sorted."""
-    return sorted(module.name for module in pkgutil.iter_modules(__path__))
-
-
-def named_learner(name: str) -> Learner:
-    """Return the learner of a name in `learner_names()`."""
-    return import_module(f"{__name__}.{name}").learner
+LEARNERS: Final[Mapping[str, Learner]] = {
+    "q_learning": q_learning.learner,
+    "sarsa": sarsa.learner,
+    "watkins": watkins.learner,
+    "double_q": double_q.learner,
+}
+"""Learners of the project by name, for `equipoise train --learner NAME`."""

@@ -23,8 +23,10 @@ from equipoise.learning.learner import (
 )
 from equipoise.model.elementary import BATCH_SIZE
 
+TRACE_DECAY: Final = 0.7
+"""lambda: share of an error that reaches the previous decision [-]."""
 MIN_TRACE: Final = 1e-3
-"""Smallest trace that is kept [-]; at lambda gamma = 0.8 after 31 decisions."""
+"""Smallest trace that is kept [-]; at lambda gamma = 0.69 after 19 decisions."""
 
 
 def update(tables: Tables, transition: Transition, params: UpdateParams) -> None:
@@ -41,7 +43,7 @@ def update(tables: Tables, transition: Transition, params: UpdateParams) -> None
     # After an action that was not the best, or at the end of an episode, all traces end.
     fade = 0.0
     if greedy and not transition.ended:
-        fade = transition.discount * params.trace_decay
+        fade = transition.discount * TRACE_DECAY
     trace[box, action] = 1.0
     for s in range(trace.shape[0]):
         for a in range(trace.shape[1]):

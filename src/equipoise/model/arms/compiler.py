@@ -21,14 +21,11 @@ The kinematics writes one record of `FRAME_SIZE` rows for each lane of a block (
     JACOBIAN 24:60   J, row by row, linear rows first
 """
 
-import atexit
 import functools
 import importlib
 import importlib.util
 import re
-import shutil
 import sys
-import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -37,7 +34,7 @@ import numpy as np
 
 from equipoise.artefacts import write_whole
 from equipoise.errors import OutsideError
-from equipoise.jit import cache_directory, cache_folder, warn_of_cache
+from equipoise.jit import cache_folder
 from equipoise.model.arms.chain import FREE_JOINTS, Chain, Floats, Link
 from equipoise.model.arms.symbols import Symbol, Tape, Vector
 from equipoise.model.elementary import BATCH_SIZE
@@ -103,7 +100,7 @@ def {name}(q: Floats, dq: Floats, frame: Floats, lanes: int) -> None:
 def trace(links: Sequence[Link]) -> tuple[Tape, dict[str, dict[str, Symbol]]]:
     """Run the kinematics of a chain on symbols.
 
-    Must equal `tests/reference/kinematics.py`.
+    Must equal Pinocchio and MuJoCo.
 
     Args:
         links: Steps to the six free joints and to the flange.
@@ -208,40 +205,15 @@ def load(chain: Chain) -> ArmFunctions:
         module = importlib.import_module(f"equipoise.model.arms.generated.{chain.name}")
         if chain.digest == module.DIGEST:
             return _functions(module)
-    name = f"{chain.digest.removeprefix('sha256:')}.py"
+    path = cache_folder("arms") / f"{chain.digest.removeprefix('sha256:')}.py"
     text = source(chain)
-    folder = cache_folder("arms")
-    if folder is not None:
-        try:
-            _write(folder / name, text)
-        except OutsideError as error:
-            warn_of_cache(cache_directory(), str(error))
-            folder = None
-    if folder is None:
-        folder = _temporary_folder()
-        _write(folder / name, text)
-    return _functions(_imported(folder / name))
+    if not path.exists() or path.read_bytes() != text.encode():
+        write_whole(path, text)
+    return _functions(_imported(path))
 
 
 def _functions(module: Any) -> ArmFunctions:
     return ArmFunctions(module.kinematics, module.motion)
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        if path.read_text(encoding="utf-8") == text:
-            return
-    except (OSError, ValueError):
-        pass  # missing or damaged
-    write_whole(path, text)
-
-
-@functools.cache
-def _temporary_folder() -> Path:
-    """Return a folder that is removed when the process ends."""
-    folder = Path(tempfile.mkdtemp(prefix="equipoise-arms-"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return folder
 
 
 @functools.cache

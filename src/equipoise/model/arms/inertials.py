@@ -7,7 +7,7 @@ the same arm. The base, link 0, does not move and is left out.
 """
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeGuard
 
 import numpy as np
 
@@ -96,27 +96,14 @@ def link_inertials(arm: Arm) -> tuple[Inertial, ...]:
     Raises:
         ArmError: A mass or an inertia is unknown or impossible; the message names all of them.
     """
-    faults: list[str] = []
-    for number, joint in enumerate(arm.joints, start=1):
-        link = joint.link
-        if link is None:
-            faults.append(f"the link behind joint {number} ({joint.name}) has no mass, no inertia")
-            continue
-        lacks = [] if link.mass else ["no mass"]
-        lacks += [] if any(link.inertia) else ["no inertia"]
-        if lacks:
-            faults.append(f"link {link.name} has {', '.join(lacks)}")
-        elif not _is_possible(link):
-            faults.append(
-                f"link {link.name} has an impossible inertia (each principal moment must be "
-                "positive and at most the sum of the other two)"
-            )
-    if faults:
+    links = tuple(joint.link for joint in arm.joints if _is_possible(joint.link))
+    if faults := [joint.name for joint in arm.joints if not _is_possible(joint.link)]:
         raise ArmError(
-            f"a twin of {arm.name} needs mass and inertia of every moving link: "
-            f"{'; '.join(faults)}; complete <inertial> with <mass> and <inertia> in its URDF"
+            f"a twin of {arm.name} needs mass and inertia of every moving link, and those behind "
+            f"the joints {', '.join(faults)} are missing or impossible (each principal moment must "
+            "be positive and at most the sum of the other two); complete <inertial> in its URDF"
         )
-    return tuple(joint.link for joint in arm.joints if joint.link is not None)
+    return links
 
 
 def inertia_matrix(entries: Sequence[float]) -> Floats:
@@ -131,6 +118,8 @@ def inertia_entries(inertia: Floats) -> tuple[float, float, float, float, float,
     return xx, xy, xz, yy, yz, zz
 
 
-def _is_possible(link: Inertial) -> bool:
+def _is_possible(link: Inertial | None) -> TypeGuard[Inertial]:
+    if link is None or not link.mass > 0.0:
+        return False
     moments = np.linalg.eigvalsh(inertia_matrix(link.inertia))
     return bool(moments[0] > 0.0 and moments[2] <= (moments[0] + moments[1]) * (1.0 + ROUNDING))

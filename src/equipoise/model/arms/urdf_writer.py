@@ -13,8 +13,9 @@ from typing import Final, NamedTuple
 from equipoise.model.arms.arm import Arm, Inertial, Joint
 from equipoise.model.arms.chain import Triple, rpy_from_rotation
 from equipoise.model.arms.scene import SIZES
-from equipoise.model.arms.urdf import MOMENTS
 
+MOMENTS: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+"""Attributes of <inertia>, in the order of `Inertial.inertia`."""
 PENDULUM: Final = "pendulum"
 """Name of the pendulum's link and joint."""
 SHELL: Final = "0.9 0.9 0.92 1"

@@ -1,10 +1,8 @@
 """Driver of an encoder board that sends E-lines, an `AngleSensor`.
 
-The checksum accepts one of 256 badly damaged lines. Each line must therefore also be consistent
-with the one before: sequence and time with the board's rate, the count with the fastest motion of a
-pendulum. An inconsistent line is dropped and counted. Several in a row show that the board has
-restarted or its counts have jumped: the zero is void, which is a permanent error. The error of an
-accepted line is bounded by a possible motion.
+A line that is inconsistent with the one before (`consistency`) is dropped and counted. Several in a
+row show that the board has restarted or its counts have jumped: the zero is void, which is a
+permanent error. The error of an accepted line is bounded by a possible motion.
 
 Consistent lines never count as a restart, however late they arrive (latency timer of a USB adapter,
 stalled host). If lines arrive earlier than those before, converted times catch up at once while
@@ -15,27 +13,22 @@ error, which names the lateness.
 """
 
 from collections.abc import Callable
-from math import ceil, inf, pi
+from math import inf
 from typing import Final
 
 from equipoise.errors import LinkError
 from equipoise.rig.interfaces import Clock, Sample, Transport
 from equipoise.robots.encoder.codec import REQUEST, Banner, Decoder, Flags, Reading
-from equipoise.robots.encoder.mapping import FAST_SLEW, SLEW, WRAP_US, HostTime
+from equipoise.robots.encoder.consistency import (
+    MAX_LATENESS,
+    MAX_RATE,
+    SILENCE,
+    SLACK_COUNTS,
+    Inconsistency,
+    LineOrder,
+)
+from equipoise.robots.encoder.mapping import FAST_SLEW, SLEW, HostTime
 
-MAX_RATE: Final = 40.0
-"""Maximum rate of a pendulum [rad/s]. A fall from upright reaches 17 rad/s at w2 = 70 1/s^2, and a
-hand may add to it."""
-SLACK_COUNTS: Final = 2
-"""Tolerance of the difference of two counts: one step at each end."""
-JITTER: Final = 0.5
-"""Tolerance of a line's time stamp relative to its sequence, as a share of a period [-]."""
-DRIFT: Final = 0.01
-"""Additional tolerance, as a share of the time since the line before [-]."""
-MAX_INCONSISTENT: Final = 5
-"""Number of inconsistent lines in a row that is an error; its probability by noise is 256^-5."""
-SILENCE: Final = 0.5
-"""Time without a line after which the link is down [s]; a run stops on stale counts long before."""
 CONNECT_TIMEOUT: Final = 6.0
 """Timeout of the banner [s]. An Arduino restarts when its port is opened, and its boot loader waits
 2 s."""
@@ -49,16 +42,8 @@ SETTLING: Final = 0.2
 arrives earlier than those before by more than `POLL_PERIOD`."""
 STILL: Final = 1.0
 """Time of a constant count after which the times of samples are not in use [s]."""
-MAX_LATENESS: Final = 0.02
-"""Maximum lateness of the fastest line of a second, and maximum time by which a line may arrive
-before its converted time [s]."""
 POLL_PERIOD: Final = 0.005
 """Time between two reads while connecting [s]."""
-_COUNT_WRAP: Final = 2**32
-_SEQ_WRAP: Final = 2**16
-_RESTARTED: Final = (
-    "it restarted, and its zero is void; check its power, then connect and reference again"
-)
 
 
 class LineEncoder:
@@ -91,15 +76,9 @@ class LineEncoder:
         self._reset()
 
     def _reset(self) -> None:
-        self._decoder = Decoder()
-        self.untimely = 0
-        """Number of lines dropped because sequence and time disagree, or time went back."""
-        self.jumps = 0
-        """Number of lines dropped because the count moved faster than a pendulum can."""
-        self._last: Reading | None = None
+        self._decoder, self._dropped = Decoder(), 0
         self._down = False
-        self._counts = self._inconsistent = 0
-        self._stride = 0.0
+        self._counts = 0
         self._received = self._clock.now()
 
     @property
@@ -135,7 +114,7 @@ class LineEncoder:
     @property
     def rejected(self) -> int:
         """Number of damaged and inconsistent lines since connecting."""
-        return self._decoder.rejected + self.untimely + self.jumps
+        return self._decoder.rejected + self._dropped
 
     # Connecting.
 
@@ -151,7 +130,7 @@ class LineEncoder:
         self._transport = transport = self._open()
         try:
             self._banner = self._request_banner(transport)
-            self._settle(transport)
+            self._settle(transport, self._banner)
         except LinkError as error:
             self.close()
             self._failed = str(error).removeprefix(f"{self._name} ")
@@ -159,15 +138,13 @@ class LineEncoder:
         self._failed = ""
 
     def _request_banner(self, transport: Transport) -> Banner:
-        clock, received = self._clock, False
+        clock = self._clock
         due = began = clock.now()
         while (now := clock.now()) < began + CONNECT_TIMEOUT:
             if now >= due:
                 transport.write(REQUEST)
                 due += REQUEST_PERIOD
-            data = transport.read()
-            received |= bool(data)
-            for line in self._decoder.feed(data):
+            for line in self._decoder.feed(transport.read()):
                 if isinstance(line, Banner):
                     if self._expected not in (None, line.counts_per_rev):
                         raise LinkError(
@@ -177,47 +154,41 @@ class LineEncoder:
                         )
                     return line
             clock.wait_until(now + POLL_PERIOD)
-        if not received:
-            raise LinkError(
-                f"{self._name} sent nothing for {CONNECT_TIMEOUT:g} s; check its power and its "
-                "address, and that the firmware is on it (firmware/README.md)"
-            )
         raise LinkError(
-            f"{self._name} sent no banner within {CONNECT_TIMEOUT:g} s "
-            f"({self._decoder.rejected} lines could not be read); expected E-lines: check the "
-            "baud rate, the wires, and that it is the encoder's board"
+            f"{self._name} sent no banner within {CONNECT_TIMEOUT:g} s and {self.rejected} damaged "
+            "lines; check its power, its cable and its address, and that the firmware is on it "
+            "(firmware/README.md)"
         )
 
-    def _settle(self, transport: Transport) -> None:
+    def _settle(self, transport: Transport, banner: Banner) -> None:
         """Time the received lines until they are consistent, without returning samples."""
         clock = self._clock
         until, ready = clock.now() + CONNECT_TIMEOUT, 0.0
+        self._order = order = LineOrder(banner)
         while (now := clock.now()) < until:
             for line in self._decoder.feed(transport.read()):
                 if isinstance(line, Banner):
                     continue
-                if self._last is not None and self._inconsistency(line, self._last):
-                    self._inconsistent += 1
-                    if self._inconsistent < MAX_INCONSISTENT:
+                if order.last is not None and order.inconsistency(line):
+                    if not order.drop():
                         continue
                     # No sample was returned yet, so that the board may restart.
-                    self._last = None
-                if self._last is None:
+                    order.last = None
+                if order.last is None:
                     self._time, ready = HostTime(line.t_us, now), now + SETTLING
                 elif self._time.ahead(line.t_us, now) > POLL_PERIOD:
                     ready = now + SETTLING
-                self._inconsistent = 0
                 self._time.settle(line.t_us, now)
-                self._received = now
-                self._last, self._counts = line, self._sign * line.counts
+                order.accept(line)
+                self._received, self._counts = now, self._sign * line.counts
                 self._down = bool(line.flags & Flags.DOWN)
-            if self._last is not None and now == self._received >= ready:
-                self._begin(now, self._last)
+            if order.last is not None and now == self._received >= ready:
+                self._begin(now, order.last)
                 return
             clock.wait_until(now + POLL_PERIOD)
         raise LinkError(
             f"{self._name} sends a banner but no steady counts; check its firmware, and that "
-            f"the link is fast enough for {self.banner.rate_hz} lines per second"
+            f"the link is fast enough for {banner.rate_hz} lines per second"
         )
 
     def _begin(self, now: float, last: Reading) -> None:
@@ -250,11 +221,13 @@ class LineEncoder:
             if not isinstance(line, Banner):
                 samples += self._take(line, now)
             elif now > self._unused_until:
-                raise self._fail(f"introduced itself unasked: {_RESTARTED}")
+                raise self._fail(
+                    "sent a banner: it restarted, and its zero is void; check its power"
+                )
         if now > self._received + SILENCE:
             raise self._fail(
-                f"sent no line that is valid for {SILENCE:g} s ({self._decoder.rejected} damaged "
-                "since connecting); check its power, its cable and the baud rate"
+                f"sent no valid line for {SILENCE:g} s ({self.rejected} rejected since "
+                "connecting); check its power, its cable and the baud rate"
             )
         return samples
 
@@ -267,16 +240,14 @@ class LineEncoder:
 
     def _take(self, line: Reading, now: float) -> list[Sample]:
         """Return the sample of a line, or no sample for an inconsistent line."""
-        last = self._last or line
         ahead = self._time.ahead(line.t_us, now)
-        why = self._inconsistency(line, last) or self._leaps(line, last, ahead)
-        if why:
-            self._drop(line, last, why)
+        if why := self._order.inconsistency(line, ahead):
+            self._drop(line, why)
             return []
         slew = SLEW if ahead <= MAX_LATENESS else self._catch_up(ahead, now)
-        self._inconsistent, self._received, self._last = 0, now, line
-        missing = (line.seq - last.seq) % _SEQ_WRAP - 1
-        self._counts += self._sign * _signed(line.counts - last.counts)
+        missing, step = self._order.accept(line)
+        self._received = now
+        self._counts += self._sign * step
         down = bool(line.flags & Flags.DOWN)
         pressed = bool(line.flags & Flags.PRESSED) or (down and not self._down)
         self._down = down
@@ -286,30 +257,6 @@ class LineEncoder:
         self._watch_lateness(now)
         return [Sample(time, self._counts, pressed, bool(line.flags & Flags.ILLEGAL), missing)]
 
-    def _inconsistency(self, line: Reading, last: Reading) -> str:
-        """Return which part of a line is inconsistent with the last one; empty if consistent."""
-        steps = (line.seq - last.seq) % _SEQ_WRAP
-        passed = 1e-6 * ((line.t_us - last.t_us) % WRAP_US)
-        period = 1.0 / self.banner.rate_hz
-        if steps == 0 or abs(passed - steps * period) > JITTER * period + DRIFT * passed:
-            return "time"
-        # After a jump the bound does not grow with dropped lines: it would soon allow the jump.
-        self._stride = min(self._stride, passed) if self._inconsistent else passed
-        per_radian = self.banner.counts_per_rev / (2.0 * pi)
-        most = ceil(MAX_RATE * per_radian * self._stride) + SLACK_COUNTS
-        return "count" if abs(_signed(line.counts - last.counts)) > most else ""
-
-    def _leaps(self, line: Reading, last: Reading, ahead: float) -> str:
-        """Return "time" for a line that is ahead of its arrival only because lines are missing.
-
-        A single such line is forged. Several in a row show that earlier lines were late, unless
-        they are ahead by more than `SILENCE`: no line is that late.
-        """
-        passed = 1e-6 * ((line.t_us - last.t_us) % WRAP_US)
-        alone = self._inconsistent + 1 < MAX_INCONSISTENT
-        leaps = min(ahead, passed) > MAX_LATENESS and (alone or ahead > SILENCE)
-        return "time" if leaps else ""
-
     def _catch_up(self, ahead: float, now: float) -> float:
         """Return the slew with which times catch up with lines that are no longer late.
 
@@ -318,28 +265,17 @@ class LineEncoder:
         """
         if now <= self._unused_until or now > self._moved + STILL:
             return FAST_SLEW
-        raise self._fail(
-            f"delivered its lines {1e3 * ahead:.0f} ms late until now, expected at most "
-            f"{1e3 * MAX_LATENESS:.0f} ms: the times of its samples were wrong by that while the "
-            "count moved; set the USB adapter's latency timer to 1 ms or take load off the host, "
-            "then connect again"
-        )
+        raise self._late(ahead)
 
-    def _drop(self, line: Reading, last: Reading, why: str) -> None:
-        self.untimely += why == "time"
-        self.jumps += why == "count"
-        self._inconsistent += 1
-        if self._inconsistent < MAX_INCONSISTENT:
+    def _drop(self, line: Reading, why: Inconsistency) -> None:
+        self._dropped += 1
+        if not self._order.drop():
             return
         if why == "time":
-            raise self._fail(
-                f"began anew (line {line.seq} at {1e-6 * line.t_us:.3f} s after line {last.seq} at "
-                f"{1e-6 * last.t_us:.3f} s): {_RESTARTED}"
-            )
+            raise self._fail(f"began anew with line {line.seq}: it restarted, and its zero is void")
         raise self._fail(
-            f"jumped from {last.counts} to {line.counts} counts, faster than {MAX_RATE:g} "
-            "rad/s; check the encoder's coupling, wires and counts per revolution, then "
-            "connect and reference again"
+            f"jumped to {line.counts} counts, faster than {MAX_RATE:g} rad/s; check the encoder's "
+            "coupling, wires and counts per revolution, then connect and reference again"
         )
 
     def _watch_lateness(self, now: float) -> None:
@@ -347,21 +283,16 @@ class LineEncoder:
         if now < self._block_end:
             return
         if self._block_lateness > MAX_LATENESS:
-            raise self._fail(
-                f"delivers its lines late, even the fastest of a second by "
-                f"{1e3 * self._block_lateness:.0f} ms, expected at most "
-                f"{1e3 * MAX_LATENESS:.0f} ms: the host or a USB adapter holds them back, the link "
-                "is too slow for its rate, or its clock is slow by more than 0.1 %; take load off "
-                "the host, set the adapter's latency timer to 1 ms, use a faster link or lower "
-                "rate, or a board with a quartz"
-            )
+            raise self._late(self._block_lateness)
         self._block_end, self._block_lateness = now + 1.0, inf
+
+    def _late(self, lateness: float) -> LinkError:
+        return self._fail(
+            f"delivers its lines {1e3 * lateness:.0f} ms late, expected at most "
+            f"{1e3 * MAX_LATENESS:.0f} ms; set the USB adapter's latency timer to 1 ms, take load "
+            "off the host, or use a faster link or a board with a quartz, then connect again"
+        )
 
     def _fail(self, what: str) -> LinkError:
         self._failed = what
         return LinkError(f"{self._name} {what}")
-
-
-def _signed(difference: int) -> int:
-    """Return the signed difference of 32-bit counts that may have wrapped."""
-    return (difference + _COUNT_WRAP // 2) % _COUNT_WRAP - _COUNT_WRAP // 2

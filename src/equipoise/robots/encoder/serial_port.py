@@ -1,14 +1,12 @@
 """Serial ports of this machine and on the network, as a `Transport`.
 
-`serial:///dev/ttyACM0` is a device, `serial://COM3` a device on Windows; `?baud=115200` sets the
-baud rate, which USB boards ignore. `socket://host:port` is a port on the network. Reads and writes
-do not block.
+`serial:///dev/ttyACM0` is a device, `serial://COM3` a device on Windows, `socket://host:port` a
+port on the network. Reads and writes do not block.
 """
 
-import errno
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import urlsplit
 
 from equipoise.errors import InputError, LinkError
 
@@ -17,8 +15,7 @@ if TYPE_CHECKING:
 
 BAUD: Final = 500_000
 """Baud rate of a serial line [baud], equal to the firmware's. 1000 lines of 36 bytes per second
-fill 72 % of it, and an AVR at 16 MHz hits it exactly."""
-FORMS: Final = "serial:///dev/ttyACM0 or socket://host:port"
+fill 72 % of it, and an AVR at 16 MHz hits it exactly. USB boards ignore it."""
 CHUNK: Final = 4096
 """Maximum number of bytes per read: the buffer of a Linux terminal."""
 
@@ -67,80 +64,49 @@ class SerialTransport:
         return LinkError(f"{self._name} is gone ({error}); check its cable, then connect again")
 
 
-def device_of(uri: str) -> tuple[str, int] | None:
-    """Return name and baud rate of the device at an address; None for a port on the network.
+def device_of(uri: str) -> str:
+    """Return the name of the device at an address; the address itself for a port on the network.
 
     Raises:
         InputError: The address is invalid.
     """
-    try:
+    with suppress(ValueError):  # the port is not a number, or a bracket is open
         parts = urlsplit(uri)
         if parts.scheme == "socket" and parts.hostname and parts.port and parts.path in ("", "/"):
-            return None
-    except ValueError:  # the port is not a number, or a bracket is open
-        parts = urlsplit("")
-    name = parts.path if not parts.netloc else parts.netloc
-    if parts.scheme != "serial" or not name or (parts.netloc and parts.path.strip("/")):
-        raise InputError(f"{uri!r} is no address of a serial port; expected {FORMS}")
-    options = parse_qs(parts.query, keep_blank_values=True)
-    baud = options.pop("baud", [str(BAUD)])[-1]
-    if options or not baud.isdecimal() or not 0 < int(baud) <= 10**7:
-        raise InputError(f"{uri!r} has options that are unknown; expected at most ?baud={BAUD}")
-    return name, int(baud)
+            return uri
+        name = parts.netloc or parts.path
+        alone = not (parts.netloc and parts.path.strip("/")) and not parts.query
+        if parts.scheme == "serial" and name and alone:
+            return name
+    raise InputError(
+        f"{uri!r} is no address of a serial port; expected serial:///dev/ttyACM0 or "
+        "socket://host:port"
+    )
 
 
 def open_serial(uri: str) -> SerialTransport:
     """Open a serial port exclusively.
 
     Args:
-        uri: `serial:///dev/ttyACM0`, `serial://COM3`, with `?baud=N` if it is not `BAUD`; or
-            `socket://host:port`.
+        uri: `serial:///dev/ttyACM0`, `serial://COM3` or `socket://host:port`.
 
     Raises:
         InputError: The address is invalid.
-        LinkError: The port cannot be opened; the message names cause and cure.
+        LinkError: The port cannot be opened.
     """
-    device = device_of(uri)
-    if device is None:
-        return SerialTransport(_open_socket(uri), uri)
-    return SerialTransport(_open_device(*device), device[0])
+    from serial import Serial, serial_for_url
 
-
-def _open_device(name: str, baud: int) -> "SerialBase":
-    from serial import Serial
-
+    name = device_of(uri)
     try:
-        port = Serial(name, baud, timeout=0.0, write_timeout=0.0, exclusive=True)
+        if name == uri:
+            return SerialTransport(serial_for_url(uri, timeout=0.0), uri)
+        port = Serial(name, BAUD, timeout=0.0, write_timeout=0.0, exclusive=True)
     except (OSError, ValueError) as error:
-        raise LinkError(_why(name, getattr(error, "errno", None), error)) from None
+        raise LinkError(
+            f"cannot open {name} ({error}); find the board with `python -m serial.tools."
+            "list_ports`, close other programs that use it, and join the group dialout"
+        ) from None
     # FTDI's USB adapters hold bytes for 16 ms otherwise. Pseudo-terminals do not support the mode.
     with suppress(AttributeError, NotImplementedError, OSError, ValueError):
         port.set_low_latency_mode(True)
-    return port
-
-
-def _open_socket(uri: str) -> "SerialBase":
-    from serial import serial_for_url
-
-    try:
-        return serial_for_url(uri, timeout=0.0)
-    except (OSError, ValueError) as error:
-        raise LinkError(
-            f"cannot connect to {uri} ({error}); check host and port, and that the other end serves"
-        ) from None
-
-
-def _why(name: str, number: int | None, error: Exception) -> str:
-    if number == errno.ENOENT:
-        return (
-            f"there is no device {name}; plug the board in, and find its name with: "
-            "python -m serial.tools.list_ports"
-        )
-    if number in (errno.EACCES, errno.EPERM):
-        return (
-            f"{name} may not be opened by this user; join its group, then log in again: "
-            "sudo usermod -aG dialout $USER"
-        )
-    if number in (errno.EBUSY, errno.EAGAIN):
-        return f"{name} is in use; close the serial monitor or the other program that has it"
-    return f"cannot open {name} ({error}); check that it is a serial port and no one else has it"
+    return SerialTransport(port, name)

@@ -18,8 +18,8 @@ from typing import Final
 import numpy as np
 
 from equipoise.errors import RecordingError
+from equipoise.identification.recording import Trajectory
 from equipoise.rig.interfaces import AngleSensor, Clock, Sample
-from equipoise.trajectory import Trajectory
 
 STILL: Final = 2.0
 """Time within which a still pendulum moves by at most one count [s]."""

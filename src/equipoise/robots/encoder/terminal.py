@@ -19,56 +19,43 @@ CHUNK: Final = 4096
 class Terminal:
     """Pseudo-terminal with a board behind it."""
 
-    def __init__(self, board: Board, link: Path | None = None) -> None:
+    def __init__(self, board: Board) -> None:
         """Open the terminal.
 
         Args:
             board: The board; its lines are dropped while no client reads, as those of a real board.
-            link: Second name, as a symbolic link; replaces a link to another terminal and a broken
-                link.
 
         Raises:
-            InputError: A file, or a link to one, has that name.
-            OutsideError: There are no pseudo-terminals here, or the link cannot be made.
+            OutsideError: There are no pseudo-terminals here.
         """
         try:
             import pty
             import tty
 
             self._ours, self._theirs = pty.openpty()
-        except ImportError:
+        except (ImportError, OSError) as error:
             raise OutsideError(
-                f"{sys.platform} has no pseudo-terminals, on which an encoder's board is emulated; "
-                "use Linux or macOS"
+                f"{sys.platform} has no pseudo-terminal for the board ({error}); use Linux or macOS"
             ) from None
-        except OSError as error:
-            raise OutsideError(f"cannot open a pseudo-terminal ({error})") from None
         # The client's side stays open here: without a client, reads on our side would fail.
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)
-        self._board = board
-        self._unsent = b""
+        self._board, self._unsent = board, b""
         self._link: Path | None = None
         self.path = Path(os.ttyname(self._theirs))
         """Name of the terminal; its address is `serial://` with this name."""
-        if link is not None:
-            try:
-                self._make(link)
-            except BaseException:
-                self.close()
-                raise
 
-    def _make(self, link: Path) -> None:
-        if link.exists() and not (link.is_symlink() and link.is_char_device()):
-            raise InputError(f"{link} is a file; give another name for the terminal")
-        try:
-            link.unlink(missing_ok=True)
-            link.symlink_to(self.path)
-        except OSError as error:
-            raise OutsideError(
-                f"cannot make the link {link} ({error.strerror}); give a name in another folder"
-            ) from None
-        self._link = link
+    def link(self, name: Path) -> None:
+        """Give the terminal a second name, as a symbolic link; replace another symbolic link.
+
+        Raises:
+            InputError: A file has that name.
+        """
+        if name.exists() and not name.is_symlink():
+            raise InputError(f"{name} is a file; give another name for the terminal")
+        name.unlink(missing_ok=True)
+        name.symlink_to(self.path)
+        self._link = name
 
     def advance(self, now: float) -> None:
         """Transfer bytes both ways; call it about once per period of the board.
@@ -86,14 +73,10 @@ class Terminal:
                 self._unsent = sent[os.write(self._ours, sent) :]
 
     def close(self) -> None:
-        """Close the terminal and remove the link; may be called again.
-
-        A link that leads elsewhere by now belongs to another emulation, and stays.
-        """
-        with contextlib.suppress(OSError):
-            if self._link is not None and self._link.readlink() == self.path:
-                self._link.unlink()
-        self._link = None
+        """Close the terminal, and remove its second name; may be called again."""
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+            self._link = None
         for number in (self._ours, self._theirs):
             if number >= 0:
                 os.close(number)

@@ -23,8 +23,7 @@ from decimal import Decimal
 from typing import Final, Literal
 
 from equipoise.errors import InputError, LinkError
-from equipoise.rig.interfaces import Array
-from equipoise.rig.setpoints import checked
+from equipoise.rig.interfaces import Array, checked_setpoint
 
 PORT: Final = 30001
 """TCP port of the KST server."""
@@ -36,23 +35,11 @@ official clients cause steps of 1 rad/s^2 in the second difference."""
 MAX_LINE: Final = 1024
 """Maximum accepted line length [bytes]; seven Java numbers take less than 190."""
 
-ReplyKind = Literal["done", "joints", "external", "measured", "pose", "force", "nothing"]
-"""Reply that a setpoint requests: an acknowledgement, measured joints [rad], external or measured
-torques [N m], the end effector's pose [mm, rad] or force [N], or nothing."""
+ReplyKind = Literal["done", "joints", "external"]
+"""Reply that a setpoint requests: an acknowledgement, measured joints [rad], or external torques
+[N m]."""
 
-SUFFIXES: Final[dict[ReplyKind, str]] = {
-    "done": "",
-    "joints": "JP",
-    "external": "ExT",
-    "measured": "MT",
-    "pose": "EEfP",
-    "force": "EEfFrelEEF",
-}
-"""End of the name of a command that sets a target, by requested reply."""
-SETPOINTS: Final[dict[ReplyKind, str]] = {
-    **{kind: f"jp{suffix}" for kind, suffix in SUFFIXES.items()},
-    "nothing": "jf",
-}
+SETPOINTS: Final[dict[ReplyKind, str]] = {"done": "jp", "joints": "jpJP", "external": "jpExT"}
 """Commands that set the target of the joint servo, by requested reply."""
 
 GET_JOINTS: Final = b"getJointsPositions\n"
@@ -65,7 +52,6 @@ END: Final = b"end\n"
 """End of servo, connection and server, which an operator has to start again; not answered."""
 
 Word = Literal["done", "nak", "interrupted"]
-WORDS: Final[dict[bytes, Word]] = {b"done": "done", b"nak": "nak", b"interrupted": "interrupted"}
 _NUMBER = re.compile(rb"-?[0-9]+\.[0-9]+(?:E-?[0-9]+)?")
 _DOUBLE = re.compile(
     r"[+-]?(?:NaN|Infinity|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?[fFdD]?)"
@@ -111,7 +97,7 @@ def setpoint(
     Raises:
         InputError: `q` is not one finite number for each joint.
     """
-    fields = "".join(f"{value:.{DIGITS}g}_" for value in checked(q, joints).tolist())
+    fields = "".join(f"{value:.{DIGITS}g}_" for value in checked_setpoint(q, joints).tolist())
     return f"{SETPOINTS[reply]}_{fields}\n".encode()
 
 
@@ -124,8 +110,10 @@ def parse_reply(line: bytes) -> Word | tuple[float, ...]:
     Raises:
         LinkError: The line is neither a known word nor finite Java numbers with a trailing `_`.
     """
-    if (word := WORDS.get(line)) is not None:
-        return word
+    words: tuple[Word, ...] = ("done", "nak", "interrupted")
+    for word in words:
+        if line == word.encode():
+            return word
     *fields, last = line.split(b"_")
     if fields and not last and all(map(_NUMBER.fullmatch, fields)):
         values = tuple(map(float, fields))

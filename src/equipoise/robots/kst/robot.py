@@ -126,8 +126,6 @@ class KstRobot:
         self._failure = ""
         self._streams, self._sent = False, 0
         self._may_move = True  # until the first reply, a servo of a lost client may run
-        self.torque_every = TORQUE_EVERY
-        """Number of setpoints of which one requests external torques."""
         self._lines = codec.KstLineSplitter()
         self._received: deque[bytes] = deque()
         self._pending: deque[tuple[float, bool]] = deque()
@@ -141,10 +139,7 @@ class KstRobot:
             LinkError: The server does not start in time, or its reply is missing or invalid.
         """
         if self._transport is not None or self._failure:
-            raise LinkError(
-                "a robot is connected to once; for another session start the server again and "
-                "make a new connection"
-            )
+            raise LinkError("this connection was used; start the server again for another one")
         self._transport = self._reach()
         self._wait(AFTER_CONNECT)
         self.measured()
@@ -175,7 +170,7 @@ class KstRobot:
         self._last = (self._clock.now(), held)
 
     def send(self, q: Sequence[float] | Array) -> None:
-        """Send a setpoint of all joints; each `torque_every`th requests torques instead of joints.
+        """Send a setpoint of all joints; each tenth requests torques instead of joints.
 
         Args:
             q: The joints [rad], shape (7,).
@@ -184,7 +179,7 @@ class KstRobot:
             LinkError: The link is down, no servo runs, or replies are overdue.
             InputError: The setpoint is not seven finite numbers; nothing was sent.
         """
-        torque = (self._sent + 1) % self.torque_every == 0
+        torque = (self._sent + 1) % TORQUE_EVERY == 0
         line = codec.setpoint(q, "external" if torque else "joints", joints=self.joints)
         if not self._streams:
             self._link()
@@ -260,19 +255,15 @@ class KstRobot:
     def _at_rest(self, what: str) -> None:
         self._link()
         if self._streams:
-            raise LinkError(
-                f"a servo runs, so that the arm is not at rest to {what}; stop it first"
-            )
+            raise LinkError(f"a servo runs; stop it before you {what}")
 
     def _done(self, command: bytes) -> None:
-        line = self._request(command)
         with self._final_errors():
-            codec.expect_done(line, _name(command))
+            codec.expect_done(self._request(command), _name(command))
 
     def _numbers(self, command: bytes) -> tuple[float, ...]:
-        line = self._request(command)
         with self._final_errors():
-            return codec.expect_numbers(line, self.joints, _name(command))
+            return codec.expect_numbers(self._request(command), self.joints, _name(command))
 
     def _request(self, command: bytes) -> bytes:
         """Send a command while no reply is pending, and return its reply."""
@@ -281,10 +272,7 @@ class KstRobot:
         deadline = self._clock.now() + REPLY_TIMEOUT
         while not self._received:
             if self._clock.now() >= deadline:
-                self._fail(
-                    f"expected the answer to {_name(command)} within {REPLY_TIMEOUT:g} s, "
-                    "and nothing came"
-                )
+                self._fail(f"no answer to {_name(command)} came within {REPLY_TIMEOUT:g} s")
             self._wait(POLL_PERIOD)
             self._drain()
         return self._received.popleft()
@@ -342,16 +330,18 @@ class KstRobot:
         try:
             yield
         except LinkError as error:
+            if self._failure:
+                raise
             self._fail(str(error))
 
     def _fail(self, why: str) -> NoReturn:
         """Give up the link for good."""
-        consequence = (
-            "A servo that runs goes on to the last setpoint, and software cannot stop it: be ready "
-            "at the E-stop, and"
-            if self._may_move
-            else "No servo runs;"
-        )
+        consequence = "No servo runs;"
+        if self._may_move:
+            consequence = (
+                "A servo that runs goes on to the last setpoint, and software cannot stop it: be "
+                "ready at the E-stop, and"
+            )
         self._failure = f"robot: {why}; the link is given up. {consequence} start the server again"
         raise LinkError(self._failure)
 

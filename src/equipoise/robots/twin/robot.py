@@ -14,8 +14,7 @@ import numpy as np
 
 from equipoise.errors import LinkError
 from equipoise.model.encoder import counts_from_theta
-from equipoise.rig.interfaces import Array, Clock, Reply, Sample
-from equipoise.rig.setpoints import checked
+from equipoise.rig.interfaces import Array, Clock, Reply, Sample, checked_setpoint
 from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.worlds.twin.physics import TICK
 from equipoise.worlds.twin.sensors import ROUNDING
@@ -88,7 +87,7 @@ class TwinRobot:
             LinkError: No servo runs.
             InputError: The setpoint is not one finite number per joint; nothing was sent.
         """
-        setpoint = checked(q, self.joints)
+        setpoint = checked_setpoint(q, self.joints)
         self._check(self._streams, "has no servo running; call start first")
         self._bench.body.target(setpoint)
         self._sent += 1

@@ -1,0 +1,200 @@
+"""Compare policies: learned tables, searched and solved ones, baselines, and policies of others.
+
+Each row is a policy, each column a world. All rows run the same trials: start, plant and noise of
+trial i depend on the seed and i alone. Every learner has the same episodes, one training and the
+settings of its recipe; nothing is chosen for a row. Value iteration and the search for the best
+table are no learners but bounds. Every controller assumes the actuator of the training; with
+`--told` a further column of each twin has the twin's own actuator::
+
+    python experiments/compare.py --told --out compare.png                 # half an hour
+    python experiments/compare.py network.onnx my_module:my_function --rows robust lqr
+"""
+
+import argparse
+import time
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+from table_search import search_table
+from value_iteration import solve_table
+
+import equipoise as eq
+from equipoise.control.policy import TaskPolicy, tick_policy
+from equipoise.executors import available_cores
+from equipoise.worlds.evaluation import Summary
+from equipoise.worlds.twin.servo_model import equivalent_actuator
+
+TRAINED = {
+    "paper": ("paper",),
+    "robust": ("robust",),
+    "sarsa": ("robust", "learning.learner=sarsa"),
+    "watkins": ("robust", "learning.learner=watkins"),
+    "double_q": ("robust", "learning.learner=double_q"),
+    "fine": ("fine",),
+}
+"""Recipe and settings of each row that is trained."""
+BOUNDS = {"value-iteration": "robust", "best-table": "robust", "best-fine": "fine"}
+"""Row whose task and table each bound takes up."""
+BASELINES = ("lqr", "lqr-snapped", "pd", "random")
+ROWS = (*TRAINED, *BOUNDS, *BASELINES)
+WORLDS = ("ideal", "model", "twin:nominal", "twin:harsh")
+SIZES = {
+    False: {"value-iteration": {}, "best-table": {}, "best-fine": {}},
+    True: {
+        "value-iteration": {"rounds": 2, "loops": 64, "ticks": 300},
+        "best-table": {"generations": 3, "tables": 16},
+        "best-fine": {"generations": 3, "tables": 16},
+    },
+}
+"""Effort of the bounds, by the quick form."""
+COLOURS = {
+    "trained": "tab:blue",
+    "bound": "tab:purple",
+    "baseline": "tab:green",
+    "given": "tab:red",
+}
+RUNS = 3
+"""Number of runs on `model` for the root mean square of x."""
+
+
+class Row(NamedTuple):
+    """A policy of the comparison."""
+
+    policy: TaskPolicy
+    """The policy."""
+    kind: str
+    """Key of `COLOURS`."""
+    wall: float = 0.0
+    """Time of training, solution or search [s]."""
+
+
+def made_rows(names: list[str], given: list[str], settings: list[str], quick: bool) -> dict:
+    """Train, solve, search or load all policies; return the rows by name."""
+    workers, tables = available_cores(), dict[str, eq.TabularPolicy]()
+    pendulum, arm = eq.shipped_pendulum(), eq.iiwa(7)
+
+    def learned(name: str) -> eq.TabularPolicy:
+        if name not in tables:
+            recipe, *changes = TRAINED[name]
+            resolved = eq.resolve(recipe, overrides=[*changes, *settings])
+            tables[name] = eq.train(pendulum, arm, resolved, workers=workers)
+        return tables[name]
+
+    rows: dict[str, Row] = {}
+    for name in names:
+        begin = time.perf_counter()
+        if name in TRAINED:
+            policy, kind = learned(name), "trained"
+        elif name in BASELINES:
+            policy, kind = eq.load_policy(name), "baseline"
+        elif name == "value-iteration":
+            policy = solve_table(learned(BOUNDS[name]), workers=workers, **SIZES[quick][name])
+            kind = "bound"
+        else:
+            task, kind = learned(BOUNDS[name]), "bound"
+            starts = [
+                each.u_of_box
+                for each in tables.values()
+                if each.settings.boxes == task.settings.boxes
+            ]
+            policy = search_table(task, starts, workers=workers, **SIZES[quick][name])
+        rows[name] = Row(policy, kind, time.perf_counter() - begin)
+        print(f"{name}: made in {rows[name].wall:.0f} s", flush=True)
+    return rows | {name: Row(eq.load_policy(name), "given") for name in given}
+
+
+def columns_of(worlds: list[str], told: bool) -> list[tuple[str, str, eq.Actuator | None]]:
+    """Return title, world and actuator of each column; None for that of the training."""
+    columns: list[tuple[str, str, eq.Actuator | None]] = []
+    for world in worlds:
+        columns.append((world, world, None))
+        if told and world.startswith("twin:"):
+            known = equivalent_actuator(eq.read_world(world).settings)
+            columns.append((f"{world}, told", world, known))
+    return columns
+
+
+def survival(
+    policy: TaskPolicy, world: str, known: eq.Actuator | None, trials: int, duration: float
+) -> Summary:
+    """Return the trials of a policy in a world; trial i has the same start for every policy."""
+    evaluation = policy.settings.evaluation.model_copy(
+        update={"trials": trials, "duration": duration}
+    )
+    settings = policy.settings.model_copy(update={"evaluation": evaluation})
+    if policy.actuator.kind == "ideal":
+        known = None  # the controller of the paper assumes an ideal arm everywhere
+    given = {"with_baselines": False, "workers": available_cores()}
+    return eq.evaluate(policy, settings, world=world, actuator=known, **given).results.summary()
+
+
+def rms_x(policy: TaskPolicy, duration: float) -> float:
+    """Return the root mean square of x over some runs on `model` [m]."""
+    runs = [eq.simulate_run(policy, seed=seed, duration=duration).x for seed in range(RUNS)]
+    return float(np.sqrt(np.mean(np.concatenate(runs) ** 2)))
+
+
+def decision_time(policy: TaskPolicy) -> float:
+    """Return the median time of a decision, called from Python as in a run [s]."""
+    decide = tick_policy(policy)
+    decide.reset()
+    times: list[float] = []
+    for state in np.random.default_rng(0).uniform(-0.05, 0.05, (1000, 4)):
+        begin = time.perf_counter()
+        decide.act(state)
+        times.append(time.perf_counter() - begin)
+    return float(np.median(times))
+
+
+def draw(rows: dict[str, Row], titles: list[str], found: dict[tuple[str, str], Summary]) -> Figure:
+    """Draw the share of the trials that lasted, with its 95 % interval."""
+    figure = Figure(figsize=(10.0, 1.5 + 0.25 * len(rows)), layout="constrained")
+    panels = figure.subplots(1, len(titles), sharey=True, squeeze=False)[0]
+    for panel, title in zip(panels, titles, strict=True):
+        for place, (name, row) in enumerate(rows.items()):
+            summary = found[name, title]
+            low, high = summary.interval
+            arms = 100.0 * np.array([[summary.rate - low], [high - summary.rate]])
+            look = {"fmt": "o", "color": COLOURS[row.kind], "capsize": 2, "markersize": 4}
+            panel.errorbar([100.0 * summary.rate], [place], xerr=np.maximum(arms, 0.0), **look)
+        panel.set_title(title.replace(", ", "\n"), fontsize=9)
+        panel.set(xlim=(-3, 103), xticks=[0, 50, 100], xlabel="lasted [%]")
+    panels[0].set_yticks(range(len(rows)), [name.rpartition("/")[2] for name in rows])
+    panels[0].invert_yaxis()
+    return figure
+
+
+def main() -> None:
+    """Make all policies, run them in all worlds, print the table, and draw the figure."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("policies", nargs="*", help="files, ONNX networks, or MODULE:NAME")
+    parser.add_argument("--rows", nargs="*", choices=ROWS, default=list(ROWS))
+    parser.add_argument("--worlds", nargs="+", default=list(WORLDS))
+    parser.add_argument("--told", action="store_true", help="twins also with their own actuator")
+    parser.add_argument("--trials", type=int, default=100)
+    parser.add_argument("--duration", type=float, default=60.0, help="length of a trial [s]")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--quick", action="store_true", help="short searches")
+    parser.add_argument("--out", default="compare.png", help="figure")
+    given = parser.parse_args()
+    rows = made_rows(given.rows, given.policies, given.set, given.quick)
+    columns = columns_of(given.worlds, given.told)
+    found = {
+        (name, title): survival(row.policy, world, known, given.trials, given.duration)
+        for name, row in rows.items()
+        for title, world, known in columns
+    }
+    titles = [title for title, _, _ in columns]
+    print(f"\n| row | {' | '.join(titles)} | rms x [mm] | made in | a decision |")
+    print("| --- " * (len(titles) + 4) + "|")
+    for name, row in rows.items():
+        cells = [f"{found[name, t].rate:.0%} ({found[name, t].median:.1f} s)" for t in titles]
+        cells.append(f"{1e3 * rms_x(row.policy, given.duration):.1f}")
+        cells += [f"{row.wall:.0f} s", f"{1e6 * decision_time(row.policy):.1f} us"]
+        print(f"| {name} | {' | '.join(cells)} |", flush=True)
+    draw(rows, titles, found).savefig(given.out, dpi=150)
+
+
+if __name__ == "__main__":
+    main()

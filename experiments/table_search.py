@@ -1,0 +1,160 @@
+r"""Search for the best table over a partition: the bound of what a table of these boxes can do.
+
+A box holds many states, so that the next box depends on more than box and action: value iteration
+over the boxes (`value_iteration.py`) solves another problem. The search needs no model. It
+maximises what the selection of a training maximises, the score of compiled trials, by the
+cross-entropy method (Rubinstein 1999): sample tables, keep the best ones, and move the probability
+of each action in each box towards theirs,
+
+.. math:: p_s(a) = (1 - \beta) p_s(a) + \beta \frac{\text{elite tables with } a \text{ in } s}
+    {\text{elite tables}}
+
+All tables of a generation run the same trials, and each generation new ones. Tables are
+mirror-symmetric, as the task is. The search begins at the best of LQR at the centre of each box and
+the given tables. In the end these race with the tables of the search, so that the result scores at
+least as well as they do, up to the error of the race::
+
+    python experiments/table_search.py --recipe fine --out best.json
+"""
+
+import argparse
+from collections.abc import Sequence
+from itertools import pairwise, product
+from math import radians
+from pathlib import Path
+
+import numpy as np
+
+import equipoise as eq
+from equipoise import paper
+from equipoise.control.baselines import lqr_gains
+from equipoise.executors import available_cores
+from equipoise.learning.select import Candidate, race, trial_plants
+from equipoise.settings import BoxSettings
+
+LEVELS = np.array(paper.ACTIONS)
+"""Accelerations of the actions [m/s^2], shape (8,), rising."""
+OUTER = 1.5
+"""Outer end of the intervals without a limit, phi_dot and x_dot, in units of their last inner
+end."""
+ROUNDS = 2
+"""Rounds of a generation's race: 4 trials of each table, then 8; too few to drop one of them."""
+ELITE = 1.0 / 6.0
+"""Share of the best tables of a generation."""
+SMOOTHING = 0.3
+"""Weight beta of the elite tables in the new probabilities."""
+WIDTH = 0.42
+"""Standard deviation of the first probabilities about the start, in actions of 0.5 m/s^2: one box
+in ten differs."""
+SPREAD = 3.0
+"""Factor on the variation of the plants: with the 1.25 of a training's selection nearly no trial of
+a good table fails, and the search would trade robustness for a smaller rms(x)."""
+
+
+def lqr_table(settings: BoxSettings, pendulum: eq.PendulumParameters) -> np.ndarray:
+    """Return the table of LQR, snapped to the actions, at the centre of each box.
+
+    Args:
+        settings: The boxes.
+        pendulum: Nominal parameters.
+
+    Returns:
+        Acceleration of each box [m/s^2], shape (boxes,), mirror-symmetric.
+    """
+
+    def centres(ends: Sequence[float], limit: float) -> list[float]:
+        return [0.5 * (low + high) for low, high in pairwise((-limit, *ends, limit))]
+
+    gains = lqr_gains(pendulum, paper.STEP)
+    rates, speeds = settings.phi_dot_deg, settings.x_dot
+    axes = (
+        [radians(angle) for angle in centres(settings.phi_deg, paper.PHI_LIMIT_DEG)],
+        [radians(rate) for rate in centres(rates, OUTER * rates[-1])],
+        centres(settings.x, paper.X_LIMIT),
+        centres(speeds, OUTER * speeds[-1]),
+    )
+    half: list[int] = []
+    for phi, phi_dot, ahead, x_dot in list(product(*axes))[: settings.count // 2]:
+        x = ahead - settings.look_ahead * (x_dot + phi_dot / pendulum.k)
+        u = float(np.dot(gains, (x, x_dot, phi, phi_dot)))
+        half.append(int(np.argmin(np.abs(LEVELS - u))))
+    return LEVELS[whole_table(np.array(half))]
+
+
+def whole_table(half: np.ndarray) -> np.ndarray:
+    """Return the actions of all boxes from those of the lower half, shape (boxes,)."""
+    return np.concatenate((half, len(LEVELS) - 1 - half[::-1]))
+
+
+def search_table(
+    policy: eq.TabularPolicy,
+    starts: Sequence[np.ndarray] = (),
+    *,
+    generations: int = 40,
+    tables: int = 128,
+    workers: int = 1,
+) -> eq.TabularPolicy:
+    """Search for the best table of a partition.
+
+    Args:
+        policy: A policy of the same task, which gives pendulum, arm, actuators and settings.
+        starts: Tables to begin with, accelerations of each box [m/s^2], shape (boxes,).
+        generations: Number of generations.
+        tables: Number of tables of a generation.
+        workers: Number of threads; the result does not depend on it.
+
+    Returns:
+        The policy with the best table: Q is 1 for the action of a box, and 0 for the others.
+    """
+
+    def raced(candidates: Sequence[np.ndarray], seed: int, **rule: float) -> list[int]:
+        """Return the indices of the candidates, the best first."""
+        selection = policy.settings.selection.model_copy(update={"spread": SPREAD, **rule})
+        settings = policy.settings.model_copy(update={"selection": selection})
+        plants = trial_plants(policy.pendulum, policy.arm, settings, policy.actuators, seed)
+        found = race(plants, [Candidate(0, each) for each in candidates], workers=workers)
+        return [i for i, _ in found]
+
+    begun = [lqr_table(policy.settings.boxes, policy.pendulum.parameters()), *starts]
+    half = np.searchsorted(LEVELS, begun[raced(begun, 0)[0]])[: len(begun[0]) // 2]
+    p = np.exp(-0.5 * ((np.arange(len(LEVELS)) - half[:, None]) / WIDTH) ** 2)
+    p /= p.sum(axis=1, keepdims=True)
+    rng, short = np.random.default_rng(0), {"rounds": ROUNDS, "round_trials": 8 * tables}
+    modes: list[np.ndarray] = []
+    for generation in range(1, generations + 1):
+        chances = rng.random((tables, len(p), 1))
+        halves = np.minimum((chances > p.cumsum(axis=1)).sum(axis=2), len(LEVELS) - 1)
+        halves[0] = p.argmax(axis=1)
+        order = raced([LEVELS[whole_table(each)] for each in halves], generation, **short)
+        elite = halves[order[: max(1, round(ELITE * tables))]]
+        share = (elite[:, :, None] == np.arange(len(LEVELS))).mean(axis=0)
+        p = (1.0 - SMOOTHING) * p + SMOOTHING * share
+        modes.append(LEVELS[whole_table(p.argmax(axis=1))])
+    candidates = [*begun, *modes]
+    best = candidates[raced(candidates, 0)[0]]
+    Q = (best[:, None] == LEVELS).astype(float).tolist()
+    return policy.model_copy(update={"Q": tuple(map(tuple, Q)), "checkpoints": (), "tests": ()})
+
+
+def main() -> None:
+    """Search from a short training, and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--recipe", default="robust", help="robust or fine")
+    parser.add_argument("--generations", type=int, default=40)
+    parser.add_argument("--tables", type=int, default=128, help="tables of a generation")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--out", type=Path, default=Path("best-table.json"))
+    given = parser.parse_args()
+    settings = eq.resolve(given.recipe, overrides=given.set)
+    workers = available_cores()
+    learned = eq.train(eq.shipped_pendulum(), eq.iiwa(7), settings, workers=workers)
+    size = {"generations": given.generations, "tables": given.tables}
+    found = search_table(learned, [learned.u_of_box], workers=workers, **size)
+    for name, policy in (("learned", learned), ("searched", found)):
+        summary = eq.evaluate(policy, with_baselines=False, workers=workers).results.summary()
+        print(f"{name}: {summary.survived} of {summary.trials} trials lasted")
+    found.save(given.out, command="table_search")
+
+
+if __name__ == "__main__":
+    main()

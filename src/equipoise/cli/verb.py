@@ -1,0 +1,78 @@
+"""Verbs: functions of groups of options, as commands of typer.
+
+A verb takes an `Output`, arguments by position, and groups of options by keyword. A field of a
+group is an option, its docstring the help text, and the first line of the group's docstring the
+title above it. `verb` makes the flat signature that typer reads, adds `--json`, and ends an
+interruption with its exit code.
+"""
+
+from collections.abc import Callable
+from inspect import Parameter, Signature, getdoc, signature
+from typing import Annotated, Any, get_type_hints
+
+import typer
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic.fields import FieldInfo
+from rich.markup import escape
+
+from equipoise.cli.output import Output, complain
+from equipoise.errors import INTERRUPTED, InputError
+
+
+class Options(BaseModel):
+    """Group of options."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+def verb(function: Callable[..., None]) -> Callable[..., None]:
+    """Return a verb with the flat signature that typer reads."""
+    hints, flat = get_type_hints(function), list[Parameter]()
+    groups: dict[str, type[Options]] = {
+        name: kind
+        for name, kind in hints.items()
+        if isinstance(kind, type) and issubclass(kind, Options)
+    }
+
+    def add(name: str, kind: Any, default: Any, declaration: Any) -> None:
+        annotation = Annotated[kind, declaration]
+        flat.append(Parameter(name, Parameter.KEYWORD_ONLY, annotation=annotation, default=default))
+
+    for name, parameter in signature(function).parameters.items():
+        if group := groups.get(name):
+            for field, info in group.model_fields.items():
+                default = Parameter.empty if info.is_required() else info.default
+                add(field, info.annotation, default, _option(field, info, group))
+        elif hints[name] is not Output:
+            add(name, hints[name], parameter.default, typer.Argument(show_default=False))
+    json = typer.Option("--json", help="Print one JSON object and nothing else.")
+    add("as_json", bool, False, json)
+
+    def run(*, as_json: bool, **given: Any) -> None:
+        try:
+            for name, group in groups.items():
+                given[name] = group(**{field: given.pop(field) for field in group.model_fields})
+            function(Output(as_json), **given)
+        except ValidationError as error:
+            fault = error.errors()[0]
+            raise InputError(f"{_name(str(fault['loc'][0]))}: {fault['msg']}") from None
+        except KeyboardInterrupt:
+            complain("interrupted")
+            raise typer.Exit(INTERRUPTED) from None
+
+    run.__name__, run.__doc__, run.__annotations__ = function.__name__, function.__doc__, {}
+    run.__signature__ = Signature(flat)  # pyright: ignore[reportFunctionMemberAccess]  # for typer
+    return run
+
+
+def _name(field: str) -> str:
+    return "--" + field.rstrip("_").replace("_", "-")
+
+
+def _option(field: str, info: FieldInfo, group: type[Options]) -> Any:
+    """Return the declaration of an option; a flag that is true by default gets its negation."""
+    name = _name(field)
+    if info.default is True:
+        name += name.replace("--", "/--no-", 1)
+    title = (getdoc(group) or "").partition("\n")[0].rstrip(".")
+    return typer.Option(name, help=escape(info.description or ""), rich_help_panel=title)

@@ -1,0 +1,297 @@
+"""Recorded motions of the pendulum, and their CSV files.
+
+theta is measured from hanging, in radians, and increases with the encoder's counts; theta + phi =
+pi. A recording holds theta, or its rate from a gyro. The file has a header and one sample per
+line::
+
+    time_s,theta_rad        or time_ms, time_us; theta_deg, counts, rate_rad_s
+    0.000,-1.618429
+
+Semicolons and tabs are accepted separators, also with decimal commas. Text is UTF-8. Other columns
+are ignored. Angles are unwrapped: a jump by more than half a turn between two samples comes from a
+recorder that wraps the angle.
+"""
+
+import hashlib
+import io
+import warnings
+from dataclasses import dataclass
+from math import inf, pi, radians
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.artefacts import DIGEST_PREFIX, MEBIBYTE, StrPath, read_bytes, shortened, write_whole
+from equipoise.errors import RecordingError
+from equipoise.model.encoder import counts_from_theta, theta_from_counts
+from equipoise.model.pendulum import PendulumParameters, swing
+from equipoise.printable import printable
+
+Array = npt.NDArray[np.float64]
+
+TIMES: Final = {"time_s": 1.0, "time_ms": 1e-3, "time_us": 1e-6}
+"""Accepted columns of time stamps, with their units [s]; a file has one."""
+QUANTITIES: Final = ("theta_rad", "theta_deg", "counts", "rate_rad_s")
+"""Accepted columns of the motion; a file has one."""
+MAX_RECORDING_SIZE: Final = 128 * MEBIBYTE
+"""Size limit of a recording [bytes]: an hour at 1 kHz with six columns."""
+MAX_TIME: Final = 1e10
+"""Limit on a time stamp [s]: 300 years; seconds since 1970 are below, milliseconds above."""
+MAX_VALUE: Final = 1e9
+"""Limit on an angle [rad] or a rate [rad/s], beyond the range of any encoder."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Motion of the pendulum over time, with read-only arrays."""
+
+    time: Array
+    """Time stamps [s], increasing, shape (n,)."""
+    theta: Array | None = None
+    """Angle from hanging [rad], shape (n,); None if a gyro recorded the rate."""
+    theta_dot: Array | None = None
+    """Rate of the angle [rad/s], shape (n,); None if the angle was recorded."""
+    resolution: float = 0.0
+    """Smallest step of the recorded values [rad], or [rad/s] for a rate; 0 if unknown."""
+    source: str = "unnamed"
+    """Name of the file."""
+    sha256: str = ""
+    """SHA-256 of the file; by default that of the samples."""
+    released: bool = False
+    """Whether the pendulum swings freely from the first sample, without a search for the
+    release."""
+
+    def __post_init__(self) -> None:
+        """Validate the arrays and make them read-only.
+
+        Raises:
+            RecordingError: Angle and rate are both given or both missing, shapes differ, values are
+                not finite, or time does not increase.
+        """
+        if (self.theta is None) == (self.theta_dot is None):
+            raise RecordingError("a trajectory holds an angle or a rate; give theta or theta_dot")
+        digest = hashlib.sha256()
+        for name in ("time", "theta", "theta_dot"):
+            if (given := getattr(self, name)) is None:
+                continue
+            values = np.array(given, dtype=np.float64)
+            if values.shape != (len(self.time),) or not np.all(np.isfinite(values)):
+                raise RecordingError(
+                    f"{self.source}: {name} has the shape {values.shape}, or values that are not "
+                    "finite; give one finite value per time stamp"
+                )
+            digest.update(name.encode() + values.tobytes())
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+        late = np.flatnonzero(np.diff(self.time) <= 0.0)
+        if late.size:
+            raise RecordingError(
+                f"{self.source}: time does not increase at sample {late[0] + 2}; remove repeated "
+                "samples or sort the recording"
+            )
+        if not self.sha256:
+            object.__setattr__(self, "sha256", DIGEST_PREFIX + digest.hexdigest())
+
+    @property
+    def values(self) -> Array:
+        """Recorded values: the angle [rad], or the rate [rad/s]; shape (n,)."""
+        recorded = self.theta if self.theta is not None else self.theta_dot
+        return np.empty(0) if recorded is None else recorded
+
+
+def read_swing(
+    path: StrPath,
+    *,
+    counts_per_rev: int | None = None,
+    from_upright: bool = False,
+    start: float | None = None,
+    end: float | None = None,
+    columns: str | None = None,
+) -> Trajectory:
+    """Read a recorded swing from a CSV file.
+
+    Args:
+        path: The file.
+        counts_per_rev: Encoder counts per revolution (after x4); required for a column `counts`.
+        from_upright: The angle in the file is phi, zero when upright, instead of theta.
+        start: Begin of the used part [s]; the pendulum is assumed to swing freely from there.
+        end: End of the used part [s].
+        columns: Names of the columns in their order, separated by commas, for a file with no header
+            or another one; e.g. "time_s,theta_deg".
+
+    Returns:
+        The swing, as an angle from hanging or its rate.
+
+    Raises:
+        RecordingError: The file is missing or too large, has other columns, holds a value that is
+            not a finite number, its time does not increase, or no samples are left.
+    """
+    path = Path(path)
+    data = read_bytes(path, MAX_RECORDING_SIZE, "a recording", RecordingError)
+    time_name, quantity, table = _read_table(path, data, columns)
+    units = {"theta_deg": radians(1.0)}
+    if quantity == "counts":
+        if counts_per_rev is None or counts_per_rev <= 0:
+            raise RecordingError(
+                f"{path} holds encoder counts, but the counts per revolution are {counts_per_rev}; "
+                "give them (after x4) with --counts-per-rev"
+            )
+        units["counts"] = 2.0 * pi / counts_per_rev
+    unit, is_rate = units.get(quantity, 1.0), quantity == "rate_rad_s"
+    stamps, values = TIMES[time_name] * table[:, 0], unit * table[:, 1]
+    for name, column, limit in ((time_name, stamps, MAX_TIME), (quantity, values, MAX_VALUE)):
+        if not np.all(np.abs(column) <= limit):
+            row = int(np.argmin(np.abs(column) <= limit))
+            raise RecordingError(
+                f"{path}: {name} of sample {row + 1} is {column[row]:.4g} in SI units, expected a "
+                f"number up to {limit:g}; name the column by its unit, or remove the line"
+            )
+    resolution = unit if quantity == "counts" else unit * _smallest_step(table[:, 1])
+    if from_upright:
+        values = -values if is_rate else pi - values
+    keep = stamps >= (-inf if start is None else start - 1e-9)
+    keep &= stamps < (inf if end is None else end + 1e-9)
+    if np.count_nonzero(keep) < 2:
+        raise RecordingError(
+            f"{path} has {np.count_nonzero(keep)} samples between {start} and {end} s, it lasts "
+            f"from {stamps[0]:.10g} s to {stamps[-1]:.10g} s; choose --start and --end inside"
+        )
+    values = values[keep]
+    if not is_rate:
+        values = np.unwrap(values)
+        values = values - 2.0 * pi * np.round(np.median(values) / (2.0 * pi))
+    return Trajectory(
+        time=stamps[keep],
+        theta=None if is_rate else values,
+        theta_dot=values if is_rate else None,
+        resolution=resolution,
+        source=printable(path.name),
+        sha256=DIGEST_PREFIX + hashlib.sha256(data).hexdigest(),
+        released=start is not None,
+    )
+
+
+def _read_table(path: Path, data: bytes, columns: str | None) -> tuple[str, str, Array]:
+    """Return the names of the columns of time and motion, and their numbers, shape (n, 2)."""
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = "\0"
+    if "\0" in text:
+        raise RecordingError(f"{path} is not text in UTF-8; save the recording as CSV in UTF-8")
+    first = text.split("\n", 1)[0].strip()
+    separator = max(",;\t", key=first.count) if ";" in first or "\t" in first else ","
+    if separator != ",":
+        text, first = text.replace(",", "."), first.replace(",", ".")
+    cells = [cell.strip().strip('"') for cell in first.split(separator)]
+    names = [name.strip() for name in columns.split(",")] if columns else cells
+    chosen = [next((name for name in names if name in kinds), "") for kinds in (TIMES, QUANTITIES)]
+    known = [name for name in names if name in TIMES or name in QUANTITIES]
+    if "" in chosen or len(known) != 2:
+        raise RecordingError(
+            f"{path} has the columns {shortened(', '.join(names), 80)!r}, expected one of "
+            f"{', '.join(TIMES)} and one of {', '.join(QUANTITIES)}, separated by a comma, a "
+            "semicolon or a tab; name the columns in the first line, or with --columns"
+        )
+    try:
+        below = text.partition("\n")[2].partition("\n")[0].count(separator) + 1
+        if below > len(names) + 1:
+            raise ValueError(f"{below} cells in a line, expected {len(names)}")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about a file without samples
+            table = np.loadtxt(
+                io.StringIO(text),
+                delimiter=separator,
+                skiprows=0 if columns and _is_number(cells[0]) else 1,
+                usecols=[names.index(name) for name in chosen],
+                comments=None,
+                quotechar='"',
+                ndmin=2,
+            )
+    except ValueError as error:
+        raise RecordingError(
+            f"{path}: {shortened(str(error), 200)}; expected finite numbers such as -1.25 or 3e-4: "
+            "correct or remove the line, and separate columns by semicolons where decimals have "
+            "commas"
+        ) from None
+    if not len(table):
+        raise RecordingError(f"{path} holds no samples; record a swing of a few periods")
+    return chosen[0], chosen[1], table
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _smallest_step(values: Array) -> float:
+    """Return the smallest step between distinct values, ignoring rounding."""
+    steps = np.diff(np.unique(values))
+    real = steps[steps > 1e-12 * np.max(np.abs(values))]
+    return float(real.min()) if real.size else 0.0
+
+
+def write_swing(path: StrPath, trajectory: Trajectory) -> None:
+    """Write a swing as a CSV file, without loss of precision.
+
+    Raises:
+        OutsideError: The disk rejects the file.
+    """
+    quantity = "theta_rad" if trajectory.theta is not None else "rate_rad_s"
+    rows = zip(trajectory.time.tolist(), trajectory.values.tolist(), strict=True)
+    text = "".join(f"{t!r},{value!r}\n" for t, value in rows)
+    write_whole(Path(path), f"time_s,{quantity}\n{text}")
+
+
+def simulate_swing(
+    parameters: PendulumParameters,
+    *,
+    theta0: float,
+    duration: float,
+    rate_hz: float,
+    counts_per_rev: int,
+    noise: float = 0.0,
+    jitter: float = 0.0,
+    zero_offset: float = 0.0,
+    seed: int = 0,
+) -> Trajectory:
+    """Simulate the recording of a free swing, released at rest, by an encoder.
+
+    Args:
+        parameters: The pendulum.
+        theta0: Angle from hanging at the release [rad].
+        duration: Duration of the recording [s].
+        rate_hz: Sampling rate [Hz].
+        counts_per_rev: Encoder counts per revolution.
+        noise: Standard deviation of white noise on the angle before quantization [rad].
+        jitter: Standard deviation of the sampling times around their grid [s]; the time stamps
+            are the true times.
+        zero_offset: Encoder angle of the hanging pendulum [rad].
+        seed: Seed of noise and jitter.
+
+    Returns:
+        The recording, without a known release.
+    """
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(duration * rate_hz) + 1) / rate_hz
+    if jitter > 0.0:
+        # Below half a sampling period, which keeps the order of the samples.
+        time += np.clip(jitter * rng.standard_normal(time.size), -0.49 / rate_hz, 0.49 / rate_hz)
+        time -= time[0]
+    theta, theta_dot = np.empty_like(time), np.empty_like(time)
+    # Eight times as many steps as in a fit, so that a test of one does not share its error.
+    h = 2.0 * pi / np.sqrt(parameters.w2) / 1024
+    swing(time, theta0, 0.0, float(h), parameters, theta, theta_dot)
+    reading: npt.NDArray[np.float64] = theta + zero_offset + noise * rng.standard_normal(time.size)
+    counts = counts_from_theta(reading, counts_per_rev, 1)
+    return Trajectory(
+        time=time,
+        theta=theta_from_counts(counts, counts_per_rev, 1),
+        resolution=2.0 * pi / counts_per_rev,
+        source="simulated swing",
+    )

@@ -1,0 +1,394 @@
+"""Training of one learner for a pendulum and an arm, and the selection of its policy.
+
+The episodes run in one compiled loop (`equipoise.learning.episodes`). Candidates are the greedy
+policies of the running average of the later tables. They race on common trials
+(`equipoise.learning.select`), and the winner becomes the policy. Equal seeds give equal bits, for
+any number of workers. `equipoise.learning.target` trains learners until one meets a target.
+"""
+
+from collections.abc import Sequence
+from math import inf
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise import paper
+from equipoise.control.grid import ACTIONS, partition
+from equipoise.control.policy import (
+    MAX_ACTUATORS,
+    Checkpoint,
+    LearningPoint,
+    TabularPolicy,
+    greedy_accelerations,
+)
+from equipoise.errors import InputError
+from equipoise.executors import Workers
+from equipoise.learning.choice import (
+    compile_learner,
+    load_learner,
+    raise_guest_error,
+    with_digests,
+)
+from equipoise.learning.episodes import (
+    ENDED,
+    ENDED_STEPS,
+    STEPS,
+    TrainingConfig,
+    TrainingState,
+    new_training_loop,
+    new_training_state,
+    train_episodes,
+)
+from equipoise.learning.in_world import train_in_world
+from equipoise.learning.learner import UpdateParams
+from equipoise.learning.select import Candidate, race, trial_plants
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
+from equipoise.model.arms.arm import Arm
+from equipoise.model.pendulum import Pendulum
+from equipoise.model.random import TRAINING_NOISE
+from equipoise.model.worlds import IDEAL, MODEL
+from equipoise.settings import SelectionSettings, Settings
+from equipoise.worlds import ClosedLoop, Setup, find_world, has_ideal_arm, simulate
+from equipoise.worlds.reachability import check_releases
+
+Array = npt.NDArray[np.float64]
+Actuators = Actuator | Sequence[Actuator] | None
+"""Actuator of the arm, several of them, or None for the default."""
+
+MAX_REPORTS: Final = 200
+"""Number of progress reports of a training without candidates."""
+
+
+class TrainingObserver:
+    """Callbacks of a training, each with the number of the learner; for any thread."""
+
+    def report(self, learner: int, point: LearningPoint) -> None:
+        """Receive a point of a learning curve."""
+
+    def selecting(self, learner: int, done: int, of: int) -> None:
+        """Receive the number of finished trials of a race, and the expected one."""
+
+    def testing(self, learner: int, done: int, of: int) -> None:
+        """Receive the number of finished trials of a test, and the one that meets the target."""
+
+
+class TrainingTask(NamedTuple):
+    """Inputs that determine the result of a training, except the number of the learner."""
+
+    pendulum: Pendulum
+    """Identified pendulum."""
+    arm: Arm
+    """Arm with its home posture."""
+    settings: Settings
+    """Resolved settings; a guest's learner or reward has its digest."""
+    actuators: tuple[Actuator, ...]
+    """Actuators, the controller's default first."""
+    world: str
+    """World of the episodes."""
+    seed: int
+    """Master seed."""
+
+
+def train(
+    pendulum: Pendulum,
+    arm: Arm,
+    settings: Settings,
+    *,
+    actuator: Actuators = None,
+    world: str = MODEL,
+    seed: int = 0,
+    learner: int = 0,
+    init_policy: TabularPolicy | None = None,
+    workers: Workers = 1,
+    observer: TrainingObserver | None = None,
+) -> TabularPolicy:
+    """Train one learner, and select its best policy; `train_to_target` tests it, too.
+
+    Args:
+        pendulum: The identified pendulum.
+        arm: The arm with its home posture.
+        settings: Resolved settings; the sections clik, controller, plant, learning and selection
+            are used.
+        actuator: Actuator of the arm; by default ideal with `plant.ideal`, else the shipped one,
+            identified from the twin. With several, the episodes take turns behind them, and the
+            selection scores a policy behind the one where it is worst; the first one is the
+            controller's default.
+        world: World of the episodes: `model`, the compiled plant; or a twin, or an address of
+            CoppeliaSim, one episode after the other. Selection and test run on the plant.
+        seed: Master seed.
+        learner: Index of the learner, each with its own random numbers.
+        init_policy: Policy with the initial table and visits; by default zeros.
+        workers: Threads, or an executor, of the trials; the result does not depend on it.
+        observer: Callbacks.
+
+    Returns:
+        The policy, with its learning curve and the results of its race.
+
+    Raises:
+        InputError: The world takes no such actuators.
+        OutsideError: CoppeliaSim fails.
+        SettingsError: No controller saves any of the releases, or the world is unknown.
+    """
+    check_task(pendulum, arm, settings, actuator, world=world)
+    task = make_task(pendulum, arm, settings, actuator, world, seed)
+    return train_learner(task, learner, workers, observer or TrainingObserver(), init_policy)
+
+
+def make_task(
+    pendulum: Pendulum, arm: Arm, settings: Settings, actuator: Actuators, world: str, seed: int
+) -> TrainingTask:
+    """Return the inputs of a training, resolved; the arguments are those of `train`.
+
+    Raises:
+        InputError: The world takes no such actuators, or a guest's object cannot be loaded.
+        SettingsError: A name is unknown.
+    """
+    actuators = actuators_in(world, settings, actuator)
+    settings = settings.model_copy(update={"learning": with_digests(settings.learning)})
+    return TrainingTask(pendulum, arm, settings, actuators, world, seed)
+
+
+def check_task(
+    pendulum: Pendulum,
+    arm: Arm,
+    settings: Settings,
+    actuator: Actuators = None,
+    *,
+    world: str = MODEL,
+    target: float = 0.0,
+) -> str | None:
+    """Compare the releases of a task with the recoverable set, before a training.
+
+    Args:
+        pendulum: The identified pendulum.
+        arm: The arm with its home posture.
+        settings: Resolved settings.
+        actuator: Actuator of the arm; as in `train`.
+        world: World of the episodes; as in `train`.
+        target: Share of the releases that a policy shall balance.
+
+    Returns:
+        A warning with the share of releases that no controller saves, or None; of several
+        actuators, for the first one that gives a warning.
+
+    Raises:
+        InputError: The world takes no such actuators.
+        SettingsError: No controller saves any of the releases, or the share that the target needs.
+    """
+    parameters = pendulum.parameters(linearised=settings.plant.linearised)
+    warnings = [
+        check_releases(parameters, arm, settings, each, least=target)
+        for each in actuators_in(world, settings, actuator)
+    ]
+    return next(filter(None, warnings), None)
+
+
+def actuators_in(world: str, settings: Settings, given: Actuators) -> tuple[Actuator, ...]:
+    """Return the actuators of a training in a world: the ideal one for an arm without delay.
+
+    Raises:
+        InputError: The world takes no such actuators.
+        SettingsError: The world is unknown.
+    """
+    if world != MODEL:
+        find_world(world)
+    if world == IDEAL:
+        raise InputError(
+            "the world ideal is a setting of the compiled training; leave out the world, and take "
+            "the recipe paper or --set plant.ideal=true"
+        )
+    kinematic = world != MODEL and has_ideal_arm(world)
+    if given is None:
+        ideal = kinematic or settings.plant.ideal
+        return (IDEAL_ACTUATOR if ideal else shipped_actuator(),)
+    actuators = (given,) if isinstance(given, Actuator) else tuple(given)
+    if kinematic and actuators != (IDEAL_ACTUATOR,):
+        raise InputError(f"the arm of the world {world} has no delay; leave out the actuator")
+    most = MAX_ACTUATORS if world == MODEL else 1
+    if not 1 <= len(actuators) <= most or len({each.digest for each in actuators}) < len(actuators):
+        raise InputError(
+            f"{len(actuators)} actuators are given, expected 1 to {most} different ones in the "
+            f"world {world}"
+        )
+    return actuators
+
+
+def train_learner(
+    task: TrainingTask,
+    learner: int,
+    workers: Workers,
+    observer: TrainingObserver,
+    init_policy: TabularPolicy | None = None,
+) -> TabularPolicy:
+    """Train one learner of a task, and select its policy; see `train`."""
+    settings, selection = task.settings, task.settings.selection
+    training = _Training(task, learner, init_policy)
+    candidates = _Candidates(selection, settings.learning.episodes, settings.boxes.count)
+    every = selection.every or max(1, settings.learning.episodes // MAX_REPORTS)
+    curve: list[LearningPoint] = []
+    while (ended := training.totals[ENDED]) < settings.learning.episodes:
+        point = training.run(min(ended + every, settings.learning.episodes))
+        if selection.every > 0:
+            candidates.add(training.tables.Q, point.episodes)
+        curve.append(point)
+        observer.report(learner, point)
+    chosen, results = training.tables.Q, tuple[Checkpoint, ...]()
+    if candidates.found:
+        taken = list(candidates.found.values())
+        order = race(
+            training.plants,
+            [Candidate(n, greedy_accelerations(Q)) for n, Q in taken],
+            workers=workers,
+            running=lambda done, of: observer.selecting(learner, done, of),
+        )
+        chosen = taken[order[0][0]][1]
+        results = tuple(result for _, result in order)
+    return TabularPolicy(
+        actions=paper.ACTIONS,
+        Q=tuple(tuple(row) for row in chosen.tolist()),
+        visits=tuple(tuple(row) for row in training.tables.visits.tolist()),
+        h=paper.STEP,
+        pendulum=task.pendulum,
+        arm=task.arm,
+        actuators=task.actuators,
+        settings=settings,
+        seed=task.seed,
+        learner=learner,
+        episodes=training.totals[ENDED],
+        steps=training.totals[STEPS],
+        learning_curve=tuple(curve),
+        checkpoints=results,
+    )
+
+
+class _Training:
+    """Episodes of one learner behind each actuator of a task, which share its tables."""
+
+    def __init__(self, task: TrainingTask, learner: int, init_policy: TabularPolicy | None) -> None:
+        settings = task.settings
+        self._learning = settings.learning
+        self.plants = trial_plants(task.pendulum, task.arm, settings, task.actuators, task.seed)
+        config = training_config(settings, task.pendulum.parameters().k)
+        kernel = compile_learner(settings.learning)
+        first = new_training_state(settings.boxes.count, load_learner(settings.learning).tables)
+        self.tables = first.tables
+        if init_policy is not None:
+            if init_policy.settings.boxes != settings.boxes:
+                raise InputError(
+                    "the policy to go on from has other boxes than the settings; train with its "
+                    "boxes"
+                )
+            self.tables.Q[:], self.tables.visits[:] = init_policy.table, init_policy.visits
+        others = (new_training_state(0)._replace(tables=first.tables) for _ in self.plants[1:])
+        self._states: list[TrainingState] = [first, *others]
+        self._loops: list[Any] = []
+        for i, (plant, state) in enumerate(zip(self.plants, self._states, strict=True)):
+            # The boxes do not resolve speeds below the limit; selection finds tables that respect
+            # it.
+            params = plant.simulation(TRAINING_NOISE).params._replace(speed_limit=inf)
+            episodes = (config.episodes + len(self.plants) - 1 - i) // len(self.plants)
+            share, key = config._replace(episodes=episodes), np.array((task.seed, learner))
+            self._loops.append(new_training_loop(params, plant.pendulum, share, kernel, state, key))
+        self._elsewhere: ClosedLoop | None = None
+        if task.world != MODEL:
+            setup = Setup(task.pendulum, task.arm, settings, task.actuators, paper.STEP)
+            simulation = simulate(task.world, setup, seed=task.seed, stream=TRAINING_NOISE)
+            self._elsewhere = simulation.loop()
+
+    @property
+    def totals(self) -> list[int]:
+        """Sums of `TrainingState.totals` over all actuators."""
+        return np.sum([state.totals for state in self._states], axis=0).tolist()
+
+    def run(self, until: int) -> LearningPoint:
+        """Train until a number of episodes have ended, and return the point of the curve.
+
+        Raises:
+            InputError: A guest's function raised an error, or a value is not finite.
+        """
+        before = self.totals
+        if self._elsewhere is None:
+            self._run_in_turn(until)
+        else:
+            train_in_world(self._loops[0], self._states[0], self._elsewhere, until)
+        raise_guest_error(self._learning)
+        totals = self.totals
+        if not np.isfinite(self.tables.Q).all():
+            raise InputError(
+                f"the table holds a value that is not finite after {totals[ENDED]} episodes with "
+                f"the learner {self._learning.learner} and the reward {self._learning.reward}; "
+                "bound the reward, or lower the learning rate"
+            )
+        steps, ended = totals[ENDED_STEPS] - before[ENDED_STEPS], totals[ENDED] - before[ENDED]
+        return LearningPoint(
+            episodes=totals[ENDED], steps=totals[STEPS], duration=paper.STEP * steps / ended
+        )
+
+    def _run_in_turn(self, until: int) -> None:
+        """Train until a number of episodes have ended, with equal numbers behind each actuator.
+
+        Each next episode ends behind the actuator with the fewest ones, so that none of them shapes
+        the common table alone for longer than an episode.
+        """
+        while sum(ended := [int(state.totals[ENDED]) for state in self._states]) < until:
+            least = ended.index(min(ended))
+            train_episodes(self._loops[least], until if len(ended) == 1 else ended[least] + 1)
+
+
+class _Candidates:
+    """Greedy policies of the running average in the last part of a training, equal ones once."""
+
+    def __init__(self, rule: SelectionSettings, episodes: int, boxes: int) -> None:
+        self._rule, self._episodes = rule, episodes
+        self._averaged, self._count = np.zeros((boxes, ACTIONS)), 0
+        self.found: dict[bytes, tuple[int, Array]] = {}
+        """Number of episodes and averaged table of each candidate, by its accelerations."""
+
+    def add(self, Q: Array, ended: int) -> None:
+        """Add the table after some episodes to the average; take its greedy policy if late."""
+        self._count += 1
+        share = max(self._rule.averaging, 1.0 / self._count)
+        self._averaged += share * (Q - self._averaged)
+        if ended > (1.0 - self._rule.late) * self._episodes:
+            averaged = self._averaged.copy()
+            self.found.setdefault(greedy_accelerations(averaged).tobytes(), (ended, averaged))
+            if len(self.found) > self._rule.candidates:
+                del self.found[next(iter(self.found))]
+
+
+def training_config(settings: Settings, k: float) -> TrainingConfig:
+    """Return the configuration of the episode loop.
+
+    Args:
+        settings: Resolved settings.
+        k: Coupling of the pendulum to the pivot's acceleration [1/m].
+    """
+    learning, plant = settings.learning, settings.plant
+    return TrainingConfig(
+        episodes=learning.episodes,
+        max_steps=round(learning.episode_duration / paper.STEP),
+        gamma=learning.gamma,
+        epsilon_initial=learning.epsilon_initial,
+        epsilon_until=learning.epsilon_until,
+        hold_action=learning.hold_action,
+        update=UpdateParams(
+            alpha_initial=learning.alpha_initial,
+            alpha_decay=learning.alpha_decay,
+            alpha_minimum=learning.alpha_minimum,
+            mirrored=learning.mirrored,
+        ),
+        start=(
+            learning.start_x,
+            learning.start_x_dot,
+            learning.start_phi,
+            learning.start_phi_dot,
+        ),
+        inertia_sigma=plant.inertia_sigma,
+        friction_sigma=plant.friction_sigma,
+        delay_spread=plant.delay_spread,
+        lag_spread=plant.lag_spread,
+        zero_error=plant.zero_error,
+        actions=np.array(paper.ACTIONS),
+        boxes=partition(settings.boxes, k),
+    )

@@ -1,0 +1,266 @@
+"""Connection of a rig: the drivers behind addresses, or drivers in front of emulators on a twin.
+
+No other module opens devices. The plugin for the scheme of an address makes its driver
+(`equipoise.rig.plugins`).
+"""
+
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from equipoise.errors import InputError, SettingsError
+from equipoise.model.arms.arm import FREE_JOINTS
+from equipoise.model.pendulum import Pendulum, PendulumParameters
+from equipoise.model.worlds import PREFIX as TWIN
+from equipoise.model.worlds import World, pendulum_on, read_world
+from equipoise.rig.clocks import DrainingClock, SystemClock, VirtualClock
+from equipoise.rig.config import RigSettings
+from equipoise.rig.emulated_operator import EmulatedOperator
+from equipoise.rig.interfaces import (
+    SETPOINT_PERIOD,
+    AngleSensor,
+    Clock,
+    Operator,
+    PacedRobot,
+    Robot,
+)
+from equipoise.rig.paced import PacedStream
+from equipoise.rig.plugins import (
+    Emulated,
+    RobotPlugin,
+    Session,
+    ignore,
+    robot_plugin,
+    scheme_of,
+    sensor_plugin,
+)
+from equipoise.rig.simulated_rig import SimulatedRig
+from equipoise.user_code import guest_code
+
+START_OFFSET: Final = 0.1
+"""Maximum initial distance of each emulated joint from home [rad]."""
+
+
+class Rig(NamedTuple):
+    """A robot, an angle sensor on the pendulum, and the clock of both."""
+
+    robot: Robot
+    """The arm."""
+    sensor: AngleSensor
+    """The encoder."""
+    clock: Clock
+    """Clock of both."""
+    operator: Operator | None
+    """Emulated operator; None for a person at the rig."""
+    plugin: RobotPlugin
+    """The kind of robot."""
+
+
+class EmulatedRig(NamedTuple):
+    """A simulated rig behind drivers, in virtual time, with access for fault injection."""
+
+    rig: Rig
+    """The drivers."""
+    bench: SimulatedRig
+    """Arm, pendulum, hand and button."""
+    robot: Emulated[Any]
+    """The robot's driver, and its emulator."""
+    sensor: Emulated[AngleSensor]
+    """The encoder's driver, and its emulator."""
+
+
+def world_of(robot: str) -> str | None:
+    """Return the twin behind an address, in virtual time in this process; None for hardware.
+
+    Example:
+        >>> world_of("twin:nominal"), world_of("kst://twin:harsh"), world_of("kst://172.31.1.147")
+        ('twin:nominal', 'twin:harsh', None)
+    """
+    name = robot.partition("://")[2] or robot
+    return name if name.startswith(TWIN) else None
+
+
+def check_addresses(robot: str, encoder: str | None) -> None:
+    """Check the two addresses of a rig; nothing is opened.
+
+    Raises:
+        InputError: An address is invalid, missing or superfluous.
+        SettingsError: The twin is unknown.
+    """
+    world, clock = world_of(robot), SystemClock()
+    if world is None:
+        open_robot(robot, clock)
+        if encoder is None:
+            raise InputError("a robot alone does not balance; give --encoder serial:///dev/ttyACM0")
+        open_encoder(encoder, clock)
+    elif encoder is not None:
+        raise InputError(f"{robot} has an encoder of its own; leave --encoder out")
+    elif robot_plugin(robot).emulate is None:
+        raise InputError(f"the robot of {robot} has no emulator; give the address of a real one")
+    else:
+        read_world(world)
+
+
+def open_robot(
+    robot: str,
+    clock: Clock,
+    *,
+    tell: Callable[[str], None] = ignore,
+    attend: Callable[[], None] = ignore,
+) -> Robot | PacedRobot:
+    """Return the driver behind an address; nothing is opened before it is connected.
+
+    Args:
+        robot: Address of a robot that exists.
+        clock: Clock of the robot.
+        tell: Receives instructions to the operator while a connection is made.
+        attend: Called about once a second meanwhile; its exception ends the wait.
+
+    Raises:
+        InputError: The address is invalid.
+    """
+    plugin = robot_plugin(robot)
+    if plugin.open is None:
+        raise InputError(f"{robot} exists in virtual time only; give a robot such as kst://HOST")
+    with guest_code(f"the plugin of {robot}"):
+        return plugin.open(robot, Session(clock, tell, attend))
+
+
+def restart_instruction(robot: str) -> str:
+    """Return the instruction to the operator before the next connection to a robot.
+
+    Raises:
+        InputError: The address is invalid.
+    """
+    return robot_plugin(robot).restart
+
+
+def open_encoder(
+    encoder: str, clock: Clock, *, counts_per_rev: int | None = None, sign: int = 1
+) -> AngleSensor:
+    """Return the driver behind an address; nothing is opened before it is connected.
+
+    Args:
+        encoder: Address of a sensor that exists.
+        clock: Clock of the rig.
+        counts_per_rev: Expected counts per revolution, after x4; None accepts any number.
+        sign: 1 if its counts grow with theta, -1 if they fall.
+
+    Raises:
+        InputError: The address is invalid.
+    """
+    plugin = sensor_plugin(encoder)
+    if plugin.open is None:
+        raise InputError(f"{encoder} exists in virtual time only; give one such as /dev/ttyACM0")
+    with guest_code(f"the plugin of {encoder}"):
+        return plugin.open(encoder, Session(clock), counts_per_rev, sign)
+
+
+def connect(
+    robot: str,
+    encoder: str | None,
+    settings: RigSettings,
+    pendulum: Pendulum,
+    *,
+    seed: int = 0,
+    period: float = SETPOINT_PERIOD,
+    tell: Callable[[str], None] = ignore,
+    attend: Callable[[], None] = ignore,
+) -> Rig:
+    """Return the rig behind two addresses; nothing is opened before its parts are connected.
+
+    Args:
+        robot: Address of a robot, such as `kst://HOST`; or `twin:NAME`, a digital twin in this
+            process in virtual time, with its own encoder and operator; or
+            `SCHEME://twin:NAME`, the same with the driver and the emulator of a kind of robot.
+        encoder: Address of an angle sensor, such as `serial:///dev/ttyACM0`; None for a twin.
+        settings: The settings of the rig.
+        pendulum: The pendulum on a twin.
+        seed: Seed of all random numbers on a twin.
+        period: Time between two setpoints [s].
+        tell: Receives instructions to the operator while a connection is made.
+        attend: Called about once a second meanwhile; its exception ends the wait.
+
+    Raises:
+        InputError: An address is invalid.
+        SettingsError: The twin is unknown.
+    """
+    check_addresses(robot, encoder)
+    if encoder is None:
+        world = read_world(world_of(robot) or robot)
+        swinging = pendulum_on(pendulum, world.settings)
+        scheme = scheme_of(robot)
+        return emulated_rig(world, settings, swinging, robot=scheme, seed=seed, period=period).rig
+    clock, counts = SystemClock(), settings.counts_per_rev
+    sensor = open_encoder(encoder, clock, counts_per_rev=counts, sign=settings.encoder_sign)
+    draining = DrainingClock(clock, sensor)
+    opened = open_robot(robot, draining, tell=tell, attend=attend)
+    served, clock = _streamed(opened, clock, period, draining)
+    return Rig(served, sensor, clock, None, robot_plugin(robot))
+
+
+def _streamed(
+    robot: Robot | PacedRobot, clock: Clock, period: float, draining: DrainingClock
+) -> tuple[Robot, Clock]:
+    """Return a robot and the clock of its rig, which serves a robot that sets the pace."""
+    if not isinstance(robot, PacedRobot):
+        return robot, clock
+    stream = PacedStream(robot, clock, period, draining)
+    return stream, stream
+
+
+def emulated_rig(
+    world: World,
+    settings: RigSettings,
+    pendulum: PendulumParameters,
+    *,
+    robot: str = "twin",
+    seed: int = 0,
+    period: float = SETPOINT_PERIOD,
+) -> EmulatedRig:
+    """Return a twin behind the drivers of a kind of robot, in virtual time, with its operator.
+
+    The link of an emulated robot takes its share of the twin's reply age each way, and the servo
+    the rest of the twin's transport.
+
+    Args:
+        world: The twin.
+        settings: The settings of the rig.
+        pendulum: The pendulum, with the friction that acts in the twin.
+        robot: Scheme of the robot; `twin` has no link, and the twin's own encoder.
+        seed: Seed of all random numbers.
+        period: Time between two setpoints [s].
+
+    Raises:
+        ArmError: The masses of the arm's links are unknown.
+        InputError: The robot has no emulator.
+        SettingsError: Twin and rig differ in the counts per revolution.
+    """
+    plugin = robot_plugin(robot)
+    sensors = sensor_plugin("twin" if robot == "twin" else "serial")
+    if plugin.emulate is None or sensors.emulate is None:
+        raise InputError(f"the robot {robot!r} has no emulator; choose another")
+    numbers = world.settings.model_copy(update=dict(plugin.servo))
+    if numbers.counts_per_rev != settings.counts_per_rev:
+        raise SettingsError(
+            f"{world.name} has {numbers.counts_per_rev} counts per revolution, rig.toml "
+            f"{settings.counts_per_rev}; give one number"
+        )
+    delay = plugin.link_share * numbers.reply_age
+    numbers = numbers.model_copy(update={"transport": max(numbers.transport - delay, 0.0)})
+    clock, arm = VirtualClock(), settings.described_arm
+    offset = START_OFFSET * np.random.default_rng(seed).uniform(-1.0, 1.0, FREE_JOINTS)
+    bench = SimulatedRig(arm, pendulum, numbers, seed=seed, q=arm.home_free + offset)
+    clock.attach(bench.advance)
+    sensor = sensors.emulate(bench, clock, settings.counts_per_rev, settings.encoder_sign, seed)
+    draining = DrainingClock(clock, sensor.device)
+    # Without a link waits are short, so that no samples have to be dropped.
+    session = Session(draining if plugin.link_share else clock)
+    emulated = plugin.emulate(bench, arm, session, delay, seed)
+    clock.attach(emulated.advance)
+    clock.attach(sensor.advance)
+    operator = EmulatedOperator(bench, clock, seed=seed)
+    served = _streamed(emulated.device, clock, period, draining)
+    rig = Rig(served[0], sensor.device, served[1], operator, plugin)
+    return EmulatedRig(rig, bench, emulated, sensor)

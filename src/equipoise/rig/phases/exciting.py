@@ -1,0 +1,90 @@
+"""Excitation of every joint before the lift, which identifies the arm."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Final
+
+from equipoise.control.actuator_choice import MotionRecord
+from equipoise.outcomes import End, Outcome, Phase
+from equipoise.printable import printable
+from equipoise.rig.phases.context import Excitation, RunContext, RunPhase, Setpoints
+from equipoise.rig.phases.release import Lifting
+
+IDENTIFIED: Final = "identified"
+"""Name of the message with the identified actuator."""
+REST_AFTER_EXCITATION: Final = 0.3
+"""Record after the excitation [s]."""
+
+
+class Exciting(RunPhase):
+    """Every joint moves about home, the pendulum hanging; then the arm is identified."""
+
+    kind, leads_to, moves = Phase.EXCITING, frozenset({Phase.LIFTING}), True
+
+    def __init__(self, run: RunContext, plan: Excitation) -> None:
+        """Create the phase from its plan."""
+        super().__init__(run)
+        self._plan, self._motion, self._measured = plan, MotionRecord(), False
+
+    @property
+    def on_track(self) -> bool:
+        """Whether the rules of the flange apply: it leaves its line."""
+        return False
+
+    def enter(self) -> None:
+        """Warn of the motion."""
+        seconds = 0.5 * self.run.h * len(self._plan.setpoints)
+        text = f"Excitation: every joint moves about home for {seconds:.0f} s. Keep away."
+        self.run.notify("excitation", text)
+
+    def take_joints(self, time: float, q: Sequence[float]) -> None:
+        """Record the response."""
+        if not self._measured:
+            self._motion.measure(time, self.run.parts.arm.without_held(q))
+
+    def note_sent(self, time: float, q: Sequence[float]) -> None:
+        """Record the setpoints."""
+        if not self._measured:
+            self._motion.send(time, self.run.parts.arm.without_held(q))
+
+    def begin_anew(self, missed: int, unsent: bool) -> None:
+        """Stop: an excitation with a gap identifies nothing."""
+        if not self._measured:
+            self.run.stop(_interrupted("the computer"))
+
+    def wait(self, now: float) -> Setpoints:
+        """Stop: an excitation with a gap identifies nothing."""
+        return self.run.stop_and_rest(_interrupted("the robot's link"), now)
+
+    def tick(self, now: float) -> Setpoints:
+        """Move every joint, identify the arm, and assume what was found."""
+        run, plan = self.run, self._plan
+        row, h = 2 * self.ticks, run.h
+        if row < len(plan.setpoints):
+            first, second = (tuple(each) for each in plan.setpoints[row - 1 : row + 1].tolist())
+            speeds = (plan.setpoints[row] - plan.setpoints[row - 1]) / (0.5 * h)
+            run.q, run.dq = second, tuple(speeds.tolist())
+            return first, second
+        over = (row - len(plan.setpoints)) * 0.5 * h
+        if over > REST_AFTER_EXCITATION and not self._measured:
+            self._measured = True
+            run.job = partial(plan.identify, *self._motion.values())
+            run.notify("notice", "The arm is identified; this takes some seconds.")
+        if run.result is not None:
+            try:
+                if isinstance(run.result, Exception):
+                    raise run.result
+                run.identified = run.result
+                response, text = plan.respond(run.result)
+            except Exception as error:  # the arm comes to rest, whatever failed
+                end = End(Outcome.UNIDENTIFIED, {"text": printable(str(error))})
+                return run.stop_and_rest(end, now)
+            run.notify(IDENTIFIED, text)
+            run.assume(response)
+            run.go(Lifting(run))
+        return run.still()
+
+
+def _interrupted(part: str) -> End:
+    text = f"{part} stood still during the excitation; run again"
+    return End(Outcome.UNIDENTIFIED, {"text": text})

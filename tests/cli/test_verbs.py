@@ -1,0 +1,141 @@
+"""Each verb once: what it writes, and its JSON object."""
+
+import signal
+import threading
+
+import pytest
+
+from equipoise.artefacts import Estimate
+from equipoise.control.policy import TabularPolicy, shipped_policy
+from equipoise.logs.run_log import RunLog
+from equipoise.model.actuator import Actuator
+from equipoise.model.pendulum import Pendulum
+from equipoise.model.worlds import TwinSettings, World
+from equipoise.rig.simulate import simulate_run
+from equipoise.worlds.certification import Certificate
+from equipoise.worlds.evaluation import Evaluation
+from tests.cli.conftest import contents
+
+SHORT = (
+    "--episodes=40",
+    "--workers=1",
+    "--set=learning.episode_duration=1",
+    "--set=selection.every=20",
+    "--set=selection.late=1",
+    "--set=selection.round_trials=4",
+    "--set=selection.duration=4",
+    "--set=selection.test_trials=100",
+)
+FEW = ("--trials=4", "--duration=1", "--workers=1")
+
+pytestmark = pytest.mark.compiled_only
+
+
+def test_identify_writes_pendulum_and_figure(equipoise, swing, tmp_path):
+    ran = equipoise("identify", swing, "--mass=0.2", "--mass-uncertainty=0.001", "--length=0.14")
+    assert ran.code == 0, ran
+    assert "w2 [1/s^2]" in ran.out
+    assert Pendulum.load(tmp_path / "pendulum.json").inertia is not None
+    assert {"pendulum.json", "pendulum.svg", "pendulum.png"} < contents(tmp_path).keys()
+    found = equipoise("identify", swing, "--friction=coulomb", "--force", "--json").json
+    assert found["w2"]["value"] == pytest.approx(70.2, rel=0.05)
+    assert (found["friction_model"], found["inertia"]) == ("coulomb", None)
+
+
+def test_train_writes_a_policy_and_marks_one_that_misses_the_target(
+    equipoise, pendulum_file, tmp_path
+):
+    ran = equipoise("train", pendulum_file, *SHORT, "--target=0.9", "--learners=2", "--json")
+    assert (ran.code, ran.err) == (1, "")
+    assert set(ran.json["learners"]) == {"0", "1"}
+    policy = TabularPolicy.load(tmp_path / "policy.json")
+    assert policy.shortfall
+    assert policy.pendulum == Pendulum.load(pendulum_file)
+    assert equipoise("train", *SHORT, "--target=0", "--force").code == 0
+    warned = equipoise("evaluate", pendulum_file.with_name("policy.json"), *FEW)
+    assert "Traceback" not in warned.err
+
+
+def test_evaluate_compares_with_baselines(equipoise, policy_file, tmp_path):
+    ran = equipoise("evaluate", policy_file, *FEW, "--json")
+    evaluation = Evaluation.load(tmp_path / "evaluation.json")
+    summary = evaluation.results.summary()
+    assert ran.code == int(summary.median < 1.0)
+    assert ran.json["median_s"] == summary.median
+    assert set(ran.json["baselines"]) == {each.name for each in evaluation.baselines}
+    assert "LQR" in equipoise("evaluate", policy_file, *FEW, "--force").out
+
+
+def test_a_claim_is_granted_or_refused(equipoise, tmp_path):
+    claim = ("evaluate", "--duration=0.5", "--trials=20", "--json", "--force")
+    ran = equipoise(*claim, "--claim=0.8")
+    assert (ran.code, ran.json["granted"]) == (0, True)
+    certificate = Certificate.load(tmp_path / "certificate.json")
+    assert ran.json["bound"] == certificate.bound >= 0.8
+    ran = equipoise("evaluate", "random", *claim[1:], "--claim=0.8")
+    assert (ran.code, ran.json["granted"]) == (1, False)
+
+
+def test_deploy_and_the_verbs_for_logs(equipoise, tmp_path):
+    ran = equipoise("deploy", "--duration=0.5")
+    assert ran.code == 0, ran
+    assert RunLog.load(tmp_path / "run.mcap").conditions.world == "twin:nominal"
+    found = equipoise("deploy", "--duration=0.5", "--force", "--json").json
+    assert found["lasted_s"] == 0.5
+    assert "evidence" in equipoise("log", "explain", "run.mcap").out
+    found = equipoise("log", "explain", "run.mcap", "--json").json
+    assert found["cause"] in found["causes"]
+    assert equipoise("log", "export", "run.mcap").code == 0
+    made = {path.name for path in (tmp_path / "run-csv").iterdir()}
+    assert made == {"encoder.csv", "reply.csv", "stream.csv", "tick.csv", "truth.csv"}
+    assert equipoise("deploy", "random", "--force").code == 1
+
+
+def test_an_excitation_becomes_an_actuator(equipoise, tmp_path):
+    assert equipoise("deploy", "--excite", "--out", "log.mcap").code == 0
+    found = equipoise("identify", "log.mcap", "--json").json
+    assert found["kind"] == "kst"
+    assert found["delay"]["value"] == pytest.approx(0.010, abs=0.002)
+    assert Actuator.load(tmp_path / "actuator.json").delay.value == found["delay"]["value"]
+
+
+def test_refine_trains_on_where_the_model_moved(equipoise, quick_settings, tmp_path):
+    policy = shipped_policy().model_copy(update={"settings": quick_settings})
+    twin = TwinSettings(inertia_sigma=0.0, friction_sigma=0.0)
+    run = simulate_run(shipped_policy(), world=World("twin:steady", twin), seed=2, duration=12.0)
+    run.save(tmp_path / "run.mcap", command="test")
+    wrong = {
+        name: Estimate.around(getattr(policy.pendulum, name).value / 1.1, 0.0, "given")
+        for name in ("w2", "k")
+    }
+    pendulum = policy.pendulum.model_copy(update=wrong)
+    actuators = (Actuator.assumed("kst", delay=0.010, lag=0.008),)
+    changes = {"pendulum": pendulum, "actuators": actuators}
+    policy.model_copy(update=changes).save(tmp_path / "policy.json", command="test")
+    ran = equipoise("refine", "policy.json", "run.mcap", "--episodes=40", "--workers=1", "--json")
+    assert ran.code == 0, ran
+    assert ran.json["kept"] in ("old", "new")
+    refined = Pendulum.load(tmp_path / "refined-pendulum.json")
+    assert refined.w2.value == pytest.approx(run.conditions.pendulum["w2"], rel=0.01)
+    assert TabularPolicy.load(tmp_path / "refined.json").pendulum == refined
+    ran = equipoise("refine", "policy.json", "run.mcap", "--no-train", "--out=no.json")
+    assert (ran.code, (tmp_path / "no.json").exists()) == (0, False)
+    assert "w2" in ran.out
+
+
+@pytest.mark.slow
+def test_reproduce_writes_a_report(equipoise, tmp_path):
+    ran = equipoise("reproduce", "--quick", "--set=learning.episodes=200", "--json")
+    assert ran.code in (0, 1), ran
+    assert ran.json["report"] == "equipoise-report/report.html"
+    assert (tmp_path / ran.json["report"]).read_text().startswith("<!doctype html>")
+
+
+@pytest.mark.parametrize("verb", ["play", "console", "log show run.mcap"])
+def test_pages_are_served_until_a_signal(equipoise, monkeypatch, tmp_path, verb):
+    pytest.importorskip("viser", reason="viser is not installed (extra console)")
+    simulate_run(shipped_policy(), duration=0.4).save(tmp_path / "run.mcap", command="test")
+    threading.Timer(8.0, signal.raise_signal, (signal.SIGINT,)).start()
+    ran = equipoise(*verb.split(), "--json")
+    assert ran.code == 0, ran
+    assert any(str(each).startswith("http://") for each in ran.json.values())

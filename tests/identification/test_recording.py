@@ -1,0 +1,200 @@
+"""Recordings: every column that is read, every file that is refused."""
+
+import gzip
+from math import pi
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from equipoise.errors import RecordingError
+from equipoise.identification.recording import Trajectory, read_swing, write_swing
+
+TIME = np.array([0.0, 0.1, 0.2, 0.3])
+
+
+def column(tmp_path, name, values):
+    rows = "".join(f"{t},{value}\n" for t, value in zip(TIME, values, strict=True))
+    path = tmp_path / "swing.csv"
+    path.write_text(f"time_s,{name}\n{rows}")
+    return path
+
+
+COLUMNS = [
+    # column, its values, options, angle [rad], smallest step [rad]
+    ("theta_rad", [0.1, 0.2, 0.1, -0.3], {}, [0.1, 0.2, 0.1, -0.3], 0.1),
+    ("theta_deg", [90, 45, 0, -90], {}, [pi / 2, pi / 4, 0, -pi / 2], pi / 4),
+    (
+        *("counts", [1024, 0, -1024, 1], {"counts_per_rev": 4096}),
+        *([pi / 2, 0, -pi / 2, 2 * pi / 4096], 2 * pi / 4096),
+    ),
+    # theta + phi = pi; a swing about hanging has phi about +-pi, wrapped there.
+    (
+        *("theta_deg", [170, 178, -174, 178], {"from_upright": True}),
+        *(np.deg2rad([10, 2, -6, 2]), np.deg2rad(8)),
+    ),
+    # Unwrapped about hanging.
+    ("theta_deg", [350, 5, 20, 355], {}, np.deg2rad([-10, 5, 20, -5]), np.deg2rad(5)),
+]
+
+
+@pytest.mark.parametrize(("name", "values", "options", "theta", "step"), COLUMNS)
+def test_each_column_becomes_an_angle_from_hanging(tmp_path, name, values, options, theta, step):
+    swing = read_swing(column(tmp_path, name, values), **options)
+    np.testing.assert_allclose(swing.theta, theta, atol=1e-12)
+    assert swing.resolution == pytest.approx(step)
+    assert (swing.theta_dot, swing.source) == (None, "swing.csv")
+
+
+def test_a_gyros_rate_is_a_rate(tmp_path):
+    path = column(tmp_path, "rate_rad_s", [1, 2, 3, -4])
+    assert read_swing(path).theta is None
+    assert read_swing(path).theta_dot.tolist() == [1, 2, 3, -4]
+    assert read_swing(path, from_upright=True).theta_dot.tolist() == [-1, -2, -3, 4]
+
+
+SAME = "time_s,theta_rad\n0,1\n0.5,2.5\n"
+SPELLINGS = {
+    "milliseconds": "time_ms,theta_rad\n0,1\n500,2.5\n",
+    "microseconds": "time_us,theta_rad\n0,1\n500000,2.5\n",
+    "semicolons": "time_s;theta_rad\n0;1\n0.5;2.5\n",
+    "decimal commas": "time_s;theta_rad\n0,0;1,0\n0,5;2,5\n",
+    "tabs": "time_s\ttheta_rad\n0\t1\n0.5\t2.5\n",
+    "tabs and commas": "time_s\ttheta_rad\n0\t1\n0,5\t2,5\n",
+    "quotes": 'note,"time_s","theta_rad"\n"a,b","0",1\n"c",0.5,"2.5"\n',
+    "windows": "time_s,theta_rad\r\n0,1\r\n0.5,2.5\r\n",
+    "blanks": "note, time_s ,theta_rad\na,0,1\n\nb,0.5,2.5\n\n",
+    "UTF-8 mark": b"\xef\xbb\xbf" + SAME.encode(),
+    "another script": "time_s,theta_rad,Länge (°)\n0,1,ü\n0.5,2.5,\n",
+}
+
+
+@pytest.mark.parametrize("text", SPELLINGS.values(), ids=SPELLINGS)
+def test_one_recording_in_many_spellings_is_one_recording(tmp_path, text):
+    path = tmp_path / "swing.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    swing = read_swing(path)
+    assert swing.time.tolist() == [0.0, 0.5]
+    assert swing.theta.tolist() == [1.0, 2.5]
+
+
+@pytest.mark.parametrize("header", ["", "t,angle\n"])
+def test_columns_can_be_named_where_the_file_does_not(tmp_path, header):
+    path = tmp_path / "swing.csv"
+    path.write_text(header + "0,90\n250,45\n")
+    swing = read_swing(path, columns="time_ms, theta_deg")
+    assert swing.time.tolist() == [0.0, 0.25]
+    np.testing.assert_allclose(swing.theta, [pi / 2, pi / 4])
+
+
+def test_a_window_holds_the_samples_at_its_ends_and_trusts_its_start(tmp_path):
+    path = column(tmp_path, "theta_rad", [0.1, 0.2, 0.1, -0.3])
+    swing = read_swing(path, start=0.1, end=0.2)
+    assert swing.time.tolist() == [0.1, 0.2]
+    assert (swing.released, read_swing(path, end=0.2).released) == (True, False)
+    assert swing.sha256 == read_swing(path).sha256
+
+
+@given(
+    steps=arrays(np.float64, 20, elements=st.floats(1e-4, 1.0)),
+    values=arrays(np.float64, 20, elements=st.floats(-3.0, 3.0)),
+    rate=st.booleans(),
+)
+@settings(deadline=None, max_examples=50)
+def test_a_written_swing_is_read_back_to_the_last_bit(tmp_path_factory, steps, values, rate):
+    path = tmp_path_factory.mktemp("swing") / "swing.csv"
+    # Steps below half a turn, so that nothing is taken for a wrap.
+    recorded = {"theta_dot": values} if rate else {"theta": 0.5 * values}
+    swing = Trajectory(time=np.cumsum(steps), **recorded)
+    write_swing(path, swing)
+    again = read_swing(path)
+    assert np.array_equal(again.time, swing.time)
+    assert np.array_equal(again.values, swing.values)
+
+
+def test_a_trajectory_cannot_be_written_to():
+    source = np.zeros(4)
+    swing = Trajectory(time=TIME, theta=source)
+    with pytest.raises(ValueError, match="read-only"):
+        swing.theta[0] = 1.0
+    source[0] = 1.0
+    assert swing.theta[0] == 0.0
+
+
+REFUSED = {
+    "nothing": "",
+    "no samples": "time_s,theta_rad\n",
+    "one sample": "time_s,theta_rad\n0,1\n",
+    "other columns": "t,angle\n0,1\n",
+    "no time": "theta_rad\n0\n",
+    "two quantities": "time_s,theta_rad,theta_deg\n0,1,2\n1,1,2\n",
+    "two times": "time_s,time_ms,theta_rad\n0,0,1\n1,1000,2\n",
+    "no header": "0.0,1.5\n0.1,1.4\n",
+    "NaN": "time_s,theta_rad\n0,1\n0.1,nan\n",
+    "infinity": "time_s,theta_rad\n0,1\n0.1,inf\n",
+    "a word": "time_s,theta_rad\n0,1\n\n0.1,high\n",
+    "a missing cell": "time_s,theta_rad\n0,1\n0.1\n",
+    "decimal commas between commas": "time_s,theta_rad\n0,000,1,25\n0,010,1,24\n",
+    "blanks as separators": "time_s theta_rad\n0 1\n",
+    "repeated samples": "time_s,theta_rad\n0,1\n0.1,2\n0.1,3\n",
+    "unsorted samples": "time_s,theta_rad\n0,1\n0.2,2\n\n0.1,3\n",
+    "counts of an unknown encoder": "time_s,counts\n0,1\n0.1,2\n",
+    "milliseconds since 1970 as seconds": "time_s,theta_rad\n1.7e12,1\n1.7001e12,2\n",
+    "a rate beyond any gyro": "time_s,rate_rad_s\n0,1\n1,1e12\n",
+    "a control character": "time_s,\x00theta_rad\n0,1\n",
+    "UTF-16": SAME.encode("utf-16"),
+    "UTF-16 without a mark": SAME.encode("utf-16-le"),
+    "Latin-1": "time_s,theta_rad,Länge\n0,1,ü\n".encode("latin-1"),
+    "gzip": gzip.compress(SAME.encode(), mtime=0),
+    "a spreadsheet": b"PK\3\4\x14\x00\x06\x00",
+}
+
+
+@pytest.mark.parametrize("content", REFUSED.values(), ids=REFUSED)
+def test_a_file_that_cannot_be_used_is_refused_in_one_sentence(tmp_path, content):
+    path = tmp_path / "swing.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(RecordingError, match=r"swing\.csv") as refusal:
+        read_swing(path)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_file_that_is_not_there_or_too_large_is_refused(tmp_path, monkeypatch):
+    path = column(tmp_path, "theta_rad", [1, 2, 3, 4])
+    monkeypatch.setattr("equipoise.identification.recording.MAX_RECORDING_SIZE", 20)
+    for wrong in (tmp_path / "nowhere.csv", tmp_path, path):
+        with pytest.raises(RecordingError):
+            read_swing(wrong)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"start": 5.0},
+        {"end": -1.0},
+        {"start": 0.2, "end": 0.1},
+        {"counts_per_rev": 0},
+        {"counts_per_rev": -4096},
+    ],
+)
+def test_a_window_without_samples_and_impossible_counts_are_refused(tmp_path, options):
+    name = "counts" if "counts_per_rev" in options else "theta_rad"
+    with pytest.raises(RecordingError):
+        read_swing(column(tmp_path, name, [1, 2, 3, 4]), **options)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {},
+        {"theta": TIME, "theta_dot": TIME},
+        {"theta": np.zeros(3)},
+        {"theta": np.array([0.0, np.nan, 0.0, 0.0])},
+        {"theta": TIME, "time": np.array([0.0, 1.0, 1.0, 2.0])},
+    ],
+)
+def test_impossible_trajectories_are_refused(fields):
+    with pytest.raises(RecordingError):
+        Trajectory(**({"time": TIME} | fields))

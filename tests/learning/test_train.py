@@ -1,0 +1,378 @@
+"""Training: what its result depends on, how candidates are chosen, what the file says."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from equipoise.artefacts import Estimate
+from equipoise.errors import InputError, SettingsError
+from equipoise.learning import target as target_module
+from equipoise.learning import train as train_module
+from equipoise.learning.choice import compile_learner
+from equipoise.learning.episodes import (
+    ENDED,
+    new_training_loop,
+    new_training_state,
+    train_episodes,
+)
+from equipoise.learning.target import (
+    TargetObserver,
+    compare_policies,
+    measure_policy,
+    train_to_target,
+)
+from equipoise.learning.train import TrainingObserver, check_task, train, training_config
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.elementary import BATCH_SIZE
+from equipoise.model.random import SELECTION, TARGET_TEST, TEST
+from equipoise.outcomes import TRIAL_OUTCOMES
+from equipoise.settings import resolve
+from equipoise.worlds import ideal as plant
+from equipoise.worlds import setup_of, simulate
+from equipoise.worlds.plant import make_loop_params
+
+# Thousands of episodes' worth of steps: minutes without compilation.
+pytestmark = pytest.mark.compiled_only
+
+ARM = iiwa(14)
+QUICK = [
+    "learning.episodes=60",
+    "learning.episode_duration=1",
+    "selection.every=20",
+    "selection.rounds=3",
+    "selection.round_trials=100",
+    "selection.duration=2",
+    "selection.test_trials=100",
+]
+
+
+def settings(*overrides, recipe="robust"):
+    return resolve(recipe, overrides=[*QUICK, *overrides])
+
+
+def of_paper(*overrides):
+    return settings("selection.every=0", *overrides, recipe="paper")
+
+
+@pytest.fixture(scope="module")
+def learners(pendulum):
+    """Three learners of one seed, each trained alone on one thread."""
+    return [train(pendulum, ARM, settings(), seed=5, learner=i) for i in range(3)]
+
+
+# What the result depends on
+
+
+def test_equal_seeds_give_equal_files(pendulum, learners):
+    assert train(pendulum, ARM, settings(), seed=5).digest == learners[0].digest
+
+
+def test_other_seeds_and_learners_give_other_tables(pendulum, learners):
+    policies = [*learners, train(pendulum, ARM, settings(), seed=6)]
+    assert len({policy.Q for policy in policies}) == 4
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_without_a_policy_that_meets_the_target_the_best_learner_is_the_result(
+    pendulum, learners, workers
+):
+    found = train_to_target(
+        pendulum, ARM, settings(), target=0.9, learners=3, seed=5, workers=workers
+    )
+    assert [each.learner for each in found.learners] == [0, 1, 2]
+    lows = [each.test.interval[0] for each in found.learners]
+    assert found.policy.test.interval[0] == max(lows)
+    assert not found.policy.test.met
+    assert "misses the target" in found.policy.shortfall
+    untested = found.policy.model_copy(update={"tests": ()})
+    assert untested.digest == learners[found.policy.learner].digest
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_the_first_learner_that_meets_the_target_is_the_result(
+    monkeypatch, pendulum, learners, workers
+):
+    # Learner 1 and all later ones meet it, in whatever order they finish.
+
+    def tested(policy, **given):
+        (test,) = measure_policy(policy, **given)
+        return (test.model_copy(update={"met": policy.learner >= 1}),)
+
+    monkeypatch.setattr(target_module, "measure_policy", tested)
+    found = train_to_target(
+        pendulum, ARM, settings(), target=0.9, learners=5, seed=5, workers=workers
+    )
+    assert [each.learner for each in found.learners] == [0, 1]
+    assert found.policy.learner == 1
+    assert found.policy.shortfall == ""
+    assert found.policy.Q == learners[1].Q
+
+
+def test_a_target_of_zero_takes_the_first_learner(pendulum, learners):
+    found = train_to_target(pendulum, ARM, settings(), target=0.0, learners=3, seed=5)
+    assert [each.learner for each in found.learners] == [0]
+    assert found.policy.test.met
+    assert found.policy.Q == learners[0].Q
+    # The last table of a training without a selection is tested, too.
+    last = train_to_target(pendulum, ARM, of_paper(), target=0.0)
+    assert (last.policy.checkpoints, last.learners[0].score) == ((), None)
+    assert last.policy.test.trials == 64
+
+
+def test_a_target_that_the_test_cannot_show_is_refused(pendulum):
+    for target in (0.99, 1.0):
+        with pytest.raises(InputError, match="100 trials cannot show a share of"):
+            train_to_target(pendulum, ARM, settings(), target=target)
+    with pytest.raises(InputError, match="expected at least one"):
+        train_to_target(pendulum, ARM, settings(), target=0.5, learners=0)
+
+
+# Behind an actuator
+
+KST = Actuator.assumed("kst", delay=0.0125, lag=0.008)
+SLOW = Actuator.assumed("kst", delay=0.01, lag=0.004, cycle=0.016)
+
+
+@pytest.fixture(scope="module")
+def behind(pendulum):
+    """Two learners of one seed behind an actuator, each trained alone on one thread."""
+    overrides = settings("learning.episodes=120")
+    return [train(pendulum, ARM, overrides, actuator=KST, seed=5, learner=i) for i in range(2)]
+
+
+@pytest.fixture(scope="module")
+def of_both(pendulum):
+    """A policy behind two actuators, tested behind each."""
+    given = {"actuator": [KST, SLOW], "target": 0.5, "learners": 1, "seed": 5}
+    return train_to_target(pendulum, ARM, settings(), **given).policy
+
+
+def test_behind_two_actuators_episodes_take_turns_on_one_table(monkeypatch, pendulum, of_both):
+    alone, ended = train(pendulum, ARM, settings(), actuator=KST, seed=5), []
+    original = train_module.new_training_state
+
+    def spy(*given):
+        ended.append((state := original(*given)).totals)
+        return state
+
+    def both(*given):
+        train_episodes(*given)
+        assert abs(int(ended[0][ENDED]) - int(ended[1][ENDED])) <= BATCH_SIZE
+
+    monkeypatch.setattr(train_module, "new_training_state", spy)
+    monkeypatch.setattr(train_module, "train_episodes", both)
+    again = train(pendulum, ARM, settings(), actuator=[KST, SLOW], seed=5)
+    assert again.actuators == (KST, SLOW)
+    assert again.actuator == KST
+    assert again.episodes == alone.episodes == 60
+    assert [int(totals[ENDED]) for totals in ended] == [30, 30]
+    assert again.Q == of_both.Q != alone.Q
+
+
+def test_each_of_two_actuators_has_its_test_and_the_worst_one_counts(pendulum, of_both):
+    for actuator, test in zip(of_both.actuators, of_both.tests, strict=True):
+        alone = of_both.model_copy(update={"actuators": (actuator,)})
+        assert (test,) == measure_policy(alone, target=0.5, error=0.025)
+    assert of_both.test.interval[0] == min(test.interval[0] for test in of_both.tests)
+    missed = of_both.tests[0].model_copy(update={"met": False, "interval": (0.0, 0.1)})
+    bad = of_both.model_copy(update={"tests": (of_both.tests[1], missed)})
+    assert "misses the target" in bad.shortfall
+
+
+def test_actuators_that_are_none_or_equal_give_one_error(pendulum):
+    with pytest.raises(InputError, match="actuators are given"):
+        train(pendulum, ARM, settings(), actuator=[])
+    with pytest.raises(InputError, match="actuators are given"):
+        train(pendulum, ARM, settings(), actuator=[KST, SLOW, KST])
+
+
+def test_without_an_actuator_it_is_the_shipped_one_or_by_the_settings_none(pendulum):
+    few = ["learning.episodes=20", "selection.every=0"]
+    shipped = train(pendulum, ARM, settings(*few))
+    assert shipped.actuator == shipped_actuator()
+    assert shipped == train(pendulum, ARM, settings(*few), actuator=shipped_actuator())
+    ideal = train(pendulum, ARM, settings(*few, "plant.ideal=true"))
+    assert ideal.actuator == IDEAL_ACTUATOR
+    assert ideal.Q == train(pendulum, ARM, settings(*few), actuator=IDEAL_ACTUATOR).Q
+    # The paper's recipe is the paper's simulation.
+    assert train(pendulum, ARM, of_paper()).actuator == IDEAL_ACTUATOR
+
+
+# The selection
+
+
+def test_the_winner_of_the_race_is_the_policy(pendulum):
+    policy = train(pendulum, ARM, settings(), seed=5)
+    best = policy.checkpoints[0]
+    assert len(policy.checkpoints) == 3
+    assert best.trials == max(each.trials for each in policy.checkpoints)
+    assert best.score == max(c.score for c in policy.checkpoints if c.trials == best.trials)
+    # The table of the policy is the running average at the moment when the winner was taken.
+    plant = make_loop_params(ARM, settings(), 0.01, pendulum.parameters(), shipped_actuator())
+    constants = training_config(settings(), pendulum.parameters().k)
+    learner = compile_learner(settings().learning)
+    progress, averaged = new_training_state(270), np.zeros((270, 8))
+    selection, key = settings().selection, np.array((5, 0))
+    loop = new_training_loop(plant, pendulum.parameters(), constants, learner, progress, key)
+    for taken in range(1, best.episodes // selection.every + 1):
+        until = taken * selection.every
+        train_episodes(loop, until)
+        averaged += max(selection.averaging, 1.0 / taken) * (progress.tables.Q - averaged)
+    np.testing.assert_allclose(policy.table, averaged, rtol=0.0, atol=1e-12)
+
+
+def test_only_the_latest_candidates_race(pendulum):
+    late = train(pendulum, ARM, settings("selection.late=0.5"), seed=5)
+    assert {each.episodes // 20 for each in late.checkpoints} == {2, 3}
+    last = train(pendulum, ARM, settings("selection.candidates=1"), seed=5)
+    assert [each.episodes for each in last.checkpoints] == [60]
+
+
+def test_race_and_test_have_trials_of_their_own(monkeypatch, pendulum):
+    seen = set()
+    original = plant.draw_trials
+
+    def spy(count, settings, seed, stream, spread, first):
+        seen.add((seed, stream, spread))
+        return original(count, settings, seed, stream, spread, first)
+
+    monkeypatch.setattr(plant, "draw_trials", spy)
+    train_to_target(pendulum, ARM, settings(), target=0.9, learners=2, seed=5)
+    assert seen == {(5, SELECTION, settings().selection.spread), (5, TARGET_TEST, 1.0)}
+    assert TEST not in (SELECTION, TARGET_TEST)
+
+
+def test_the_test_of_a_policy_is_its_evaluation_with_other_seeds(pendulum, learners):
+    policy = learners[0]
+    (test,) = measure_policy(policy, target=0.0)
+    setup = setup_of(policy, "model")
+    simulation = simulate("model", setup, seed=policy.seed, stream=TARGET_TEST)
+    trials = simulation.draw(test.trials)
+    simulation.run(policy, trials, range(test.trials), duration=2.0)
+    causes = Counter(TRIAL_OUTCOMES[code] for code in trials.cause.tolist())
+    assert test.causes == causes
+    assert test.survived == causes["lasted"]
+
+
+def test_compared_policies_run_the_same_trials_in_the_given_order(learners):
+    results = compare_policies(learners, seed=99)
+    assert [each.episodes for each in results] == [60, 60, 60]
+    backwards = compare_policies(learners[::-1], seed=99, workers=2)
+    # The first policy gives the model, which all learners share.
+    assert results == backwards[::-1]
+
+
+def test_the_recipe_paper_selects_nothing_and_keeps_the_last_table(pendulum):
+    policy = train(pendulum, ARM, of_paper())
+    assert policy.recipe.startswith("custom: paper with learning.episodes = 60, ")
+    assert policy.checkpoints == ()
+    progress = new_training_state(270)
+    loop = new_training_loop(
+        make_loop_params(ARM, of_paper(), 0.01, pendulum.parameters(linearised=True)),
+        pendulum.parameters(linearised=True),
+        training_config(of_paper(), pendulum.parameters().k),
+        compile_learner(of_paper().learning),
+        progress,
+        np.array((0, 0)),
+    )
+    train_episodes(loop, 60)
+    assert np.array_equal(progress.tables.Q, policy.table)
+
+
+# What is said and kept
+
+
+def test_the_learning_curve_is_told_as_it_grows(pendulum):
+    told = []
+
+    class Observer(TrainingObserver):
+        def report(self, learner, point):
+            told.append(point)
+
+    policy = train(pendulum, ARM, settings(), seed=5, observer=Observer())
+    assert tuple(told) == policy.learning_curve
+    episodes = [point.episodes for point in told]
+    steps = [point.steps for point in told]
+    assert episodes == sorted(set(episodes))
+    assert episodes[-1] == policy.episodes == 60
+    assert steps == sorted(set(steps))
+    assert steps[-1] == policy.steps
+    # Mean durations times episodes are the steps of the episodes that ended: all, in the end.
+    ended = np.cumsum(np.diff([0, *episodes]) * [point.duration for point in told] / 0.01)
+    assert ended[-1] == pytest.approx(steps[-1], rel=1e-12)
+    assert np.all(ended <= np.array(steps) * (1.0 + 1e-12))
+
+
+class Told(TargetObserver):
+    """Everything that a training reports, by learner."""
+
+    def __init__(self):
+        self.points, self.raced, self.tested, self.results = [], [], [], []
+
+    def report(self, learner, point):
+        self.points.append((learner, point))
+
+    def selecting(self, learner, done, of):
+        self.raced.append((learner, done, of))
+
+    def testing(self, learner, done, of):
+        self.tested.append((learner, done, of))
+
+    def finished(self, result):
+        self.results.append(result)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_several_learners_tell_whose_progress_it_is(pendulum, workers):
+    told = Told()
+    found = train_to_target(
+        *(pendulum, ARM, settings()),
+        target=0.9,
+        learners=3,
+        seed=5,
+        workers=workers,
+        observer=told,
+    )
+    points = tuple(point for n, point in told.points if n == found.policy.learner)
+    assert points == found.policy.learning_curve
+    assert sorted(told.results, key=lambda each: each.learner) == list(found.learners)
+    for result in found.learners:
+        tested = [(done, of) for n, done, of in told.tested if n == result.learner]
+        assert tested[-1] == (result.test.trials, result.test.trials)
+        raced = [(done, of) for n, done, of in told.raced if n == result.learner]
+        # A stage ends once, with its last trials.
+        for reports in (tested, raced):
+            assert all(done < of for done, of in reports[:-1] if done != reports[-1][0])
+            assert reports[-1][0] == reports[-1][1]
+
+
+# The physical limit
+
+
+def test_a_pendulum_that_no_controller_balances_is_refused_before_the_training(pendulum):
+    late = shipped_actuator().model_copy(update={"delay": Estimate.around(0.25, 0.0, "assumed")})
+    with pytest.raises(SettingsError, match="no controller"):
+        train(pendulum, ARM, settings(), actuator=late)
+    assert check_task(pendulum, ARM, settings()) is None
+    part = late.model_copy(update={"delay": Estimate.around(0.1, 0.0, "assumed")})
+    assert "% of the releases" in check_task(pendulum, ARM, settings(), part)
+    tested = settings("selection.test_trials=2000")
+    with pytest.raises(SettingsError, match="% of the releases"):
+        train_to_target(pendulum, ARM, tested, actuator=part, target=0.99)
+
+
+# A limited speed
+
+
+def test_a_limited_speed_selects_among_the_tables_of_the_same_training(pendulum):
+    # From upright on: no controller saves the other releases at this speed.
+    gentle = ("evaluation.phi_low=0", "evaluation.phi_dot_low=0")
+    limited = train(pendulum, ARM, settings("plant.max_speed=0.02", *gentle), seed=5)
+    free = train(pendulum, ARM, settings(*gentle), seed=5)
+    assert [p.duration for p in limited.learning_curve] == [p.duration for p in free.learning_curve]
+    assert limited.steps == free.steps
+    assert free.checkpoints[0].mean_duration > limited.checkpoints[0].mean_duration
+    assert limited.checkpoints[0].survived == 0
+    assert limited.settings.plant.max_speed == 0.02

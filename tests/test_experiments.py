@@ -1,0 +1,216 @@
+"""The experiments run in their smallest size, and their methods agree with independent ones."""
+
+import ast
+import json
+import runpy
+import sys
+from importlib.util import find_spec
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import equipoise as eq
+from equipoise import paper
+from equipoise.control.baselines import baselines
+from equipoise.control.grid import box_index, mirrored_box, partition
+from equipoise.control.policy import act
+from equipoise.model.worlds import TwinSettings, read_world
+from equipoise.worlds.twin.servo_model import equivalent_actuator
+
+EXPERIMENTS = Path(__file__).parents[1] / "experiments"
+SHORT = (
+    *("--set", "learning.episodes=40", "--set", "learning.episode_duration=1"),
+    *("--set", "selection.every=20", "--set", "selection.round_trials=8"),
+    *("--set", "selection.rounds=2", "--set", "selection.duration=0.5"),
+)
+"""Short trainings."""
+TRIALS = ("--trials", "2", "--duration", "0.3")
+SMALLEST = {
+    "compare": (*SHORT, *TRIALS, "--quick", "--worlds", "model", "twin:nominal", "--told"),
+    "gap": (*SHORT, *TRIALS),
+    "map": ("lqr", "--starts", "9", "--duration", "0.3"),
+    "sweep": (
+        *(*SHORT, "--trials", "2", "--tests", "2", "--duration", "0.3"),
+        *("--vary", "learning.gamma=0.9:0.99:log", "--vary", "boxes.x=[[-0.1, 0.1]]"),
+        *("--storage", "sqlite:///sweep.sqlite3"),
+    ),
+    "table_search": (*SHORT, "--generations", "1", "--tables", "6", "--out", "best.json"),
+    "value_iteration": ("--rounds", "1", "--loops", "8", "--ticks", "50", "--out", "solved.json"),
+}
+WRITES = {"table_search": "best.json", "value_iteration": "solved.json"}
+
+
+@pytest.fixture
+def experiment(tmp_path, monkeypatch, capsys):
+    """Run an experiment as a script; return what it prints."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(EXPERIMENTS)
+
+    def run(name, *arguments):
+        monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
+        runpy.run_path(str(EXPERIMENTS / f"{name}.py"), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
+
+
+def module(name):
+    """Return the names of an experiment."""
+    return runpy.run_path(str(EXPERIMENTS / f"{name}.py"))
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name == "compare")) for name in SMALLEST],
+)
+def test_an_experiment_runs_and_writes_its_result(experiment, tmp_path, name):
+    assert experiment(name, *SMALLEST[name]).strip()
+    written = tmp_path / WRITES.get(name, f"{name}.png")
+    assert written.stat().st_size > 1000
+    if name in WRITES:
+        assert eq.TabularPolicy.load(written).settings.boxes.count == 270
+
+
+@pytest.mark.compiled_only
+def test_a_sweep_continues_in_its_storage(experiment):
+    first = experiment("sweep", *SMALLEST["sweep"])
+    again = experiment("sweep", *SMALLEST["sweep"], "--trials", "3")
+    assert set(first.splitlines()) < set(again.splitlines())
+    assert len(again.splitlines()) == 3
+
+
+@pytest.mark.parametrize("path", sorted(EXPERIMENTS.glob("*.py")), ids=lambda path: path.stem)
+def test_an_experiment_is_short_and_uses_public_names(path):
+    text = path.read_text()
+    assert 60 <= len(text.splitlines()) <= 250
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("equipoise"):
+            assert node.module.split(".")[1:2] not in (["cli"], ["apps"])
+            assert not any(alias.name.startswith("_") for alias in node.names)
+
+
+# Value iteration
+
+
+def random_counts(seed, boxes=6):
+    counts = np.random.default_rng(seed).integers(0, 4, (boxes, 8, boxes + 1))
+    counts[2, 5] = counts[3, 2] = 0  # a pair that never occurred, and its mirror image
+    return counts
+
+
+def test_the_values_solve_bellmans_equation_and_are_symmetric():
+    solved, N, gamma = module("value_iteration"), random_counts(0), 0.9
+    Q, failed, boxes = solved["solve"](N, gamma), solved["FAILED"], len(N)
+    assert pytest.approx(Q[::-1, ::-1]) == Q
+    mirrored = [mirrored_box(box, boxes) for box in range(boxes)] + [boxes]
+    for s in range(boxes):
+        for a in range(8):
+            both = N[s, a] + N[mirrored[s], 7 - a, mirrored]
+            p = both / max(both.sum(), 1)
+            wanted = p[-1] * failed + gamma * sum(p[t] * Q[t].max() for t in range(boxes))
+            assert Q[s, a] == pytest.approx(wanted if both.sum() else failed, abs=1e-9)
+
+
+# Table search
+
+
+def test_the_first_table_is_the_snapped_lqr_at_the_centre_of_each_box(pendulum):
+    searched, settings, parameters = (
+        module("table_search"),
+        eq.resolve().boxes,
+        pendulum.parameters(),
+    )
+    table, boxes = searched["lqr_table"](settings, parameters), partition(settings, parameters.k)
+    snapped, seen = baselines(parameters, paper.STEP)["LQR, snapped"], set()
+
+    def middles(ends, outer):
+        return [(a + b) / 2 for a, b in pairwise([-outer, *ends, outer])]
+
+    rates, speeds = settings.phi_dot_deg, settings.x_dot
+    for phi in np.radians(middles(settings.phi_deg, 11.0)):
+        for phi_dot in np.radians(middles(rates, 1.5 * rates[-1])):
+            for ahead in middles(settings.x, 0.22):
+                for x_dot in middles(speeds, 1.5 * speeds[-1]):
+                    drift = x_dot + phi_dot / parameters.k
+                    state = ahead - settings.look_ahead * drift, x_dot, phi, phi_dot
+                    box = box_index(*state, boxes)
+                    seen.add(box)
+                    assert table[box] == act(snapped, *state, 0.0)
+    assert seen == set(range(settings.count))
+    assert table.tolist() == (-table[::-1]).tolist()
+
+
+@pytest.mark.compiled_only
+def test_the_search_does_not_return_a_worse_table_than_a_start():
+    searched, policy = module("table_search"), eq.shipped_policy()
+    selection = {"round_trials": 24, "rounds": 3, "duration": 4.0}
+    short = policy.settings.selection.model_copy(update=selection)
+    policy = policy.model_copy(
+        update={"settings": policy.settings.model_copy(update={"selection": short})}
+    )
+    bad = np.full(270, -2.0)
+    bad[135:] = 2.0
+    found = searched["search_table"](policy, [bad, policy.u_of_box], generations=2, tables=8)
+    again = searched["search_table"](policy, [bad, policy.u_of_box], generations=2, tables=8)
+    assert found.digest == again.digest
+    assert eq.evaluate(found, with_baselines=False).results.summary().rate > 0.9
+
+
+# Gap
+
+
+def test_the_effects_cover_the_twin_and_the_clean_twin_has_none_of_them():
+    gap = module("gap")
+    no_effect = {
+        *("cycle", "inner", "pd_frequency", "pivot_outward", "substeps", "guards", "t1"),
+        *("drag", "assumed_coulomb", "rotor_inertia"),
+    }
+    assert set(TwinSettings.model_fields) == no_effect | set(gap["CLEAN"])
+
+
+def test_the_expected_actuator_moves_with_the_twin():
+    expected, world = module("gap")["identified_on"], read_world("twin:nominal").settings
+    identified = eq.shipped_actuator()
+    assert expected(identified, world, world) == identified
+    slower = world.model_copy(
+        update={"transport": world.transport + 0.02, "lag": world.lag + 0.005}
+    )
+    moved = expected(identified, world, slower)
+    assert moved.delay.value == pytest.approx(identified.delay.value + 0.02)
+    assert moved.lags[0].value == pytest.approx(identified.lags[0].value + 0.005)
+    unshaped = world.model_copy(update={"shaped": False})
+    assert expected(identified, world, unshaped).kind == equivalent_actuator(unshaped).kind
+
+
+# Map
+
+
+def test_a_point_is_inside_a_polygon_as_far_as_its_edge():
+    inside = module("map")["is_inside"]
+    angles = np.linspace(-np.pi, np.pi, 25)[:-1]
+    edge = np.column_stack((3.0 * np.cos(angles), 40.0 * np.sin(angles)))
+    assert inside(edge, 0.999 * edge).all()
+    assert not inside(edge, 1.001 * edge).any()
+
+
+# Networks
+
+
+@pytest.mark.slow
+@pytest.mark.compiled_only
+@pytest.mark.skipif(
+    not (find_spec("stable_baselines3") and find_spec("onnxscript")),
+    reason="Stable-Baselines3 or onnxscript is not installed (extra rl)",
+)
+@pytest.mark.parametrize("algorithm", ["dqn", "ppo", "sac"])
+def test_a_deep_policy_leaves_as_onnx_and_runs_from_it(experiment, tmp_path, algorithm):
+    with pytest.raises(SystemExit, match="0"):
+        experiment("rl", "--only", algorithm, "--steps", "600", "--out", "rl")
+    record = json.loads((tmp_path / "rl" / f"{algorithm}.json").read_text())
+    assert record["steps"] >= 600
+    assert record["different"] <= 5
+    policy = eq.load_policy(tmp_path / "rl" / f"{algorithm}.onnx")
+    assert abs(policy.policy.act([0.0, 0.0, 0.15, 1.0])) <= 2.0
