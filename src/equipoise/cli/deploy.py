@@ -17,9 +17,6 @@ from equipoise.errors import InputError
 if TYPE_CHECKING:
     from equipoise.rig.request import RunRequest
 
-ACTUATOR = "-actuator.json"
-"""End of the name of the actuator that a run identifies, after the log's."""
-
 
 class Run(Options):
     """The run."""
@@ -75,6 +72,8 @@ def deploy(
         raise InputError("--excite moves a simulated arm; give it --arm and --pendulum alone")
     if not on_a_rig and on_rig != OnRig():
         raise InputError("--dry-run, --t1, --identify, --anyway and --console need --robot")
+    from equipoise.cli.rig_run import ACTUATOR
+
     beside = (ACTUATOR,) if on_rig.identify else ()
     out = files.file("run.mcap", policy, task.pendulum, rig.rig, suffix=".mcap", beside=beside)
     if on_a_rig:

@@ -5,7 +5,6 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
 
-from equipoise.cli.deploy import ACTUATOR
 from equipoise.cli.output import Output, signals
 from equipoise.cli.terminal_operator import TerminalOperator, single_keys
 from equipoise.errors import InputError
@@ -13,6 +12,9 @@ from equipoise.user_code import guest_code
 
 if TYPE_CHECKING:
     from equipoise.rig.request import RunRequest
+
+ACTUATOR = "-actuator.json"
+"""End of the name of the actuator that a run identifies, after the log's."""
 
 
 class Spectator:
