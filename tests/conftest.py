@@ -11,7 +11,10 @@ from equipoise.learning.train import train
 from equipoise.model.actuator import IDEAL_ACTUATOR
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
+from equipoise.model.physics_engine import mujoco
 from equipoise.settings import resolve
+
+mujoco()  # before a test imports MuJoCo, which chooses its OpenGL then
 
 # The first call of a kernel compiles it, which takes seconds: no single example has a deadline.
 hypothesis.settings.register_profile("equipoise", deadline=None, max_examples=50)
