@@ -41,18 +41,17 @@ import equipoise.model.encoder
 import equipoise.model.worlds  # noqa: F401
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = {
-    "safety": "control",
-    "trial_safety": "control",
-    "dropouts": "control",
-    "plausibility": "control",
-    "states": "control",
-    "stop": "control",
-    "release": "control",
-    "kuka": "devices/kuka",
-    "encoder": "devices/encoder",
+MODULES = {
+    "rules": "safety/rules",
+    "trial": "safety/trial",
+    "dropouts": "safety/dropouts",
+    "plausibility": "safety/plausibility",
+    "stop": "safety/stop",
+    "release": "rig/release",
+    "kst": "robots/kst/codec",
+    "encoder": "robots/encoder/codec",
 }
-"""Where each module and its tests lie; those of the devices are their codecs."""
+"""Where each module and its tests lie."""
 PLUGINS_LEFT_OUT = ("cacheprovider", "doctest", "unraisableexception", "threadexception")
 OPTIONS = (
     *("-x", "-q", "--tb=no", "--noconftest", "--assert=plain", "--hypothesis-profile=mutants"),
@@ -95,12 +94,11 @@ NAMES = {"min": "max", "max": "min", "abs": "float", "any": "all", "all": "any"}
 def main() -> int:
     """Run every mutant of the chosen modules."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("modules", nargs="*", default=list(ROOMS), choices=list(ROOMS))
+    parser.add_argument("modules", nargs="*", default=list(MODULES), choices=list(MODULES))
     survived = False
     for module in parser.parse_args().modules:
-        name = module if ROOMS[module] == "control" else "codec"
-        path = ROOT / "src/equipoise" / ROOMS[module] / f"{name}.py"
-        tests = ROOT / "tests" / ROOMS[module] / f"test_{name}.py"
+        path = (ROOT / "src/equipoise" / MODULES[module]).with_suffix(".py")
+        tests = (ROOT / "tests" / MODULES[module]).with_name(f"test_{path.name}")
         began = time.monotonic()
         if noticed(path, tests, ast.parse(path.read_text()), 600.0):
             print(f"{module}: its tests fail as it is")

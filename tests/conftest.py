@@ -11,7 +11,10 @@ from equipoise.learning.train import train
 from equipoise.model.actuator import IDEAL_ACTUATOR
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
+from equipoise.model.physics_engine import mujoco
 from equipoise.settings import resolve
+
+mujoco()  # before a test imports MuJoCo, which chooses its OpenGL then
 
 # The first call of a kernel compiles it, which takes seconds: no single example has a deadline.
 hypothesis.settings.register_profile("equipoise", deadline=None, max_examples=50)
@@ -78,7 +81,8 @@ def rig_log(tmp_path_factory):
     from equipoise.model.worlds import pendulum_on, read_world
     from equipoise.rig.config import RigSettings
     from equipoise.rig.connection import emulated_rig
-    from equipoise.rig.run import RunRequest, run_virtually
+    from equipoise.rig.request import RunRequest
+    from equipoise.rig.run import run_virtually
 
     path, policy = tmp_path_factory.mktemp("rig") / "run.mcap", shipped_policy()
     settings = RigSettings()

@@ -24,7 +24,8 @@ from equipoise.rig.clocks import DrainingClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import EmulatedRig, emulated_rig
 from equipoise.rig.interfaces import Clock, Transport
-from equipoise.rig.run import RunRequest, run_virtually
+from equipoise.rig.request import RunRequest
+from equipoise.rig.run import run_virtually
 
 WORLD: Final = "twin:nominal"
 """World of all faults."""

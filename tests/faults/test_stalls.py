@@ -11,7 +11,8 @@ from equipoise.outcomes import Outcome
 from equipoise.rig.clocks import DrainingClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig
-from equipoise.rig.run import RunRequest, run_virtually
+from equipoise.rig.request import RunRequest
+from equipoise.rig.run import run_virtually
 from equipoise.safety.rules import MAX_STALL
 from tests.faults.harness import StallingClock, TransportTap
 from tests.faults.verdicts import check_limits, setpoints_of

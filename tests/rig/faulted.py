@@ -23,7 +23,8 @@ from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.loop import run_loop
 from equipoise.rig.phases.balancing import Balancing
 from equipoise.rig.phases.context import ArmResponse
-from equipoise.rig.run import RunRequest, run_end
+from equipoise.rig.request import RunRequest
+from equipoise.rig.run import run_end
 from equipoise.rig.run_controller import RunController
 from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.rig.transports import memory_pipe

@@ -33,7 +33,7 @@ from equipoise.rig.config import RigSettings
 from equipoise.rig.interfaces import Reply, Sample
 from equipoise.rig.phases.exciting import IDENTIFIED
 from equipoise.rig.phases.self_test import ACTUATOR
-from equipoise.rig.run import SPEED_LIMIT, RunRequest
+from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
 
 Array = npt.NDArray[np.float64]
@@ -150,19 +150,14 @@ def _of_rig(run: RunLog, policy: TaskPolicy, carried: Sequence[Actuator]) -> Row
     if len(tick) == 0 or len(began) == 0:
         raise ArtefactError("nothing moved in this run; there is nothing to replay")
     clock = _PolicyClock()
-    max_speed = _logged_speed_limit(run)
+    limit = None if run.end is None else run.end.max_speed
+    max_speed = inf if limit is None else limit
     controller = RunController(
         request.parts(tick_policy(policy), clock, counts_per_rev, max_speed),
         request.response(actuator, counts_per_rev, max_speed),
         began["q"][0].tolist(),
     )
     return _run_ticks(run, controller, clock)
-
-
-def _logged_speed_limit(run: RunLog) -> float:
-    """Return the flange's speed limit [m/s] from a log's events (default: inf)."""
-    texts = (event.text for event in run.events if event.name == SPEED_LIMIT)
-    return next((float(text.split()[0]) for text in texts), inf)
 
 
 class _PolicyClock:

@@ -17,7 +17,8 @@ from equipoise.outcomes import Phase
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig
 from equipoise.rig.emulated_operator import EmulatedOperator
-from equipoise.rig.run import RunRequest, run_virtually
+from equipoise.rig.request import RunRequest
+from equipoise.rig.run import run_virtually
 from equipoise.rig.run_controller import PHASES
 from equipoise.worlds.plant import scaled
 

@@ -15,7 +15,9 @@ from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig
 from equipoise.rig.explanation import explain
-from equipoise.rig.run import RunRequest, run_virtually, warm_up
+from equipoise.rig.preflight import warm_up
+from equipoise.rig.request import RunRequest
+from equipoise.rig.run import run_virtually
 from equipoise.rig.run_controller import PHASES
 from equipoise.rig.worker import InterruptedPolicy, PolicyTimeout
 from tests.control.test_bound_policy import KINDS, folder

@@ -10,7 +10,7 @@ from equipoise.model.arms.urdf import read_urdf
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import RigSettings, read_rig
 from equipoise.rig.connection import check_addresses, open_robot
-from equipoise.rig.run import RunRequest
+from equipoise.rig.request import RunRequest
 from equipoise.robots.kst import plugin
 from tests.model.arms.witnesses import ELBOW, ELBOW_HOME
 

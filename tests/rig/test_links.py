@@ -22,7 +22,8 @@ from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig import plugins
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig
-from equipoise.rig.run import CHECKLIST, RunRequest, run_virtually
+from equipoise.rig.request import RunRequest
+from equipoise.rig.run import CHECKLIST, run_virtually
 from tests.cli.test_emulate import emulator
 from tests.guest.guest.robot import PLUGIN as GUEST
 

@@ -30,7 +30,7 @@ from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import Reply, Sample
 from equipoise.rig.loop import CANNOT_STOP, run_loop
 from equipoise.rig.processes import HEARTBEAT_TIMEOUT, POLL_PERIOD, run_in_processes
-from equipoise.rig.run import RunRequest
+from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import PHASES
 from equipoise.safety.rules import limits_of
 from equipoise.safety.stop import ramp

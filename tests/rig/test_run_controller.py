@@ -329,12 +329,6 @@ def test_a_loop_that_was_late_says_so_and_blames_nobody_else(course, late):
     assert f"{1e3 * late:.1f} ms late" in course.reason
 
 
-def test_a_tick_that_is_late_by_less_than_the_limit_is_nothing(course):
-    course.tick(MAX_STALL - 0.001)
-    course.tick()
-    assert course.pilot.phase is Phase.BALANCING
-
-
 @pytest.mark.parametrize("late", [0.0, 0.008])
 def test_a_robot_that_does_not_answer_is_overdue_however_late_the_loop_is(course, late):
     course.tick()
@@ -389,14 +383,6 @@ def test_after_a_stall_each_stream_begins_anew_where_the_arm_rests(stream, unsen
     assert 0.1 < hardest <= 10.0
     assert course.pilot.phase is phase
     assert course.told.count("warning") == 1
-
-
-def test_a_self_test_that_stood_still_ends_at_rest():
-    course = STREAMS["swing"]()
-    course.tick(0.05, unsent=0)
-    for _ in range(120):
-        course.tick()
-    assert course.sent[-1][1] == pytest.approx(course.sent[-3][1], abs=1e-9)
 
 
 def test_a_self_test_swings_four_times_at_most():
@@ -647,21 +633,6 @@ def test_a_count_that_cannot_be_after_a_lost_sample_stops_it(course):
     assert course.cause == Outcome.ENCODER_JUMP
 
 
-def test_samples_that_stay_away_are_stale_as_ever(course):
-    course.encoder_dead, began = True, course.now
-    while course.pilot.phase is Phase.BALANCING:
-        course.tick()
-    assert course.cause == Outcome.ENCODER_STALE
-    assert course.now - began <= MAX_STALL + H
-
-
-def test_before_there_is_a_zero_a_gap_means_nothing():
-    course = Course()
-    lose(course, *range(500, 1000, 10))
-    course.until(Phase.SELF_TEST)
-    assert "warning" not in course.told
-
-
 # External torques.
 
 
@@ -687,14 +658,6 @@ def test_a_contact_on_the_way_home_stops_it(joint, sign):
     assert course.cause == Outcome.TORQUE
     assert course.now - began <= (TORQUE_EVERY + 1) * H
     assert course.pilot._run.from_measured
-
-
-def test_what_hangs_on_the_flange_pulls_differently_on_the_way_home():
-    course = Course(away())
-    for _ in range(2 * TORQUE_EVERY):
-        course.tick()
-    push(course, 1, 0.98 * UNCERTAIN_TORQUE_FACTOR)
-    course.until(Phase.AT_HOME)
 
 
 def test_at_home_the_limit_is_the_narrow_one():

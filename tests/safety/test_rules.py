@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from equipoise.model.actuator import MAX_LEAD
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.outcomes import Outcome, describe
+from equipoise.outcomes import Outcome
 from equipoise.safety import rules
 from equipoise.safety.rules import (
     FROM_MEASURED,
@@ -122,8 +122,8 @@ def test_only_finite_numbers_are_sent(number, joint):
         assert violation is not None
         assert violation.outcome is Outcome.NUMBER
         assert violation.evidence["joint"] == joint
-    assert "measured posture" in describe(check_first(LIMITS, HOME, q))
-    assert "a setpoint" in describe(check_first(LIMITS, q, HOME))
+    assert check_first(LIMITS, HOME, q).evidence["name"].startswith("the measured posture")
+    assert check_first(LIMITS, q, HOME).evidence["got"] == str(number)
 
 
 @pytest.mark.parametrize("q", [(), HOME[:6], (*HOME, 0.0)])
@@ -149,10 +149,10 @@ def test_a_setpoint_is_near_its_reference(joint, sign):
     assert broken(MAX_LEAD) is None
     violation = broken(1.01 * MAX_LEAD)
     assert violation.outcome is Outcome.LEAD
+    assert violation.evidence["joint"] == joint
     assert (violation.evidence["value"], violation.evidence["limit"]) == pytest.approx(
         (1.01 * MAX_LEAD, MAX_LEAD)
     )
-    assert f"joint {joint}" in describe(violation)
     assert broken(nan) is not None
     # The reference is inside the limits, and the setpoint is not.
     limit = (LIMITS.upper if sign > 0.0 else LIMITS.lower)[joint - 1]
@@ -163,10 +163,24 @@ def test_a_setpoint_is_near_its_reference(joint, sign):
     assert (violation.evidence["value"], violation.evidence["limit"]) == pytest.approx(
         (limit + sign * 0.001, limit)
     )
+    bounds = {"joint": joint, "lower": LIMITS.lower[joint - 1], "upper": LIMITS.upper[joint - 1]}
+    assert violation.evidence.items() >= bounds.items()
     # The reference rests, and the setpoint jumps.
     assert broken(0.01, step=0.999 * rules.STEP_LIMIT) is None
     violation = broken(0.01, step=-1.001 * rules.STEP_LIMIT)
     assert (violation.outcome, violation.evidence["limit"]) == (Outcome.JUMP, rules.STEP_LIMIT)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_leading_setpoint_can_be_stopped_before_the_limit(side):
+    # 1.2 rad/s of its reference needs 1.44 / (2 10) = 72 mrad.
+    for room, may in ((0.0721, True), (0.0719, False)):
+        q = moved(HOME, 1, side * (LIMITS.upper[0] - room) - HOME[0])
+        stream = [moved(q, 1, -side * (0.01 + back * 1.2 * DT)) for back in range(3)]
+        sent = q, moved(q, 1, -1.2 * side * DT)
+        violation = check_setpoint(LIMITS, *stream, DT, setpoints=sent)
+        assert (violation and violation.outcome) is (None if may else Outcome.POSITION)
+        assert check_setpoint(LIMITS, *stream, DT, True, sent) is None
 
 
 @pytest.mark.parametrize("joint", range(1, 8))
@@ -183,8 +197,6 @@ def test_a_setpoint_stays_inside_the_position_limits(joint, upper):
     assert violation.evidence["joint"] == joint
     assert violation.evidence["limit"] == limit
     assert violation.evidence["value"] == beyond[joint - 1]
-    bounds = LIMITS.lower[joint - 1], LIMITS.upper[joint - 1]
-    assert "expected {:.4f} to {:.4f} rad".format(*bounds) in describe(violation)
     assert check_first(LIMITS, at, at) is None
     first = check_first(LIMITS, beyond, beyond)
     assert first is not None
@@ -247,7 +259,6 @@ def test_no_joint_is_sent_faster_than_it_can(joint, side, dt):
             assert violation.evidence["joint"] == joint
             assert violation.evidence["value"] == pytest.approx(share * LIMITS.velocity[joint - 1])
             assert violation.evidence["limit"] == LIMITS.velocity[joint - 1]
-            assert describe(violation).endswith(" rad/s")
 
 
 @pytest.mark.parametrize("joint", range(1, 8))
@@ -266,7 +277,6 @@ def test_no_joint_is_sent_harder_than_it_can(joint, side, dt):
                 assert violation.evidence["joint"] == joint
                 assert violation.evidence["value"] == pytest.approx(10.0 * share)
                 assert violation.evidence["limit"] == 10.0
-                assert describe(violation).endswith(" rad/s^2")
 
 
 def test_at_the_limits_themselves_rounding_is_forgiven():
@@ -294,7 +304,6 @@ def test_a_jump_is_a_jump_however_long_ago_the_last_one_was(side):
     assert violation.evidence["joint"] == 1
     assert violation.evidence["value"] == pytest.approx(0.035)
     assert violation.evidence["limit"] == pytest.approx(radians(2.0))
-    assert "jumps by 0.0350 rad" in describe(violation)
 
 
 def test_degrees_for_radians_are_found():
@@ -358,14 +367,6 @@ BOUNDS = [
     (Outcome.ANGLE, {"phi": -radians(10.99)}, {"phi": -radians(11.0)}),
 ]
 
-WORDS = {
-    Outcome.SINGULAR: "near a singularity",
-    Outcome.TRACK: "could be stopped at",
-    Outcome.DRIFT: "mm off its line",
-    Outcome.TILT: "tilted by",
-}
-"""What the operator is told of the flange."""
-
 
 @pytest.mark.parametrize(("rule", "kept", "not_kept"), BOUNDS)
 def test_each_rule_on_either_side_of_its_bound(rule, kept, not_kept):
@@ -374,11 +375,6 @@ def test_each_rule_on_either_side_of_its_bound(rule, kept, not_kept):
     violation = check(GUARD, CALM, SafetyInputs(**usual | not_kept))
     assert violation is not None
     assert violation.outcome is rule
-    # What the operator is told holds the number that is and the one that may be.
-    assert any(character.isdigit() for character in describe(violation)) or (
-        rule is Outcome.ENCODER_ILLEGAL
-    )
-    assert WORDS.get(rule, "") in describe(violation)
     assert (
         abs(violation.evidence["value"]) >= abs(violation.evidence["limit"])
         or rule is Outcome.SINGULAR
@@ -436,7 +432,6 @@ def test_t1_is_slow_and_a_stop_not_a_clip():
         assert broken(fast) is None
     violation = check(T1, CALM, fast)
     assert (violation.evidence["value"], violation.evidence["limit"]) == (-0.23, 0.23)
-    assert describe(violation) == "the flange moves at -0.230 m/s, expected less than 0.23 m/s"
 
 
 def test_the_violation_names_the_joint_that_is_touched():
@@ -463,7 +458,7 @@ def test_what_is_no_number_stops_the_run_whatever_else_is_wrong(name, number):
     view = SafetyInputs(overdue=1.0, on_track=True, balancing=True, x=9.0)._replace(**{name: value})
     violation = check(GUARD, CALM, view)
     assert violation.outcome is Outcome.NUMBER
-    assert name in describe(violation)
+    assert (violation.evidence["name"], violation.evidence["got"]) == (name, str(number))
 
 
 def test_all_numbers_of_a_view_are_looked_at():

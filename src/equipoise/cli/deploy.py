@@ -15,10 +15,7 @@ from equipoise.cli.verb import Options, verb
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
-    from equipoise.rig.run import RunRequest
-
-ACTUATOR = "-actuator.json"
-"""End of the name of the actuator that a run identifies, after the log's."""
+    from equipoise.rig.request import RunRequest
 
 
 class Run(Options):
@@ -75,6 +72,8 @@ def deploy(
         raise InputError("--excite moves a simulated arm; give it --arm and --pendulum alone")
     if not on_a_rig and on_rig != OnRig():
         raise InputError("--dry-run, --t1, --identify, --anyway and --console need --robot")
+    from equipoise.cli.rig_run import ACTUATOR
+
     beside = (ACTUATOR,) if on_rig.identify else ()
     out = files.file("run.mcap", policy, task.pendulum, rig.rig, suffix=".mcap", beside=beside)
     if on_a_rig:
@@ -125,7 +124,8 @@ def _request(
     from equipoise.identification.actuator import identify_motion
     from equipoise.rig.config import read_rig
     from equipoise.rig.connection import world_of
-    from equipoise.rig.run import RunRequest, require_survival
+    from equipoise.rig.preflight import require_survival
+    from equipoise.rig.request import RunRequest
 
     if run.world != Run().world:
         raise InputError("--world is for a simulated run; leave it out, or leave out the rig")

@@ -5,14 +5,16 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
 
-from equipoise.cli.deploy import ACTUATOR
 from equipoise.cli.output import Output, signals
 from equipoise.cli.terminal_operator import TerminalOperator, single_keys
 from equipoise.errors import InputError
 from equipoise.user_code import guest_code
 
 if TYPE_CHECKING:
-    from equipoise.rig.run import RunRequest
+    from equipoise.rig.request import RunRequest
+
+ACTUATOR = "-actuator.json"
+"""End of the name of the actuator that a run identifies, after the log's."""
 
 
 class Spectator:
@@ -37,8 +39,9 @@ def run_on_rig(output: Output, request: "RunRequest", out: Path, *, console: boo
         console: Whether the run is shown in the browser, too.
     """
     from equipoise.rig.connection import world_of
+    from equipoise.rig.preflight import check_request, rehearse_t1
     from equipoise.rig.processes import run_in_processes
-    from equipoise.rig.run import check_request, rehearse_t1, run_virtually
+    from equipoise.rig.run import run_virtually
 
     check_request(request)
     if console and world_of(request.robot):

@@ -23,6 +23,7 @@ STYLES: Final = {
     "balancing": "bold green",
     "notice": "yellow",
     "warning": "yellow",
+    **{f"finding {status}": style for status, style in VERDICT_STYLES.items()},
 }
 DENIED: Final = "n"
 BACKSPACE: Final = "\b\x7f"
@@ -45,9 +46,6 @@ class TerminalOperator:
     def notify(self, event: Any) -> None:
         """Print an event."""
         self._clear()
-        if event.name == "finding":
-            self._finding(*(*event.text.split("\t"), "", "", "")[:4])  # a long one was cut
-            return
         if event.name != "word":
             self._answers = tuple(event.answers)
         text = printable(event.text.replace("\a", ""))
@@ -114,12 +112,6 @@ class TerminalOperator:
         if self._live:
             self._output.stream.write("\r" + " " * 48 + "\r")
             self._live = False
-
-    def _finding(self, name: str, verdict: str, found: str, cure: str) -> None:
-        text = printable(f"  {verdict:<9}{name:<20}{found}")
-        self._output.tell(Text(text, style=VERDICT_STYLES.get(verdict, "")))
-        if cure:
-            self._output.tell(Text(f"{'':31}{printable(cure)}", style="dim"))
 
 
 @contextmanager

@@ -123,6 +123,8 @@ class RunEnd(Value):
     """Whether software stopped the arm."""
     zero: Number | None = None
     """Encoder counts of the hanging pendulum; None in simulation, and before the self-test."""
+    max_speed: Number | None = None
+    """Flange speed limit from the pre-flight [m/s]; None without one."""
     identified: Actuator | None = None
     """Actuator that an excitation before the lift identified; None without one."""
     missed: Count = 0

@@ -31,7 +31,9 @@ from equipoise.rig.connection import restart_instruction
 from equipoise.rig.interfaces import Operator
 from equipoise.rig.loop import CANNOT_STOP
 from equipoise.rig.operator_proxy import OperatorProxy
-from equipoise.rig.run import ALONE, STOP, RunRequest, run_on_rig, warm_up
+from equipoise.rig.preflight import warm_up
+from equipoise.rig.request import RunRequest
+from equipoise.rig.run import ALONE, STOP, run_on_rig
 from equipoise.rig.run_controller import PHASES
 from equipoise.rig.signals import SIGNALS, handled_signals, ignore_signals, start_process
 from equipoise.rig.worker import JOIN_TIMEOUT, POLL_PERIOD, InterruptedPolicy, WorkerProcess

@@ -151,11 +151,15 @@ class LivePage:
         if now.ended:
             name, colour = "ended", INK
         if self._messages and now.question is None:
-            lines.append(_text(self._messages[-1]))
+            newest = self._messages[-1]
+            lines.append(newest.text or newest.name)
         self._panel.say(name, colour, lines)
 
     def _list_messages(self) -> None:
-        rows = [(_text(event), EVENT_COLOURS.get(event.name, INK)) for event in self._messages]
+        rows = [
+            ((event.text or event.name), EVENT_COLOURS.get(event.name, INK))
+            for event in self._messages
+        ]
         self._listed.content = messages_list(rows)
 
     def _draw_plots(self) -> None:
@@ -241,8 +245,3 @@ def answers(question: Question) -> dict[str, str]:
     labels = {"y": "Yes", "n": "No", OK: "OK"}
     words = {word: labels.get(word, f"Yes: {word}") for word in question.answers}
     return words | ({DENIAL: "No"} if question.name == "checklist" else {})
-
-
-def _text(event: LoggedEvent) -> str:
-    """Return the text of a message; the columns of a finding stand side by side."""
-    return (event.text or event.name).replace("\t", " · ")

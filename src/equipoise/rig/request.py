@@ -1,0 +1,246 @@
+"""Request for a run on a rig: policy, rig and options, and what follows from them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import inf, radians
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.control.control_step import ControllerParams, horizon, make_controller_params
+from equipoise.control.policy import (
+    Policy,
+    TaskPolicy,
+    shipped_policy,
+)
+from equipoise.errors import InputError
+from equipoise.logs.conditions import RunConditions, named
+from equipoise.model.actuator import Actuator
+from equipoise.model.worlds import PivotFriction, pivot_friction, read_world
+from equipoise.rig.checks import (
+    fitting_actuators,
+)
+from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import Rig, connect, world_of
+from equipoise.rig.phases.context import ArmResponse, Excitation, RunParts
+from equipoise.rig.run_controller import PHASES
+from equipoise.safety.rules import SafetyParams, make_safety_params
+from equipoise.worlds.twin.excitation import excitation
+
+Array = npt.NDArray[np.float64]
+
+EXCITATION_SHARE: Final = 0.5
+"""Share of the excitation of `deploy --excite` that a run uses [-]: behind a servo that is 30 ms
+slower than assumed, its joints follow within the limit of the following error."""
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """Policy, rig and options of a run."""
+
+    policy: TaskPolicy
+    """The policy."""
+    actuator: Actuator
+    """Identified response of the rig's arm."""
+    settings: RigSettings
+    """Contents of `rig.toml`."""
+    robot: str
+    """Address of the robot."""
+    encoder: str | None
+    """Address of the encoder; None where the robot's address includes one."""
+    duration: float
+    """Length of the balancing [s]."""
+    t1: bool = False
+    """Whether the speed limit of T1 holds."""
+    dry_run: bool = False
+    """Whether the run ends before the arm moves."""
+    seed: int = 0
+    """Seed of an emulated rig."""
+    alternatives: tuple[Actuator, ...] = ()
+    """Further actuators: with any, the run selects one of all from the move of the self-test."""
+    identify: Callable[[Array, Array], Actuator] | None = None
+    """Identification of the arm from an excitation before the lift, such as
+    `equipoise.identification.actuator.identify_motion`; None without one."""
+    anyway: bool = False
+    """Whether a policy also runs that does not fit the identified arm."""
+
+    def controller(self, counts_per_rev: int) -> ControllerParams:
+        """Return the constants of the control step on the rig.
+
+        Raises:
+            ArmError: Home is a singular posture.
+            SettingsError: The delay exceeds the controller's history.
+        """
+        policy, plant = self.policy, self.policy.settings.plant
+        return make_controller_params(
+            self.settings.described_arm,
+            policy.settings,
+            self.actuator,
+            policy.pendulum.parameters(linearised=plant.linearised),
+            h=policy.h,
+            counts_per_rev=counts_per_rev,
+        )
+
+    def guard(self, counts_per_rev: int, max_speed: float = inf) -> SafetyParams:
+        """Return the safety parameters of the rig.
+
+        Args:
+            counts_per_rev: Counts per revolution that its encoder reports.
+            max_speed: Flange speed limit from the pre-flight [m/s].
+        """
+        arm = self.settings.described_arm
+        return make_safety_params(
+            arm,
+            reaction=horizon(arm, self.actuator, 0.0),
+            u_max=self.policy.u_max,
+            h=self.policy.h,
+            counts_per_rev=counts_per_rev,
+            speed=max_speed,
+            margin=radians(self.settings.position_margin_deg),
+            speed_share=self.settings.speed_share,
+            torque_share=self.settings.torque_share,
+        )
+
+    def responses(self, counts_per_rev: int, max_speed: float = inf) -> tuple[ArmResponse, ...]:
+        """Return the responses of the arm of which the run selects one; empty without alternatives.
+
+        Args:
+            counts_per_rev: Counts per revolution that the rig's encoder reports.
+            max_speed: Flange speed limit from the pre-flight [m/s].
+        """
+        carried = (self.actuator, *self.alternatives) if self.alternatives else ()
+        return tuple(self.response(each, counts_per_rev, max_speed) for each in carried)
+
+    def response(self, actuator: Actuator, counts_per_rev: int, max_speed: float) -> ArmResponse:
+        """Return the response of the arm with an actuator; further arguments as of `responses`."""
+        one = replace(self, actuator=actuator)
+        parts = one.controller(counts_per_rev), one.guard(counts_per_rev, max_speed)
+        return ArmResponse(actuator, *parts)
+
+    def excitation(self, counts_per_rev: int, max_speed: float = inf) -> Excitation | None:
+        """Return the excitation before the lift; None without one. Arguments as of `responses`.
+
+        Raises:
+            ArmError: Home is too close to a limit of a joint.
+        """
+        if self.identify is None:
+            return None
+        arm = self.settings.described_arm
+        free = excitation(arm, period=self.policy.h / 2.0)
+        free = arm.home_free + EXCITATION_SHARE * (free - arm.home_free)
+
+        def respond(actuator: Actuator) -> tuple[ArmResponse, str]:
+            text = describe_fit(self.policy, actuator)
+            if not (fitting_actuators(self.policy, actuator) or self.anyway):
+                raise InputError(text)
+            return self.response(actuator, counts_per_rev, max_speed), text
+
+        setpoints = np.array([arm.with_held(q) for q in free])
+        return Excitation(setpoints, self.identify, respond)
+
+    def parts(
+        self,
+        policy: Policy,
+        clock: Callable[[], float],
+        counts_per_rev: int,
+        max_speed: float = inf,
+    ) -> RunParts:
+        """Return the parts of the run controller.
+
+        Args:
+            policy: The policy, as it decides tick by tick.
+            clock: Clock for its computing time [s].
+            counts_per_rev: Counts per revolution that the rig's encoder reports.
+            max_speed: Flange speed limit from the pre-flight [m/s].
+        """
+        return RunParts(
+            self.settings.described_arm,
+            self.policy.settings.boxes,
+            policy,
+            self.duration,
+            clock,
+            self.responses(counts_per_rev, max_speed),
+            self.excitation(counts_per_rev, max_speed),
+        )
+
+    def conditions(self) -> RunConditions:
+        """Return the run conditions for the log.
+
+        Raises:
+            SettingsError: The twin is unknown.
+        """
+        policy, friction = self.policy, self.friction
+        plant = policy.settings.plant
+        return RunConditions(
+            policy=policy.digest,
+            policy_name=policy.name,
+            world=self.robot,
+            arm=self.settings.described_arm,
+            pendulum=named(policy.pendulum.parameters(linearised=plant.linearised)),
+            pendulum_digest=policy.pendulum.digest,
+            friction=friction and friction.model_dump(mode="json"),
+            h=policy.h,
+            duration=self.duration,
+            seed=self.seed,
+            actuator=self.actuator.digest,
+            alternatives=tuple(each.digest for each in self.alternatives),
+            identifies=self.identify is not None,
+            anyway=self.anyway,
+            counts_per_rev=self.settings.counts_per_rev,
+            settings=policy.settings,
+            u_max=policy.u_max,
+            rig=self.settings.model_dump(mode="json"),
+            encoder=self.encoder,
+            t1=self.t1,
+            dry_run=self.dry_run,
+            phases=PHASES,
+        )
+
+    def connect(self, **callbacks: Callable[..., None]) -> Rig:
+        """Return the rig.
+
+        Args:
+            callbacks: `tell` and `attend` of `equipoise.rig.connection.connect`.
+
+        Raises:
+            InputError: An address is invalid.
+            SettingsError: The twin is unknown.
+        """
+        return connect(
+            self.robot,
+            self.encoder,
+            self.settings,
+            self.policy.pendulum,
+            seed=self.seed,
+            period=self.policy.h / 2.0,
+            **callbacks,
+        )
+
+    @property
+    def friction(self) -> PivotFriction | None:
+        """Dry friction and drag of a twin's pendulum; None on a robot.
+
+        Raises:
+            SettingsError: The twin is unknown.
+        """
+        world = world_of(self.robot)
+        if world is None:
+            return None
+        return pivot_friction(self.policy.pendulum, read_world(world).settings)
+
+
+def describe_fit(policy: TaskPolicy, actuator: Actuator) -> str:
+    """Return a sentence: an identified actuator, and the policies that fit it.
+
+    Args:
+        policy: The policy of the run.
+        actuator: The identified actuator.
+    """
+    text, fits = f"The arm: {actuator.intervals}.", fitting_actuators(policy, actuator)
+    if fits:
+        return f"{text} It fits actuator {fits[0] + 1} of the policy's {len(policy.actuators)}."
+    cure = "train one with equipoise train --actuator and the actuator of this run"
+    if fitting_actuators(shipped_policy(), actuator):
+        cure = "the shipped policy fits"
+    return f"{text} It fits none of the actuators of {policy.name}; {cure}."
