@@ -12,6 +12,7 @@ from checks import check
 from scipy.stats import t as student
 
 import equipoise as eq
+from equipoise.model.worlds import CLEAN, EFFECTS
 
 # %% [markdown]
 # ## A table for a perfect world
@@ -38,19 +39,6 @@ at_home
 
 # %%
 nominal = eq.read_world("twin:nominal")
-EFFECTS = {
-    "transport delay": {"transport": 0.0},
-    "transport jitter": {"transport_jitter": 0.0},
-    "servo's shaping law": {"shaped": False},
-    "drive lag": {"lag": 0.001},
-    "encoder counts and age": {"counts_per_rev": 2**20, "encoder_age": 0.0, "encoder_jitter": 0.0},
-    "zero error": {"zero_error": 0.0, "zero_offset": 0.0},
-    "dry friction": {"coulomb": 0.0},
-    "wrong I and b": {"inertia_sigma": 0.0, "friction_sigma": 0.0},
-    "weight on the arm": {"bracket_mass": 0.0, "pendulum_mass": 0.01},
-    "age of measured joints": {"reply_age": 0.0, "joint_noise": 0.0},
-}
-CLEAN = {number: value for numbers in EFFECTS.values() for number, value in numbers.items()}
 
 
 def twin(**changes):

@@ -29,24 +29,9 @@ from scipy.stats import t as student
 
 import equipoise as eq
 from equipoise.executors import available_cores
-from equipoise.model.worlds import WORLDS, TwinSettings, World
+from equipoise.model.worlds import CLEAN, EFFECTS, WORLDS, TwinSettings, World
 from equipoise.worlds.twin.servo_model import equivalent_actuator
 
-EFFECTS = {
-    "transport delay": {"transport": 0.0},
-    "transport jitter": {"transport_jitter": 0.0},
-    "servo's shaping law": {"shaped": False},
-    "drive lag": {"lag": 0.001},
-    "encoder counts and age": {"counts_per_rev": 2**20, "encoder_age": 0.0, "encoder_jitter": 0.0},
-    "zero error": {"zero_error": 0.0, "zero_offset": 0.0},
-    "dry friction": {"coulomb": 0.0},
-    "wrong I and b": {"inertia_sigma": 0.0, "friction_sigma": 0.0},
-    "weight on the arm": {"bracket_mass": 0.0, "pendulum_mass": 0.01},
-    "age of measured joints": {"reply_age": 0.0, "joint_noise": 0.0},
-}
-"""Numbers of the twin that belong to each effect, with the values that switch it off."""
-CLEAN = {number: value for numbers in EFFECTS.values() for number, value in numbers.items()}
-"""Numbers of the clean twin."""
 BEST_TABLE = ("every=20", "averaging=1", "late=1", "candidates=500")
 """Selection of the paper's table with the longest survival on its own plant: the paper's balanced
 in simulation before it ran on the robot, and the last table of a training rarely does."""

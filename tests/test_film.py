@@ -159,9 +159,9 @@ def test_a_film_that_cannot_be_made_is_refused_before_it_is_drawn(run, monkeypat
     long = changed_table(run, "tick", time=np.linspace(1.0, 60.0, 901))
     for suffix, begin, end in ((".gif", None, None), (".webp", -9.0, None), (".mp4", 1.0, 0.5)):
         with pytest.raises(InputError):
-            film_times(run, suffix, begin, end)
+            film_times(Motion.of(run), suffix, begin, end)
     with pytest.raises(InputError, match="30 s"):
-        film_times(long, ".webp", -20.0, None)
+        film_times(Motion.of(long), ".webp", -20.0, None)
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(MissingExtraError):
-        film_times(run, ".mp4", None, None)
+        film_times(Motion.of(run), ".mp4", None, None)

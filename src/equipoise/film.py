@@ -224,11 +224,11 @@ def check_format(suffix: str) -> None:
             raise MissingExtraError(package.replace("_", "-"), "video") from None
 
 
-def film_times(run: RunLog, suffix: str, begin: float | None, end: float | None) -> Floats:
+def film_times(motion: Motion, suffix: str, begin: float | None, end: float | None) -> Floats:
     """Return the times of the frames of a film since the release [s], shape (n,).
 
     Args:
-        run: The run.
+        motion: Motion of the run.
         suffix: Format of the film, one of `FORMATS`.
         begin: Start [s]; by default the release, on a rig shortly before it.
         end: End [s]; by default that of the run.
@@ -236,10 +236,9 @@ def film_times(run: RunLog, suffix: str, begin: float | None, end: float | None)
     Raises:
         InputError: The suffix is unknown, the part is outside the run, or too long for a WebP.
         MissingExtraError: A package that encodes an MP4 is not installed.
-        RecordingError: The run has nothing to show.
     """
     check_format(suffix)
-    begin, end = Motion.of(run).part(begin, end)
+    begin, end = motion.part(begin, end)
     if suffix == WEBP and end - begin > MAX_WEBP:
         raise InputError(
             f"an animated WebP of {end - begin:g} s is too large, expected {MAX_WEBP:g} s or less; "
@@ -271,9 +270,9 @@ def write_film(
         RecordingError: The run has nothing to show.
         OutsideError: OpenGL is not available, or encoding or writing fails.
     """
-    suffix = path.suffix.lower()
-    times = film_times(run, suffix, begin, end)
-    frames = _frames(run, times, *FORMATS[suffix][:2], report)
+    suffix, motion = path.suffix.lower(), Motion.of(run)
+    times = film_times(motion, suffix, begin, end)
+    frames = _frames(run, motion, times, *FORMATS[suffix][:2], report)
     if suffix == WEBP:
         write_whole(path, _encode_webp(frames, FORMATS[WEBP][2]))
         return
@@ -304,14 +303,19 @@ def _encode_webp(frames: Iterator[Picture], rate: float) -> bytes:
 
 
 def _frames(
-    run: RunLog, times: Floats, width: int, height: int, report: Callable[[float], None]
+    run: RunLog,
+    motion: Motion,
+    times: Floats,
+    width: int,
+    height: int,
+    report: Callable[[float], None],
 ) -> Iterator[Picture]:
     """Yield the pictures of a run at times [s], with two lines of numbers below."""
     from matplotlib import get_data_path
     from PIL import Image, ImageDraw, ImageFont
 
     conditions, bar = run.conditions, height // 10
-    motion, renderer = Motion.of(run), RigRenderer(conditions.arm, width, height - bar)
+    renderer = RigRenderer(conditions.arm, width, height - bar)
     fonts = Path(get_data_path(), "fonts", "ttf")
     large, small = (
         ImageFont.truetype(fonts / "DejaVuSans.ttf", share * bar) for share in (0.3, 0.27)

@@ -161,10 +161,6 @@ class BoxSettings(Value):
         phi, phi_dot, x, x_dot = (len(inner) + 1 for inner in ends)
         return phi, phi_dot, x, x_dot
 
-    def same_ends(self, other: Self) -> bool:
-        """Return whether the intervals are those of other boxes."""
-        return self == other.model_copy(update={"look_ahead": self.look_ahead})
-
     @property
     def count(self) -> int:
         """Number of boxes."""

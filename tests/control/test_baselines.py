@@ -10,9 +10,7 @@ from equipoise.control.grid import TRACK, TRUNCATED
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import resolve
-from equipoise.worlds.plant import (
-    make_loop_params,
-)
+from equipoise.worlds.plant import make_loop_params
 from tests.reference.pendulum import angular_acceleration
 from tests.worlds.recorded import on_the_plant, run_all
 

@@ -10,9 +10,7 @@ from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.worlds.twin.excitation import excitation
 from equipoise.worlds.twin.physics import TICK
-from equipoise.worlds.twin.servo_model import (
-    equivalent_actuator,
-)
+from equipoise.worlds.twin.servo_model import equivalent_actuator
 from equipoise.worlds.twin.twin import Twin
 
 ARM = iiwa(7)

@@ -72,13 +72,11 @@ def deploy(
         raise InputError("--excite moves a simulated arm; give it --arm and --pendulum alone")
     if not on_a_rig and on_rig != OnRig():
         raise InputError("--dry-run, --t1, --identify, --anyway and --console need --robot")
-    from equipoise.cli.rig_run import ACTUATOR
+    from equipoise.cli.rig_run import ACTUATOR, run_on_rig
 
     beside = (ACTUATOR,) if on_rig.identify else ()
     out = files.file("run.mcap", policy, task.pendulum, rig.rig, suffix=".mcap", beside=beside)
     if on_a_rig:
-        from equipoise.cli.rig_run import run_on_rig
-
         request = _request(output, policy, run, task, rig, on_rig)
         run_on_rig(output, request, out, console=on_rig.console)
         return

@@ -13,9 +13,6 @@ from equipoise.errors import InputError
 if TYPE_CHECKING:
     from equipoise.worlds.evaluation import TrialResults
 
-BASELINES = 4
-"""Number of baselines; it only scales a progress bar."""
-
 
 class Trials(Options):
     """Trials."""
@@ -59,6 +56,7 @@ def evaluate(
         return
     out = files.file("evaluation.json", policy, task.pendulum)
 
+    from equipoise.control.bound_policy import BUILT_IN
     from equipoise.worlds.evaluation import evaluate
 
     chosen = task.read(policy)
@@ -66,7 +64,7 @@ def evaluate(
     changes = {name: value for name, value in given.items() if value is not None}
     changed = settings.evaluation.model_validate({**dict(settings.evaluation), **changes})
     output.warn(opt.shortfall(chosen))
-    total = changed.trials * (1 + BASELINES * trials.baselines)
+    total = changed.trials * (1 + len(BUILT_IN) * trials.baselines)
     with output.trials(chosen, trials.world, total) as done:
         evaluation = evaluate(
             chosen,

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from equipoise.progress import Show, StageProgress
     from equipoise.worlds.evaluation import Done
 
-VERDICT_STYLES = {"good": "green", "warning": "yellow", "bad": "bold red", "unknown": "dim"}
+VERDICT_STYLES = {"good": "green", "warning": "yellow", "bad": "bold red"}
 """Styles of the verdicts of checks."""
 UNITS = ("s", "ms", "deg", "mm", "m")
 """Units that end the name of a field, after an underscore."""

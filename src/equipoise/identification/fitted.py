@@ -23,28 +23,6 @@ def fit_of(trajectory: Trajectory, pendulum: Pendulum) -> SwingFit:
     return fit
 
 
-def amplitudes(pendulum: Pendulum) -> tuple[float, float]:
-    """Return the amplitude at the begin and at the end of the fitted swing [rad].
-
-    Args:
-        pendulum: A pendulum with a fit.
-
-    Raises:
-        RecordingError: The pendulum was not identified from a swing.
-    """
-    fit = pendulum.fit
-    if fit is None:
-        raise RecordingError("the pendulum was assumed; identify it from a free swing")
-    theta, theta_dot = np.empty(2), np.empty(2)
-    h = pendulum.period / STEPS_PER_PERIOD
-    window = np.array(fit.window)
-    swing(window, fit.theta, fit.theta_dot, h, pendulum.parameters(), theta, theta_dot)
-    # At the turning point all energy is gravity's: w2 (1 - cos A) = E.
-    height = (1.0 - np.cos(theta)) + 0.5 * theta_dot**2 / pendulum.w2.value
-    first, last = np.arccos(np.clip(1.0 - height, -1.0, 1.0))
-    return float(first), float(last)
-
-
 def fitted_curve(trajectory: Trajectory, pendulum: Pendulum) -> npt.NDArray[np.float64]:
     """Return the fitted sensor values at the times of a recording.
 

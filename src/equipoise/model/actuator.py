@@ -19,7 +19,7 @@ The training plant, the controller's observer and the identification use the ker
 """
 
 import functools
-from math import exp, inf, isinf, log, log1p, sqrt
+from math import exp, inf, log, log1p, sqrt
 from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self
 
 import numpy as np
@@ -516,14 +516,6 @@ class DriveInertia(Value):
 
 
 _ENDS: Final = ("value", "low", "high")
-
-
-def describe_rotor(rotor: tuple[float, float, float]) -> str:
-    """Return a rotor's inertia and its interval as text, with their unit."""
-    value, low, high = rotor
-    if isinf(high):
-        return f"at least {low:.2g} kg m^2"
-    return f"{value:.2g} kg m^2, 95 %: {low:.2g} to {high:.2g}"
 
 
 class ActuatorFit(Value):

@@ -308,6 +308,25 @@ WORLDS: Final[Mapping[str, WorldPreset]] = {
 """Frozen parameter sets by name."""
 
 
+EFFECTS: Final[Mapping[str, Mapping[str, float]]] = {
+    "transport delay": {"transport": 0.0},
+    "transport jitter": {"transport_jitter": 0.0},
+    "servo's shaping law": {"shaped": False},
+    "drive lag": {"lag": 0.001},
+    "encoder counts and age": {"counts_per_rev": 2**20, "encoder_age": 0.0, "encoder_jitter": 0.0},
+    "zero error": {"zero_error": 0.0, "zero_offset": 0.0},
+    "dry friction": {"coulomb": 0.0},
+    "wrong I and b": {"inertia_sigma": 0.0, "friction_sigma": 0.0},
+    "weight on the arm": {"bracket_mass": 0.0, "pendulum_mass": 0.01},
+    "age of measured joints": {"reply_age": 0.0, "joint_noise": 0.0},
+}
+"""Numbers of the twin that belong to each effect, with the values that switch it off."""
+CLEAN: Final[Mapping[str, float]] = {
+    number: value for numbers in EFFECTS.values() for number, value in numbers.items()
+}
+"""Numbers of the clean twin, which has none of these effects."""
+
+
 def read_world(name: str) -> World:
     """Return the twin of a name.
 

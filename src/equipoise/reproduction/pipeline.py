@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from equipoise.artefacts import StrPath
+from equipoise.control.bound_policy import BUILT_IN
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArmError
 from equipoise.executors import available_cores
@@ -142,7 +143,7 @@ def reproduce(
     def evaluated(name: str, world: str, trials: int, *, with_baselines: bool) -> Evaluation:
         update = {"trials": min(trials, settings.evaluation.trials)}
         evaluation = policy.settings.evaluation.model_copy(update=update)
-        runs = update["trials"] * (5 if with_baselines else 1)
+        runs = update["trials"] * (1 + len(BUILT_IN) * with_baselines)
         return evaluate(
             policy,
             policy.settings.model_copy(update={"evaluation": evaluation}),

@@ -6,7 +6,7 @@ from typing import Final, Literal
 from equipoise.artefacts import Value
 from equipoise.errors import EquipoiseError, InputError
 
-Status = Literal["good", "warning", "bad", "unknown"]
+Status = Literal["good", "warning", "bad"]
 Values = dict[str, float | int | str]
 Fitness = Literal["fit", "usable with care", "not fit"]
 
@@ -20,7 +20,7 @@ class Finding(Value):
     name: str
     """Subject of the check."""
     status: Status
-    """Good; a warning, which goes into the log; bad, which forbids a run; or unknown."""
+    """Good; a warning, which goes into the log; or bad, which forbids a run."""
     values: Values
     """Values that were found, by name; a unit ends the name, such as `p99_ms`."""
     remedy: str = ""

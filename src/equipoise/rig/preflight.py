@@ -52,7 +52,7 @@ WARM_UP_CALLS: Final = 20
 def preflight(
     request: RunRequest, rig: Rig, measures: Sequence[Finding] = ()
 ) -> tuple[list[Finding], float]:
-    """Check a connected rig and a policy against each other; nothing moves.
+    """Check a connected rig, after `check_fit` of its description; nothing moves.
 
     A bad result refuses the run; a warning goes into the log.
 
@@ -75,7 +75,6 @@ def preflight(
     posture = check_posture(rig.robot.measured(), settings)
     reading = listen(rig.sensor, rig.clock, MEASURING_TIME)
     results = [
-        *check_fit(policy, request.actuator, settings),
         *check_link(trips),
         *check_speed(policy, max_speed),
         posture,

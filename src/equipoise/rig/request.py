@@ -18,9 +18,7 @@ from equipoise.errors import InputError
 from equipoise.logs.conditions import RunConditions, named
 from equipoise.model.actuator import Actuator
 from equipoise.model.worlds import PivotFriction, pivot_friction, read_world
-from equipoise.rig.checks import (
-    fitting_actuators,
-)
+from equipoise.rig.checks import fitting_actuators
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import Rig, connect, world_of
 from equipoise.rig.phases.context import ArmResponse, Excitation, RunParts

@@ -21,9 +21,7 @@ from equipoise.logs.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
 from equipoise.logs.writer import RunWriter
 from equipoise.outcomes import End, Outcome
 from equipoise.printable import printable
-from equipoise.rig.checks import (
-    check_fit,
-)
+from equipoise.rig.checks import check_fit
 from equipoise.rig.clocks import DrainingClock
 from equipoise.rig.connection import Rig
 from equipoise.rig.findings import Finding, require
@@ -171,11 +169,12 @@ def run_on_rig(
         rig.sensor.connect()
         robot.connect()
         results, max_speed = preflight(request, rig, measures())
-        for result in results:
+        fit = check_fit(request.policy, request.actuator, request.settings)
+        for result in (*fit, *results):
             text = f"{result.name}: {result.status}, {result.text}"
             text += f"; {result.remedy}" if result.remedy else ""
             tell(OperatorMessage(f"finding {result.status}", printable(text)))
-        require(check_fit(request.policy, request.actuator, request.settings))
+        require(fit)
         require(results, OutsideError)
         if max_speed < inf:
             text = f"The run stops when the flange reaches {max_speed:.3g} m/s."

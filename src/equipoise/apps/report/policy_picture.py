@@ -73,10 +73,10 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
         panel.set(xlim=(0, shape[0]), ylim=(0, shape[1]))
     _label(axes, 0, boxes.phi_deg, paper.PHI_LIMIT_DEG, "φ [°]")
     _label(axes, 1, boxes.phi_dot_deg, inf, "dφ/dt [°/s]")
-    for panel, (low, high) in zip(axes[0], _between(boxes.x, paper.X_LIMIT), strict=True):
+    for panel, (low, high) in zip(axes[0], pairwise(_edges(boxes.x, paper.X_LIMIT)), strict=True):
         panel.set_title(f"x from {low} to {high} m", ha="center", x=0.5)
     beside: Any = {"rotation": -90, "va": "center", "xycoords": "axes fraction"}
-    speeds = list(_between(boxes.x_dot, inf))
+    speeds = pairwise(_edges(boxes.x_dot, inf))
     for panel, (low, high) in zip(axes[::-1, -1], speeds, strict=True):
         panel.annotate(f"dx/dt from {low} to {high} m/s", (1.03, 0.5), **beside)
     notes = [Patch(label="never visited in training", edgecolor=INK, **HATCHED)]
@@ -87,15 +87,14 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
     return figure
 
 
-def _between(ends: Sequence[float], limit: float) -> list[tuple[str, str]]:
-    """Return both ends of each interval as text."""
-    edges = [typeset(f"{end:g}".replace("inf", "∞")) for end in (-limit, *ends, limit)]
-    return list(pairwise(edges))
+def _edges(ends: Sequence[float], limit: float) -> list[str]:
+    """Return the edges of all intervals as text."""
+    return [typeset(f"{end:g}".replace("inf", "∞")) for end in (-limit, *ends, limit)]
 
 
 def _label(axes: Any, side: int, ends: Sequence[float], limit: float, name: str) -> None:
     """Label the edges of the boxes on the lower (0) or left (1) side."""
-    edges = [typeset(f"{end:g}".replace("inf", "∞")) for end in (-limit, *ends, limit)]
+    edges = _edges(ends, limit)
     for panel in axes[-1] if side == 0 else axes[:, 0]:
         axis = panel.yaxis if side else panel.xaxis
         axis.set_ticks(range(len(edges)), edges)

@@ -11,7 +11,7 @@ from equipoise import paper
 from equipoise.artefacts import Provenance, Value
 from equipoise.model.worlds import MODEL, TwinSettings
 from equipoise.outcomes import Outcome
-from equipoise.reproduction.results import Results
+from equipoise.reproduction.results import Results, truth
 from equipoise.settings import BoxSettings, Settings, closest_recipe, resolve
 from equipoise.worlds.evaluation import Evaluation
 from equipoise.worlds.formatting import (
@@ -54,7 +54,7 @@ def comparison(results: Results) -> Iterator[Row]:
         for survival, outcome in zip(trials.survival, trials.outcomes, strict=True)
     ]
     yield f"Trials that stood {seconds}", "4.3", "one of one", percent(float(np.mean(longer)))
-    true: Any = run.truth if len(run.truth.phi) else run
+    true = truth(run)
     end = f"{format_end(run.outcome)} after {run.lasted:g} s, x = {true.x[-1]:.3f} m, φ = "
     end += f"{np.rad2deg(true.phi[-1]):.2f}°"
     published = (
@@ -65,10 +65,10 @@ def comparison(results: Results) -> Iterator[Row]:
 
 def estimates(results: Results) -> Iterator[Row]:
     """Yield each parameter of the pendulum: symbol, unit, estimate, and the simulated value."""
-    pendulum, truth = results.pendulum, dict[str, float]()
+    pendulum, known = results.pendulum, dict[str, float]()
     if simulated := results.record.simulated:
         w2 = (2.0 * np.pi / simulated.period) ** 2
-        truth = {"w2 = m g l / I": w2, "k = m l / I": w2 / pendulum.g, "c = b / I": simulated.c}
+        known = {"w2 = m g l / I": w2, "k = m l / I": w2 / pendulum.g, "c = b / I": simulated.c}
     parameters = {
         ("w2 = m g l / I", "1/s²"): pendulum.w2,
         ("k = m l / I", "1/m"): pendulum.k,
@@ -80,7 +80,7 @@ def estimates(results: Results) -> Iterator[Row]:
     }
     for (name, unit), estimate in parameters.items():
         if estimate and estimate.value:
-            true = f"{truth[name]:.6g}" if name in truth else ""
+            true = f"{known[name]:.6g}" if name in known else ""
             yield name, unit, plus_minus(estimate.value, estimate.interval), true
 
 

@@ -18,8 +18,6 @@ from equipoise.user_code import guest_code
 
 GROUP: Final = "equipoise.arms"
 """Entry point group of arms."""
-DEFAULT: Final = "iiwa7"
-"""Registered name of the default arm."""
 SUFFIXES: Final = (".urdf", ".xml")
 """File suffixes of URDFs."""
 
@@ -76,11 +74,6 @@ def resolve_arm(
 def registered_arms() -> dict[str, EntryPoint]:
     """Return the entry points of the registered arms, by name."""
     return {point.name: point for point in entry_points(group=GROUP)}
-
-
-def arm_option(name: str) -> str | None:
-    """Return the value of `--arm` for an arm's name; `None` for the default arm."""
-    return None if name == DEFAULT else name if name in registered_arms() else "ARM.urdf"
 
 
 def placed(arm: Arm, *, home: Sequence[float] | None, pivot: Triple | None) -> Arm:
