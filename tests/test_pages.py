@@ -38,6 +38,7 @@ PYTHON_HOMES = {
     "docs/how-to/bring-a-policy.md": "tests/test_bring_a_policy.py",
     "docs/how-to/bring-an-arm.md": "tests/test_bring_an_arm.py",
     "docs/how-to/bring-a-robot.md": "tests/test_guest.py",
+    "docs/how-to/bring-a-world.md": "tests/test_bring_a_world.py",
 }
 """Tests that run the Python of a page."""
 

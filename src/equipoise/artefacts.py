@@ -13,8 +13,7 @@ import platform
 import reprlib
 import sys
 import threading
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib import metadata
@@ -30,10 +29,6 @@ StrPath = str | os.PathLike[str]
 
 DIGEST_PREFIX = "sha256:"
 """Prefix of a digest, which names its algorithm."""
-WRITE_INTERVAL = 5.0
-"""Minimum interval between two writes of unfinished work [s]."""
-MAX_WRITING_SHARE = 0.02
-"""Maximum share of the time for writing unfinished work: slow writes are less frequent."""
 MEBIBYTE: Final = 2**20
 """Bytes per mebibyte."""
 MAX_FILE_SIZE: Final = 128 * MEBIBYTE
@@ -329,59 +324,6 @@ def write_whole(path: Path, content: str | bytes) -> None:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
-
-
-class PartialFile:
-    """File of unfinished work, written periodically and atomically.
-
-    As a context manager it writes once more if the work is interrupted.
-    """
-
-    def __init__(
-        self, path: StrPath | None, command: str, state: Callable[[], Artefact | None]
-    ) -> None:
-        """Create the writer.
-
-        Args:
-            path: The file; None writes nothing.
-            command: Command or function that does the work.
-            state: Returns the unfinished work, or None if there is nothing to write.
-        """
-        self._path, self._command, self._state = path, command, state
-        self._writing, self._due = threading.Lock(), time.monotonic() + WRITE_INTERVAL
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is not None:
-            with self._writing:
-                self._write()
-
-    def update(self) -> None:
-        """Write the unfinished work if a write is due; thread-safe.
-
-        Raises:
-            OutsideError: The disk rejects the file.
-        """
-        if time.monotonic() < self._due or not self._writing.acquire(blocking=False):
-            return
-        try:
-            begin = time.monotonic()
-            self._write()
-            end = time.monotonic()
-            self._due = end + max(WRITE_INTERVAL, (end - begin) / MAX_WRITING_SHARE)
-        finally:
-            self._writing.release()
-
-    def _write(self) -> None:
-        if self._path is not None and (state := self._state()) is not None:
-            state.save(self._path, command=self._command)
-
-
-def partial_path(out: Path) -> Path:
-    """Return the path of the unfinished work on `out`, in the same folder."""
-    return out.with_suffix(".partial.json")
 
 
 def temporary_name(path: Path) -> Path:
