@@ -108,6 +108,7 @@ def test_the_key_of_the_cache_changes_with_every_file_that_holds_kernels(tmp_pat
         (package / room / "inner").mkdir(parents=True)
         (package / room / "inner" / "a.py").write_text("x = 1\n")
     (package / "jit.py").write_text("")
+    (package / "inlining.py").write_text("")
     monkeypatch.setattr(jit, "PACKAGE", package)
     monkeypatch.setattr(jit, "__file__", str(package / "jit.py"))
     seen = set()

@@ -31,12 +31,13 @@ import tempfile
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numba
 import platformdirs
 from numba.core import caching, config, event
 
+from equipoise import inlining
 from equipoise.printable import printable
 
 logger = logging.getLogger(__name__)
@@ -44,6 +45,9 @@ logger = logging.getLogger(__name__)
 F = TypeVar("F", bound=Callable[..., Any])
 
 PACKAGE = Path(__file__).parent
+_njit: Any = numba.njit  # its types lack some options
+OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+"""Options of Numba of every kernel."""
 KERNEL_FOLDERS = ("model", "control", "safety", "learning", "worlds")
 """Folders of the package with kernels."""
 
@@ -56,10 +60,10 @@ def cache_directory() -> Path:
 
 @functools.cache
 def kernel_sources_digest() -> str:
-    """Return a digest of every file with kernels and of this module."""
+    """Return a digest of every file with kernels and of those that compile them."""
     kernels = (file for name in KERNEL_FOLDERS for file in (PACKAGE / name).rglob("*.py"))
     digest = hashlib.sha256()
-    for file in sorted([Path(__file__), *kernels]):
+    for file in sorted([Path(__file__), PACKAGE / "inlining.py", *kernels]):
         digest.update(str(file.relative_to(PACKAGE)).encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -131,6 +135,19 @@ class _CacheImpl(caching.CompileResultCacheImpl):
     _locator_classes = [_Locator]  # noqa: RUF012  (the name and type are Numba's)
 
 
+class _InlinedCacheImpl(_CacheImpl):
+    """Format of an inlined function's file, which has no machine code."""
+
+    def get_filename_base(self, fullname: str, abiflags: str) -> str:
+        return "inlined-" + super().get_filename_base(fullname, abiflags)
+
+    def reduce(self, cres: Any) -> Any:
+        return inlining.reduce(cres)
+
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        return inlining.rebuild(target_context, payload)
+
+
 class _KernelCache(caching.FunctionCache):
     _impl_class = _CacheImpl
 
@@ -152,9 +169,8 @@ class _KernelCache(caching.FunctionCache):
             logger.warning("cannot write the cache: %s", error.strerror)
 
 
-def _cached(compiled: Any) -> None:
-    function = compiled.py_func if hasattr(compiled, "py_func") else compiled._pyfunc
-    compiled._cache = _KernelCache(function)
+class _InlinedCache(_KernelCache):
+    _impl_class = _InlinedCacheImpl
 
 
 def disabled() -> bool:
@@ -163,8 +179,14 @@ def disabled() -> bool:
 
 
 def kernel(function: F) -> F:
-    """Compile `function` on its first call; with `NUMBA_DISABLE_JIT=1` return it unchanged."""
-    return _lazily_compiled(function, _nrt=True)
+    """Compile `function` on its first call; with `NUMBA_DISABLE_JIT=1` return it unchanged.
+
+    Numba would hand the options of an inlined caller on to it, if that call is the one that
+    compiles it: machine code would depend on the order of the calls.
+    """
+    if disabled():
+        return function
+    return _lazy(_njit(**OPTIONS, _nrt=True, forceinline=False)(function), _KernelCache)
 
 
 def inlined(function: F) -> F:
@@ -174,7 +196,19 @@ def inlined(function: F) -> F:
     do functions of a control step, because a call copies all arrays of its named tuples. Such a
     function creates no array: it counts no references, which would take longer than its formulas.
     """
-    return _lazily_compiled(function, _nrt=False, forceinline=True)
+    if disabled():
+        return function
+    for_python = _lazy(_njit(**OPTIONS, _nrt=False)(function), _KernelCache)
+    options = OPTIONS | {
+        "_nrt": False,
+        "boundscheck": None,
+        "forceinline": True,
+        "no_cpython_wrapper": True,
+        "nopython": True,
+    }
+    dispatcher = inlining.InlinedDispatcher(function, {}, options, inlining.InlinedCompiler)
+    dispatcher.for_python = for_python
+    return _lazy(dispatcher, _InlinedCache)
 
 
 def compilable(function: F) -> F:
@@ -190,12 +224,8 @@ def compilable(function: F) -> F:
     return register_jitable(error_model="numpy")(function)
 
 
-def _lazily_compiled(function: F, **options: Any) -> F:
-    if disabled():
-        return function
-    options |= {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-    dispatcher: Any = numba.njit(**options)(function)
-    _cached(dispatcher)
+def _lazy(dispatcher: Any, cache: type[_KernelCache]) -> Any:
+    dispatcher._cache = cache(dispatcher.py_func)
     # Numba gives an integer literal a type of its own, for which it would compile the kernel again.
     resolve = dispatcher.get_call_template
     dispatcher.get_call_template = lambda args, kws: resolve(
@@ -256,7 +286,7 @@ def function_pointer(function: F, signature: Any, cached: bool = True) -> F:
     options = {"error_model": "numpy", "boundscheck": not cached, "_nrt": not cached}
     pointer: Any = CFunc(function, normalize_signature(signature), {}, options)
     if cached:
-        _cached(pointer)
+        pointer._cache = _KernelCache(function)
     pointer.compile()
     return pointer
 
