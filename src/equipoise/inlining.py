@@ -21,9 +21,9 @@ class InlinedDispatcher(CPUDispatcher):
     for_python: Any
     """The same function as a kernel, which Python's calls run."""
 
-    def __call__(self, *args: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Run the function as a kernel of its own."""
-        return self.for_python(*args)
+        return self.for_python(*args, **kwargs)
 
     def add_overload(self, cres: Any) -> None:
         """Register a compiled signature for kernels alone."""
