@@ -92,7 +92,7 @@ def rig_log(tmp_path):
     path, recorder = tmp_path / "rig.mcap", Recorder(7)
     texts = dict.fromkeys(("world", "encoder", "policy", "actuator"), HOSTILE)
     writer = RunWriter(path, rig_conditions(arm=HOSTILE_ARM, **texts), 0.0)
-    push_event(recorder.event, 0.5, "stopping", (), HOSTILE)
+    push_event(recorder.event, 0.5, OperatorMessage("stopping", HOSTILE))
     writer.drain(recorder)
     writer.finish(1.0, RunEnd(evidence={"text": HOSTILE, HOSTILE: HOSTILE}))
     return path

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.policy import TabularPolicy, shipped_policy
-from equipoise.control.ticks import OperatorMessage, TickHandler, TickInputs, TickOutput
+from equipoise.control.ticks import OperatorMessage, TickInputs, TickOutput
 from equipoise.errors import EquipoiseError
 from equipoise.identification.actuator import identify_motion
 from equipoise.logs.conditions import RunEnd
@@ -295,7 +295,7 @@ class FaultHarness:
 class FaultyTickHandler:
     """Tick handler with faulty inputs and setpoints."""
 
-    def __init__(self, harness: FaultHarness, handler: TickHandler) -> None:
+    def __init__(self, harness: FaultHarness, handler: Any) -> None:
         self._harness, self._handler = harness, handler
 
     @property

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from equipoise.control.policy import shipped_policy
+from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.identification.refine import read_motion, thinned
 from equipoise.logs.conditions import RunEnd
@@ -85,7 +86,7 @@ def test_a_run_that_did_not_balance_is_refused_with_its_reason(tmp_path, rig_log
     path, conditions = tmp_path / "run.mcap", RunLog.load(rig_log, damaged=True).conditions
     writer = RunWriter(path, conditions, 0.0)
     recorder = Recorder(7)
-    push_event(recorder.event, 0.5, "move", ("y", "n"), "Move? y or n")
+    push_event(recorder.event, 0.5, OperatorMessage("move", "Move? y or n", ("y", "n")))
     writer.drain(recorder)
     writer.finish(1.0, RunEnd(outcome=Outcome.OPERATOR, evidence={"typed": "n"}))
     with pytest.raises(RecordingError, match="stopped by the operator"):

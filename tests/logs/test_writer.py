@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import OutsideError
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.recorder import CONNECTING, Recorder, push_event, read_events
@@ -50,7 +51,7 @@ def sound_ticks(path):
 def test_what_is_written_comes_back(tmp_path):
     path = tmp_path / "run.mcap"
     recorder, writer = drained(path, 250)
-    push_event(recorder.event, 2.5, "stopping", ("y", "n"), "stop – it fell")
+    push_event(recorder.event, 2.5, OperatorMessage("stopping", "stop – it fell", ("y", "n")))
     writer.drain(recorder)
     writer.finish(2.5, RunEnd(outcome=Outcome.LASTED))
     run = RunLog.load(path)
@@ -107,7 +108,7 @@ def test_an_existing_log_is_replaced_once_the_run_is_connected(tmp_path):
     path, recorder = tmp_path / "run.mcap", Recorder(7)
     path.write_text("another log")
     writer = RunWriter(path, CONDITIONS, 0.0)
-    push_event(recorder.event, 0.0, CONNECTING, (), "")
+    push_event(recorder.event, 0.0, OperatorMessage(CONNECTING, ""))
     writer.drain(recorder)
     assert path.read_text() == "another log"
     writer.finish(1.0, RunEnd())
@@ -152,9 +153,9 @@ def test_rings_lie_in_memory_that_two_share():
     one, other = Recorder(7, buffer), Recorder(7, buffer)
     push(one, 3)
     assert other.stream.take()["time"] == pytest.approx([0.0, 0.01, 0.02])
-    push_event(one.notices, 1.0, "lift", (), "Lift the pendulum.")
+    push_event(one.notices, 1.0, OperatorMessage("lift", "Lift the pendulum."))
     assert read_events(other.notices.take()) == [(1.0, "lift", (), "Lift the pendulum.")]
     other.typed.push(b"stop")
     assert one.typed.take()["word"].tolist() == [b"stop"]
-    one.pulse[0] = 5.0
-    assert other.pulse[0] == 5.0
+    one.pulse["time"] = 5.0
+    assert other.pulse["time"] == 5.0

@@ -161,7 +161,7 @@ def run_with(fault, seed, path):
     clock.attach(go_wrong)
     ending = run_loop(
         robot, stage.sensor, clock, pilot, recorder, stage.operator, max_duration=10.0,
-        idle=lambda: writer.drain(recorder) if recorder.pulse[3] % 50 == 0 else None,
+        idle=lambda: writer.drain(recorder) if recorder.pulse["ticks"] % 50 == 0 else None,
     )  # fmt: skip
     writer.drain(recorder)
     outcome = run_end(pilot, ending)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from equipoise.control.policy import shipped_policy
+from equipoise.control.ticks import OperatorMessage
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.recorder import Recorder, push_event
 from equipoise.logs.run_log import RunLog
@@ -107,7 +108,7 @@ def test_a_run_that_never_balanced_is_explained_by_its_reason(tmp_path, rig_log)
     path = tmp_path / "run.mcap"
     writer = RunWriter(path, RunLog.load(rig_log, damaged=True).conditions, 0.0)
     recorder = Recorder(7)
-    push_event(recorder.event, 0.5, "homing", (), "Moving to home.")
+    push_event(recorder.event, 0.5, OperatorMessage("homing", "Moving to home."))
     writer.drain(recorder)
     reason = "the encoder turns the wrong way round"
     writer.finish(1.0, RunEnd(outcome=Outcome.SELF_TEST, evidence={"text": reason}))

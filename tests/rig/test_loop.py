@@ -5,19 +5,18 @@ import pytest
 
 from equipoise.control.ticks import OperatorMessage, TickOutput, TickRecord
 from equipoise.errors import LinkError
-from equipoise.logs.recorder import FAILED, PULSE, WORD_TYPED, Recorder, read_events
+from equipoise.logs.recorder import FAILED, WORD_TYPED, Recorder, read_events
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.outcomes import End, Outcome, describe
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import Reply, Sample
-from equipoise.rig.loop import CANNOT_STOP, InlineExecutor, run_loop
+from equipoise.rig.loop import CANNOT_STOP, run_loop
 from equipoise.safety.rules import limits_of
 
 ARM = iiwa(7)
 HOME = ARM.home
 H = 0.01
-TICK_TIME, TICKS = PULSE.index("time"), PULSE.index("ticks")
 
 
 UNPLUGGED = End(Outcome.ENCODER_LOST, {"text": "the encoder is unplugged"})
@@ -191,7 +190,7 @@ def test_what_was_read_decided_and_sent_is_in_the_rings():
 def test_a_late_tick_says_so_and_those_that_were_missed_are_left_out(late, found, missed):
     # Two waits a tick: the ninth is for the fifth tick.
     course = Course(Heart(10), held_up={9: late})
-    timing = course.run().timing
+    timing = course.run()
     assert timing.late[4] == pytest.approx(found)
     assert timing.late[:4] == pytest.approx(np.zeros(4), abs=1e-12)
     assert timing.missed == missed
@@ -235,7 +234,7 @@ def test_where_the_link_to_the_robot_is_gone_the_operator_is_told_so_and_nothing
     # In the very tick: the fourth begins at 0.04 s.
     assert course.clock.now() <= 0.045 + 1e-9
     assert course.arm.calls["send"] == (number if call == "send" else 6)
-    assert course.recorder.pulse[TICKS] == 0.0
+    assert course.recorder.pulse["ticks"] == 0.0
 
 
 def test_a_first_setpoint_that_is_refused_moves_nothing_and_software_still_commands():
@@ -271,13 +270,15 @@ def test_the_heart_beats_while_the_arm_comes_to_rest_without_it():
     course = Course(Heart(40, {30: raising(RuntimeError("no"))}))
     beats = []
     course.clock.attach(
-        lambda now: beats.append((now, *course.recorder.pulse[[TICK_TIME, TICKS]].tolist()))
+        lambda now: beats.append(
+            (now, *(float(course.recorder.pulse[n]) for n in ("time", "ticks")))
+        )
     )
     course.run()
     alive = [now - beat for now, beat, ticks in beats if ticks > 0.0]
     # An arm that is ramped down is no arm that nobody commands: that is told after 80 ms.
     assert max(alive) <= 0.020 + 1e-9
-    assert course.recorder.pulse[TICKS] == 0.0
+    assert course.recorder.pulse["ticks"] == 0.0
 
 
 def test_an_interruption_goes_on_once_the_arm_rests():
@@ -309,7 +310,7 @@ def test_whatever_fails_in_a_tick_the_arm_comes_to_rest(what, since):
     if what == "tell":
         course.person.notify = fail
     elif what == "begin":
-        course.more["executor"] = type("Gone", (InlineExecutor,), {"begin": fail})()
+        course.more["submit"] = fail
     else:
         count = iter(range(1000))
 

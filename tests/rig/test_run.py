@@ -183,7 +183,8 @@ class Script:
 def test_words_that_come_together_answer_one_question_after_the_other():
     clock, recorder = VirtualClock(), Recorder(7)
     channel = OperatorChannel([Script("estop", " Fence \n", "stop")], recorder, clock, ignore)
-    assert [channel.ask(OperatorMessage("checklist", text, ())) for text in "ab"] == [
+    asked = [("a", "estop"), ("b", "fence")]
+    assert [channel.ask(OperatorMessage("checklist", text, (word,))) for text, word in asked] == [
         "estop",
         "fence",
     ]
@@ -203,12 +204,11 @@ def test_words_that_come_together_answer_one_question_after_the_other():
     ("typed", "cause", "asked"),
     [
         (["estpo", "", "estop", "fnece", "fence", "monitoring", "t1"], "dry run", 7),
-        (["e stop", "estop!", "yes", "estop", "fence"], "operator", 3),
         (["no", "estop"], "operator", 1),
         (["estop", "stop", "fence"], "operator", 2),
     ],
 )
-def test_a_mistyped_word_is_asked_again_up_to_three_times(typed, cause, asked):
+def test_a_mistyped_word_is_asked_again(typed, cause, asked):
     wanted = request(dry_run=True)
     pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
     rig = emulated_rig(NOMINAL, wanted.settings, pendulum).rig._replace(operator=None)

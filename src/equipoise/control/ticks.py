@@ -1,11 +1,8 @@
-"""Inputs and outputs of a control tick of a run on a rig.
-
-A tick handler, such as `equipoise.rig.run_controller`, uses no device, clock or file.
-"""
+"""Inputs and outputs of a control tick of a run on a rig (`equipoise.rig.run_controller`)."""
 
 from collections.abc import Callable, Sequence
 from math import ceil
-from typing import Annotated, Any, Final, NamedTuple, Protocol
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -78,7 +75,7 @@ class TickRecord(NamedTuple):
 
 
 class TickOutput(NamedTuple):
-    """Output of a tick handler."""
+    """Output of a tick."""
 
     setpoints: tuple[Sequence[float], ...]
     """All joints now, and h / 2 later [rad]; empty while nothing is to be sent."""
@@ -140,16 +137,3 @@ def missed_ticks(lateness: float, h: float) -> int:
         h: Time between ticks [s].
     """
     return ceil(lateness / h - 0.5)
-
-
-class TickHandler(Protocol):
-    """Controller of a loop: equal inputs at equal times give equal outputs."""
-
-    @property
-    def h(self) -> float:
-        """Time between ticks [s]."""
-        ...
-
-    def tick(self, now: float, inputs: TickInputs) -> TickOutput:
-        """Return the setpoints and messages of a tick at a time [s]."""
-        ...

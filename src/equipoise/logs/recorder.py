@@ -5,13 +5,13 @@ writer and one reader and needs no lock. A full ring drops new rows and counts t
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.control.ticks import TickInputs, TickOutput
+from equipoise.control.ticks import OperatorMessage, TickInputs, TickOutput
 from equipoise.logs.columns import tables
 from equipoise.outcomes import describe
 
@@ -37,8 +37,8 @@ ANSWER: Final = np.dtype([("question", np.int64), *WORD.descr])
 """Type of the rows with words from a console, and the number of the question that they answer."""
 QUESTION: Final = np.dtype([("number", np.int64), *EVENT.descr[1:]])
 """Type of the row with the open question; its number is 0 without one."""
-PULSE: Final = ("time", "state", "phi", "ticks")
-"""Entries of `Recorder.pulse`: time of the last tick [s], its state, phi [rad], number of ticks."""
+PULSE: Final = np.dtype([(name, np.float64) for name in ("time", "state", "phi", "ticks")])
+"""Type of `Recorder.pulse`: time of the last tick [s], its state, phi [rad], number of ticks."""
 CONNECTING: Final = "connecting"
 """Name of the event before a connection; a log with no other event is discarded."""
 WORD_TYPED: Final = "word"
@@ -137,8 +137,8 @@ class Recorder:
         buffer = bytearray(layout.itemsize) if buffer is None else buffer
         (memory,) = np.frombuffer(buffer, layout, 1)
         rings = {name: Ring(memory[name], memory["counters"][i]) for i, name in enumerate(RINGS)}
-        self.pulse: npt.NDArray[np.float64] = memory["pulse"]
-        """State of the loop at its last tick, in the order of `PULSE`."""
+        self.pulse: Any = memory["pulse"]
+        """State of the loop at its last tick, as a row of the type `PULSE`."""
         self.joints = joints
         self.unknown = (math.nan,) * joints
         """Placeholder for an unmeasured posture."""
@@ -178,9 +178,11 @@ class Recorder:
         self.tick.push(*timing, output.state, *output.record, output.q, output.dq)
         for name, texts in ((WORD_TYPED, inputs.lines), (FAILED, map(describe, inputs.faults))):
             for text in texts:
-                push_event(self.event, now, name, (), text)
-        self.pulse[:3] = now, output.state, output.record.estimated_phi
-        self.pulse[3] += 1.0
+                push_event(self.event, now, OperatorMessage(name, text))
+        pulse = self.pulse
+        pulse["time"], pulse["state"] = now, output.state
+        pulse["phi"] = output.record.estimated_phi
+        pulse["ticks"] += 1.0
 
     def take(self) -> dict[str, npt.NDArray[Any]]:
         """Return the rows of each table since the last call."""
@@ -191,9 +193,8 @@ class Recorder:
         row = self._question
         row["number"] = 0  # an observer ignores a row that is being written
         if question is not None:
-            texts = (question.name, "|".join(question.answers), question.text)
-            for column, text in zip(("name", "answers", "text"), texts, strict=True):
-                row[column] = _cut(text, QUESTION[column].itemsize)
+            texts = _columns_of(question.name, question.answers, question.text)
+            row["name"], row["answers"], row["text"] = texts
             row["number"] = question.number
 
     def question(self) -> Question | None:
@@ -216,14 +217,13 @@ def _memory_layout(joints: int) -> np.dtype[Any]:
     rows = [(name, kinds[name], round(rate * BUFFERED)) for name, rate in RATES.items()]
     words = {"notices": EVENT, "typed": WORD, "console": ANSWER}
     operator = [(name, kind, OPERATOR_BUFFER) for name, kind in words.items()]
-    pulse, question = ("pulse", np.float64, len(PULSE)), ("question", QUESTION, 1)
+    pulse, question = ("pulse", PULSE), ("question", QUESTION, 1)
     return np.dtype([counters, pulse, question, *rows, *operator])
 
 
-def push_event(ring: Ring, time: float, name: str, answers: Sequence[str], text: str) -> None:
+def push_event(ring: Ring, time: float, event: OperatorMessage) -> None:
     """Write an event into a ring; truncate its texts to their columns."""
-    texts = {"name": name, "answers": "|".join(answers), "text": text}
-    ring.push(time, *(_cut(value, EVENT[column].itemsize) for column, value in texts.items()))
+    ring.push(time, *_columns_of(event.name, event.answers, event.text))
 
 
 def read_events(rows: npt.NDArray[Any]) -> list[LoggedEvent]:
@@ -231,9 +231,12 @@ def read_events(rows: npt.NDArray[Any]) -> list[LoggedEvent]:
     return [LoggedEvent(time, *_texts(*texts)) for time, *texts in rows.tolist()]
 
 
-def _cut(text: str, size: int) -> bytes:
-    """Return the longest beginning of a text that has at most `size` bytes of UTF-8."""
-    return text.encode(errors="backslashreplace")[:size].decode(errors="ignore").encode()
+def _columns_of(name: str, answers: Sequence[str], text: str) -> Iterator[bytes]:
+    """Yield the columns of an event: its texts, each at most as long as its column in UTF-8."""
+    columns = {"name": name, "answers": "|".join(answers), "text": text}
+    for column, value in columns.items():
+        cut = value.encode(errors="backslashreplace")[: EVENT[column].itemsize]
+        yield cut.decode(errors="ignore").encode()
 
 
 def _texts(*texts: bytes) -> tuple[str, tuple[str, ...], str]:

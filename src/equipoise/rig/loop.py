@@ -2,73 +2,42 @@
 
 The loop runs in one thread. Deadlines are absolute times of the rig's clock, so that they do not
 drift. A loop that stands still sends no setpoint that is later than the next one should be: the arm
-comes to rest at the last one sent, the missed ticks are skipped and counted, and the tick handler
-begins anew from there at the time of a later tick. A tick takes no lock, prints nothing, and writes
-its records to preallocated rings (`equipoise.logs.recorder`).
+comes to rest at the last one sent, the missed ticks are skipped and counted, and the controller
+begins anew from there at the time of a later tick. A tick waits for no lock, prints nothing, and
+writes its records to preallocated rings (`equipoise.logs.recorder`).
 
-A failure ends in one of two ways. While the robot accepts setpoints, the tick handler brings the
-arm to rest inside the stream; if the handler itself fails, the guard around the robot does. If the
-link to the robot is lost, software cannot stop the arm: the loop reports this at once and returns.
+A failure ends in one of two ways. While the robot accepts setpoints, the controller brings the arm
+to rest inside the stream; if it fails itself, the guard around the robot does. If the link to the
+robot is lost, software cannot stop the arm: the loop reports this at once and returns.
 """
 
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import suppress
 from time import perf_counter
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.control.ticks import (
-    Job,
-    OperatorMessage,
-    TickHandler,
-    TickInputs,
-    missed_ticks,
-)
+from equipoise.control.ticks import Job, OperatorMessage, TickInputs, missed_ticks
 from equipoise.errors import LinkError
-from equipoise.logs.recorder import PULSE, Recorder, push_event
+from equipoise.logs.recorder import Recorder, push_event
 from equipoise.outcomes import End, Outcome, describe
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import AngleSensor, Clock, Operator, Sample
+from equipoise.rig.run_controller import RunController
 
 Array = npt.NDArray[np.float64]
 
 
-class Executor(Protocol):
-    """Executor of jobs that take longer than a tick, one at a time."""
+class LoopResult(NamedTuple):
+    """End of a loop, and its timing."""
 
-    def begin(self, job: Job) -> None:
-        """Start a job; returns quickly."""
-
-    def result(self) -> Any:
-        """Return the result or the exception of the job, once; None while it runs."""
-        ...
-
-
-class InlineExecutor:
-    """Executor for virtual time, in which a job takes no time."""
-
-    def __init__(self) -> None:
-        """Create an idle executor."""
-        self._result: Any = None
-
-    def begin(self, job: Job) -> None:
-        """Run the job."""
-        try:
-            self._result = job()
-        except Exception as error:  # the tick handler stops on it
-            self._result = error
-
-    def result(self) -> Any:
-        """Return the result of the job, once."""
-        result, self._result = self._result, None
-        return result
-
-
-class Timing(NamedTuple):
-    """Timing of a loop."""
-
+    fault: End | None
+    """Fault that ended the loop; None after a regular end."""
+    stoppable: bool
+    """Whether software still commands the arm; otherwise the operator must stop it."""
     late: Array
     """Lateness of each tick [s], shape (n,)."""
     compute: Array
@@ -76,54 +45,46 @@ class Timing(NamedTuple):
     missed: int
     """Number of ticks that were skipped."""
 
-    def percentiles(self, of: Array) -> dict[str, float]:
-        """Return p50, p99, p99.9 and maximum of an array [s]; empty for an empty array."""
-        if not len(of):
-            return {}
-        p50, p99, p999 = np.percentile(of, (50.0, 99.0, 99.9)).tolist()
-        return {"p50": p50, "p99": p99, "p99.9": p999, "max": float(of.max())}
 
-
-class LoopResult(NamedTuple):
-    """End of a loop."""
-
-    fault: End | None
-    """Fault that ended the loop; None after a regular end."""
-    stoppable: bool
-    """Whether software still commands the arm; otherwise the operator must stop it."""
-    timing: Timing
-    """Timing of the ticks."""
+def run_inline(job: Job) -> "Future[Any]":
+    """Run a job at once: in virtual time it takes no time."""
+    future: Future[Any] = Future()
+    try:
+        future.set_result(job())
+    except Exception as error:  # the run stops on it
+        future.set_exception(error)
+    return future
 
 
 def run_loop(
     robot: GuardedRobot,
     sensor: AngleSensor,
     clock: Clock,
-    handler: TickHandler,
+    controller: RunController,
     recorder: Recorder,
     operator: Operator,
     *,
     max_duration: float,
-    executor: Executor | None = None,
+    submit: Callable[[Job], "Future[Any]"] = run_inline,
     idle: Callable[[], None] = lambda: None,
 ) -> LoopResult:
-    """Run until the tick handler is done or the link to the robot is lost. The servo has to run.
+    """Run until the controller is done or the link to the robot is lost. The servo has to run.
 
     Args:
         robot: The arm, behind its guard.
         sensor: The encoder, connected.
         clock: Clock of both.
-        handler: Tick handler, which decides on the setpoints.
+        controller: Decides on the setpoints.
         recorder: Rings for the log.
         operator: Receives messages and returns input, without blocking.
         max_duration: Maximum duration of the recorded timing [s].
-        executor: Executor of longer jobs (default: inline, between two ticks).
+        submit: Starts a job that takes longer than a tick (default: inline, between two ticks).
         idle: Called once in a tick after its last setpoint, for example to drain the rings in
             virtual time.
     """
-    h = handler.h
+    h = controller.h
     late, compute = np.zeros((2, round(max_duration / h)))
-    executor = InlineExecutor() if executor is None else executor
+    pending: Future[Any] | None = None
     ticks = missed = unsent = 0
     faults: list[End] = []
     sensor_lost = refused = still = False
@@ -148,9 +109,11 @@ def run_loop(
                     sensor_lost = True
                     faults.append(End(Outcome.ENCODER_LOST, {"text": str(error)}))
             replies, words = robot.replies(), operator.read_input()
-            done = executor.result()
-            inputs = TickInputs(samples, replies, words, faults, lateness, done, unsent)
-            output, faults = handler.tick(now, inputs), []
+            result = None
+            if pending is not None and pending.done():
+                result, pending = pending.exception() or pending.result(), None
+            inputs = TickInputs(samples, replies, words, faults, lateness, result, unsent)
+            output, faults = controller.tick(now, inputs), []
             first, rest = output.setpoints[:1], output.setpoints[1:]
             still = still or inputs.paused(h)
             leads = output.leads or ((),) * len(output.setpoints)
@@ -177,7 +140,7 @@ def run_loop(
                 robot.send(setpoint, lead=leads[place], to_rest=output.to_rest)
                 recorder.stream.push(moment, robot.last)
             if output.job is not None:
-                executor.begin(output.job)
+                pending = submit(output.job)
             if robot.held_back is not None and not refused:
                 refused = True
                 faults.append(robot.held_back)
@@ -203,9 +166,9 @@ def run_loop(
         stoppable = _rest(robot, clock, recorder, h / 2.0)
         if not stoppable:
             _notify_best_effort(recorder, operator, clock, CANNOT_STOP)
-    recorder.pulse[_TICKS] = 0.0  # no further tick
+    recorder.pulse["ticks"] = 0.0  # no further tick
     idle()
-    return LoopResult(fault, stoppable, Timing(late[:ticks], compute[:ticks], missed))
+    return LoopResult(fault, stoppable, late[:ticks], compute[:ticks], missed)
 
 
 CANNOT_STOP: Final = (
@@ -215,7 +178,7 @@ CANNOT_STOP: Final = (
 
 
 def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) -> bool:
-    """Bring the arm to rest without the tick handler; return whether that was possible."""
+    """Bring the arm to rest without the controller; return whether that was possible."""
     moment = clock.now()
     try:
         for setpoint in robot.rest():
@@ -225,7 +188,7 @@ def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) 
             now = clock.now()
             robot.send(setpoint)
             recorder.stream.push(now, robot.last)
-            recorder.pulse[_TIME] = now  # the loop still commands the arm
+            recorder.pulse["time"] = now  # the loop still commands the arm
     except BaseException:  # the link is lost, or a part that has failed fails again
         return False
     return True
@@ -238,8 +201,5 @@ def _notify_best_effort(recorder: Recorder, operator: Operator, clock: Clock, te
 
 
 def _notify(recorder: Recorder, operator: Operator, now: float, event: OperatorMessage) -> None:
-    push_event(recorder.event, now, event.name, event.answers, event.text)
+    push_event(recorder.event, now, event)
     operator.notify(event)
-
-
-_TIME, _TICKS = PULSE.index("time"), PULSE.index("ticks")

@@ -1,10 +1,10 @@
-"""Run on a real rig, in three processes.
+"""Run on a real rig: the control loop in a process of its own, and its parent.
 
-The *loop* serves the devices and meets the deadlines. The *writer* drains its rings to the disk; a
-run continues without it, with a warning to the operator. A console (`apps.console`) may watch
-the rings, and answer; the run does not depend on it. The *parent* serves the operator and
-monitors the loop's heartbeat: it warns the operator as soon as the heartbeat stops while the servo
-runs. A loop without its parent, or without a reachable operator, brings the arm to rest.
+The *loop* serves the devices and meets the deadlines; a helper process does its longer jobs. The
+*parent* serves the operator, writes the log from a thread, and monitors the loop's heartbeat: it
+warns the operator as soon as the heartbeat stops while the servo runs. A console (`apps.console`)
+may watch the rings, and answer; the run does not depend on it. A run continues without its log,
+with a warning. A loop without its parent, or without a reachable operator, brings the arm to rest.
 
 SIGINT, SIGTERM and SIGHUP become the input `stop` of the loop, which then brings the arm to rest
 inside the stream.
@@ -14,41 +14,53 @@ import multiprocessing
 import os
 import pickle
 import signal
+import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
+from functools import partial
+from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.control.policy import Policy
 from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import EquipoiseError, OutsideError
-from equipoise.logs.conditions import RunConditions, RunEnd
-from equipoise.logs.recorder import PULSE, read_events
+from equipoise.logs.conditions import RunEnd
+from equipoise.logs.recorder import Question, Recorder, push_event, read_events
 from equipoise.logs.shared import RunInfo, open_recorder, share
 from equipoise.logs.writer import RunWriter
 from equipoise.rig import realtime
 from equipoise.rig.connection import restart_instruction
 from equipoise.rig.interfaces import Operator
 from equipoise.rig.loop import CANNOT_STOP
-from equipoise.rig.operator_proxy import OperatorProxy
 from equipoise.rig.preflight import warm_up
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import ALONE, STOP, run_on_rig
 from equipoise.rig.run_controller import PHASES
-from equipoise.rig.signals import SIGNALS, handled_signals, ignore_signals, start_process
-from equipoise.rig.worker import JOIN_TIMEOUT, POLL_PERIOD, InterruptedPolicy, WorkerProcess
+from equipoise.rig.signals import SIGNALS, handled_signals, start_process
 from equipoise.user_code import format_error, guest_code
+
+T = TypeVar("T")
+Live = Callable[[str, float], None]
+"""Shows the phase of the run and the angle from upright [rad]; never blocks."""
 
 HEARTBEAT_TIMEOUT: Final = 0.085
 """Time without a tick after which the loop counts as stopped [s]: more than a tick and a stall that
 is bridged. With the parent's polling period of 10 ms the operator is warned within 100 ms."""
+POLL_PERIOD: Final = 0.010
+"""Time between two looks at the loop's process [s]."""
 DRAIN_PERIOD: Final = 0.050
 """Time between two drains of the rings [s]."""
+JOIN_TIMEOUT: Final = 5.0
+"""Time for a process, and for the disk, to end by itself [s]."""
 
-_TIME, _STATE, _PHI, _TICKS = (PULSE.index(name) for name in ("time", "state", "phi", "ticks"))
 
-Live = Callable[[str, float], None]
-"""Shows the phase of the run and the angle from upright [rad]; never blocks."""
+# The parent.
 
 
 def run_in_processes(request: RunRequest, out: Path, person: Operator, live: Live) -> RunEnd:
@@ -62,135 +74,118 @@ def run_in_processes(request: RunRequest, out: Path, person: Operator, live: Liv
 
     Raises:
         InputError: The policy cannot be sent to the loop's process.
-        EquipoiseError: Error of the loop's process, or its end without a result.
+        OutsideError: The log cannot be written, or the loop's process ended without a result.
+        EquipoiseError: Error of the loop's process.
     """
     with guest_code(f"sending {request.policy.name} to another process", "give it as MODULE:NAME"):
         data = pickle.dumps(request)
     arm = request.settings.described_arm
     title = f"{request.policy.name} on {request.robot}"[:1024]
     info = RunInfo(title=title, pid=os.getpid(), arm=arm, phases=PHASES, duration=request.duration)
-    end: RunEnd | EquipoiseError = RunEnd()
-    with share(info) as memory:
-        parent = _Parent(memory, len(arm.joints), person, live)
-        with handled_signals(SIGNALS, lambda *_: parent.words.append(STOP)):
-            try:
-                parent.start_writer(out, request.conditions())
-                parent.start_loop(data)
-                end = parent.attend()
-            finally:
-                parent.finish(
-                    end if isinstance(end, RunEnd) else RunEnd(evidence={"text": str(end)})
-                )
-    if isinstance(end, EquipoiseError):
-        raise end
-    return end
-
-
-class _Parent:
-    """Parent process of a run: it serves the operator, and monitors loop and writer."""
-
-    def __init__(self, memory: Path, joints: int, person: Operator, live: Live) -> None:
-        self._context = multiprocessing.get_context("spawn")
-        self._shared, self._recorder = (memory, joints), open_recorder(memory, joints)
-        self._person, self._live = person, live
-        self._loop: Any = None
-        self._writer: Any = None
-        self._log_pipe, self._loop_pipe = self._context.Pipe(), self._context.Pipe()
-        self._warned = False
-        self.words: list[str] = []
-        """Stops that signals to this process request."""
-
-    def start_writer(self, out: Path, conditions: RunConditions) -> None:
-        """Start the writer, and wait until the log exists.
-
-        Raises:
-            OutsideError: The log cannot be written.
-        """
-        ours, theirs = self._log_pipe
-        arguments = (*self._shared, out, conditions, theirs)
-        self._writer = self._context.Process(target=_write, args=arguments, daemon=True)
-        start_process(self._writer)
-        theirs.close()
+    signalled: list[str] = []
+    with share(info) as memory, handled_signals(SIGNALS, lambda *_: signalled.append(STOP)):
+        recorder = open_recorder(memory, len(arm.joints))
+        writer, over = RunWriter(out, request.conditions(), time.monotonic()), threading.Event()
+        drains = threading.Thread(target=_drain, args=(writer, recorder, over), daemon=True)
+        drains.start()
+        context = multiprocessing.get_context("spawn")
+        results, theirs = context.Pipe()
+        loop = context.Process(target=_loop, args=(data, memory, len(arm.joints), theirs))
+        end = RunEnd()
         try:
-            problem = ours.recv()
-        except (EOFError, OSError):
-            problem = "the process that writes the log has ended at its start; try again"
-        if problem is not None:
-            raise OutsideError(problem)
+            start_process(loop)
+            theirs.close()
+            end = _attend(loop, results, recorder, writer, person, live, signalled)
+            return end
+        except EquipoiseError as error:
+            end = RunEnd(evidence={"text": str(error)})
+            raise
+        finally:
+            recorder.typed.push(STOP.encode())  # for a loop that still runs
+            if loop.pid is not None:
+                loop.join(JOIN_TIMEOUT)
+            over.set()
+            drains.join(JOIN_TIMEOUT)
+            complete = writer.problem is None
+            if drains.is_alive():
+                writer.problem = "the disk does not answer"
+            else:
+                writer.drain(recorder)
+                end = end.model_copy(update={"lost_rows": recorder.lost})
+                writer.finish(time.monotonic(), end)
+            if complete and writer.problem is not None:
+                _warn_of_log(writer.problem, person)
 
-    def start_loop(self, data: bytes) -> None:
-        """Start the loop with a pickled request."""
-        theirs = self._loop_pipe[1]
-        arguments = (data, *self._shared, theirs)
-        self._loop = self._context.Process(target=_loop, args=arguments, daemon=False)
-        start_process(self._loop)
-        theirs.close()
 
-    def attend(self) -> RunEnd | EquipoiseError:
-        """Serve the operator and monitor the loop until its process ends; return its result."""
-        recorder, person, pulse = self._recorder, self._person, self._recorder.pulse
-        result: RunEnd | EquipoiseError | None = None
-        silent = False
-        while True:
-            alive = self._loop.is_alive()
-            if result is None:
-                result = _received(self._loop_pipe[0])
-            # The heartbeat comes before the messages, since printing may take long.
-            streams = pulse[_TICKS] > 0 and result is None
-            beats = alive and time.monotonic() - float(pulse[_TIME]) < HEARTBEAT_TIMEOUT
-            if streams and not beats and not silent:
-                text = f"the loop does not answer: {CANNOT_STOP}"
-                person.notify(OperatorMessage("fault", text))
-            silent = streams and not beats
-            for event in read_events(recorder.notices.take()):
-                person.notify(OperatorMessage(event.name, event.text, event.answers))
-            self._check_log()
-            for word in (*person.read_input(), *self.words):
-                recorder.typed.push(word.encode()[:64])
-            self.words.clear()
-            if streams and alive:
-                self._live(PHASES[int(pulse[_STATE])].value, float(pulse[_PHI]))
-            if not alive:
-                break
-            time.sleep(POLL_PERIOD)
-        return result or OutsideError(
-            f"the process that moves the arm has ended with {self._loop.exitcode}; press the "
-            "E-stop, inspect the arm, and start the robot's application again"
+def _drain(writer: RunWriter, recorder: Recorder, over: threading.Event) -> None:
+    """Write the log during the run; a failure stays in `writer.problem`."""
+    while not over.wait(DRAIN_PERIOD):
+        writer.drain(recorder)
+
+
+def _warn_of_log(problem: str, person: Operator) -> None:
+    person.notify(OperatorMessage("warning", f"the log is incomplete: {problem}"))
+
+
+def _attend(
+    loop: BaseProcess,
+    results: Any,
+    recorder: Recorder,
+    writer: RunWriter,
+    person: Operator,
+    live: Live,
+    signalled: list[str],
+) -> RunEnd:
+    """Serve the operator and monitor the loop until its process ends; return or raise its result.
+
+    Args:
+        loop: The process.
+        results: Pipe with its result.
+        recorder: Rings of the run.
+        writer: Writer of the log, for its failure.
+        person: The operator.
+        live: Shows phase and angle.
+        signalled: Stops that signals to this process request.
+    """
+    pulse = recorder.pulse
+    result: RunEnd | EquipoiseError | None = None
+    silent = warned = False
+    while True:
+        alive = loop.is_alive()
+        if result is None:
+            with suppress(EOFError, OSError):  # the process has ended
+                result = results.recv() if results.poll() else None
+        # The heartbeat comes before the messages, since printing may take long.
+        streams = pulse["ticks"] > 0 and result is None
+        beats = alive and time.monotonic() - float(pulse["time"]) < HEARTBEAT_TIMEOUT
+        if streams and not beats and not silent:
+            text = f"the loop does not answer: {CANNOT_STOP}"
+            person.notify(OperatorMessage("fault", text))
+        silent = streams and not beats
+        for event in read_events(recorder.notices.take()):
+            person.notify(OperatorMessage(event.name, event.text, event.answers))
+        if writer.problem is not None and not warned:
+            warned = True
+            _warn_of_log(writer.problem, person)
+        for word in (*person.read_input(), *signalled):
+            recorder.typed.push(word.encode()[:64])
+        signalled.clear()
+        if streams and alive:
+            live(PHASES[int(pulse["state"])].value, float(pulse["phi"]))
+        if not alive:
+            break
+        time.sleep(POLL_PERIOD)
+    if result is None:
+        raise OutsideError(
+            f"the process that moves the arm has ended with {loop.exitcode}; press the E-stop, "
+            "inspect the arm, and start the robot's application again"
         )
-
-    def finish(self, end: RunEnd) -> None:
-        """Wait for the end of the loop, which a stop brings where it still runs, and of the log."""
-        if self._loop is not None:
-            self._recorder.typed.push(STOP.encode())
-            self._loop.join(JOIN_TIMEOUT)
-        if self._writer is not None:
-            _send(self._log_pipe[0], end)
-            self._writer.join(JOIN_TIMEOUT)
-            self._check_log()
-
-    def _check_log(self) -> None:
-        """Warn the operator once if the log is incomplete."""
-        problem = _received(self._log_pipe[0])
-        if problem is None and not self._writer.is_alive() and self._writer.exitcode != 0:
-            problem = f"the process that writes it has ended with {self._writer.exitcode}"
-        if problem is not None and not self._warned:
-            self._warned = True
-            text = f"the log is incomplete: {problem}"
-            self._person.notify(OperatorMessage("warning", text))
+    if isinstance(result, EquipoiseError):
+        raise result
+    return result
 
 
-def _received(pipe: Any) -> Any:
-    """Return the next object from a process; None without one, or from a closed pipe."""
-    try:
-        return pipe.recv() if pipe.poll() else None
-    except (EOFError, OSError):
-        return None
-
-
-def _send(pipe: Any, value: object) -> None:
-    """Send an object to a process that may have ended."""
-    with suppress(OSError):
-        pipe.send(value)
+# The loop's process.
 
 
 def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
@@ -199,8 +194,7 @@ def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
     operator = OperatorProxy(recorder)
     for number in SIGNALS:
         signal.signal(number, lambda *_: operator.signals.append(STOP))
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
-    worker: WorkerProcess | None = None
+    context = multiprocessing.get_context("spawn")
     result: RunEnd | EquipoiseError
 
     def attend() -> None:
@@ -213,54 +207,127 @@ def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
             )
         rig.sensor.samples()
 
-    try:
-        request: RunRequest = pickle.loads(data)
-        worker = WorkerProcess()
-        warm_up(request)  # before the connection, which needs attention once it is open
-        rig = request.connect(
-            tell=lambda text: operator.notify(OperatorMessage("waiting", text)), attend=attend
-        )
-        result = run_on_rig(
-            request,
-            rig,
-            [operator],
-            recorder,
-            measures=realtime.prepare,
-            executor=worker,
-            supervise=InterruptedPolicy,
-        )
-    except EquipoiseError as error:
-        result = type(error)(str(error))
-    except BaseException as error:  # one sentence for the parent, without a traceback
-        result = OutsideError(f"the run failed ({format_error(error)}); please report it")
-    _send(pipe, result)
-    if worker is not None:
-        worker.close()
+    with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as helper:
+        try:
+            request: RunRequest = pickle.loads(data)
+            helper.submit(os.getpid).result()  # it inherits blocked signals
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+            warm_up(request)  # before the connection, which needs attention once it is open
+            rig = request.connect(
+                tell=lambda text: operator.notify(OperatorMessage("waiting", text)), attend=attend
+            )
+            result = run_on_rig(
+                request,
+                rig,
+                [operator],
+                recorder,
+                measures=realtime.prepare,
+                submit=helper.submit,
+                supervise=InterruptedPolicy,
+            )
+        except EquipoiseError as error:
+            result = type(error)(str(error))
+        except BaseException as error:  # one sentence for the parent, without a traceback
+            result = OutsideError(f"the run failed ({format_error(error)}); please report it")
+        with suppress(OSError):  # the parent may have ended
+            pipe.send(result)
 
 
-def _write(memory: Path, joints: int, out: Path, conditions: RunConditions, pipe: Any) -> None:
-    """Run the writer's process until the parent sends the end of the run.
+def end_with_parent() -> None:
+    """End this process as soon as its parent has ended in any way."""
+    parent = multiprocessing.parent_process()
 
-    Without its parent it goes on until the loop has brought the arm to rest.
+    def wait() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(0)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+class InterruptedPolicy:
+    """Policy with a time limit per call, enforced by a timer of the system.
+
+    The timer interrupts Python code in the main thread; compiled code returns first.
     """
-    ignore_signals()
-    parent, until = os.getppid(), float("inf")
-    recorder = open_recorder(memory, joints)
-    try:
-        writer = RunWriter(out, conditions, time.monotonic())
-    except OutsideError as error:
-        pipe.send(str(error))
-        return
-    pipe.send(None)
-    end: RunEnd | None = None
-    while end is None and time.monotonic() < until and writer.problem is None:
-        time.sleep(DRAIN_PERIOD)
-        end = _received(pipe)
-        writer.drain(recorder)
-        if os.getppid() != parent:
-            rests = recorder.pulse[_TICKS] == 0.0
-            until = min(until, time.monotonic() + (0.0 if rests else JOIN_TIMEOUT))
-    end = (end or RunEnd()).model_copy(update={"lost_rows": recorder.lost})
-    writer.finish(time.monotonic(), end)
-    if writer.problem is not None:
-        _send(pipe, writer.problem)
+
+    def __init__(self, policy: Policy, limit: float) -> None:
+        """Limit the time of each call of `policy` to `limit` [s]."""
+        self._policy, self._limit, self._running = policy, limit, False
+        signal.signal(signal.SIGALRM, self._interrupt)
+
+    def reset(self) -> None:
+        """Reset the policy."""
+        self._within(self._policy.reset)
+
+    def act(self, observation: npt.NDArray[np.float64]) -> float:
+        """Return u [m/s^2] for the observation, shape (4,).
+
+        Raises:
+            KeyboardInterrupt: The call exceeds the time limit. No handler of `Exception` in the
+                policy catches it, and `guest_code` passes it on.
+        """
+        return self._within(partial(self._policy.act, observation))
+
+    def _within(self, call: Callable[[], T]) -> T:
+        try:
+            self._running = True
+            signal.setitimer(signal.ITIMER_REAL, self._limit)
+            return call()
+        finally:
+            self._running = False
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+    def _interrupt(self, *_: object) -> None:
+        if self._running:
+            raise KeyboardInterrupt(f"it took more than {1e3 * self._limit:.1f} ms")
+
+
+class OperatorProxy:
+    """Operator interface of the loop's process: rings to the parent and from a console.
+
+    The first answer to a question counts. A console names the question that it answers, so that a
+    later answer is not taken for another question, or for a key that stops the run.
+    """
+
+    def __init__(self, recorder: Recorder) -> None:
+        """Connect to the rings of a run."""
+        self._recorder = recorder
+        self._asked = self._open = 0
+        self._parent = os.getppid()
+        self.signals: list[str] = []
+        """Stops that signals to this process request."""
+
+    def notify(self, event: OperatorMessage) -> None:
+        """Send a message to the operators; never blocks."""
+        push_event(self._recorder.notices, time.monotonic(), event)
+        if event.answers:
+            self._asked += 1
+            self._open = self._asked
+            self._recorder.ask(Question(self._asked, event.name, event.answers, event.text))
+        elif event.name not in ("warning", "nudge"):  # these come beside an open question
+            self._close()
+
+    def read_input(self) -> list[str]:
+        """Return the words of the operators, the oldest first."""
+        words = [word.decode("utf-8", "ignore") for word in self._recorder.typed.take()["word"]]
+        if any(words):  # Enter alone may be no answer
+            self._close()
+        for number, data in self._recorder.console.take().tolist():
+            word = data.decode("utf-8", "ignore")
+            if word == STOP or number == self._open > 0:
+                self._close()
+                words.append(word)
+                self.notify(OperatorMessage("console", f"Console: {word}"))
+        words += self.signals
+        self.signals.clear()
+        if os.getppid() != self._parent:
+            self._parent = os.getppid()
+            words.append(ALONE)
+        return words
+
+    def _close(self) -> None:
+        """Withdraw the open question."""
+        if self._open:
+            self._open = 0
+            self._recorder.ask(None)

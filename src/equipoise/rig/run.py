@@ -5,16 +5,17 @@ one in virtual time; arguments carry the differences.
 """
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from itertools import count
 from math import inf, nan
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from equipoise.control.policy import (
-    Policy,
-    tick_policy,
-)
-from equipoise.control.ticks import OperatorMessage, TickHandler
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.control.policy import Policy, tick_policy
+from equipoise.control.ticks import Job, OperatorMessage
 from equipoise.errors import EquipoiseError, LinkError, OutsideError
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
@@ -27,20 +28,15 @@ from equipoise.rig.connection import Rig
 from equipoise.rig.findings import Finding, require
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import Clock, Operator
-from equipoise.rig.loop import Executor, LoopResult, run_loop
+from equipoise.rig.loop import LoopResult, run_inline, run_loop
 from equipoise.rig.phases.balancing import POLICY_TIME_SHARE
 from equipoise.rig.preflight import preflight
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
 
-PROLOGUE: Final = 600.0
-"""Recorded duration of the phases before the balancing [s]."""
 QUESTION_POLL_PERIOD: Final = 0.02
 """Polling period of typed input, robot and encoder while a question is open [s]: a quarter of a
 stream's requests, and a lost link is noticed within this time plus the driver's timeout."""
-DRAIN_PERIOD: Final = 25
-"""Number of ticks between two drains of the rings in virtual time."""
-
 CHECKLIST: Final = (
     ("estop", "Is the E-stop in an operator's hand, and was it tested today?"),
     ("fence", "Is the fence closed, with nobody within reach of arm and pendulum?"),
@@ -48,8 +44,6 @@ CHECKLIST: Final = (
     ("t1", "Has this policy run in T1 before, or is T1 selected now?"),
 )
 """Safety questions before a run; the operator types the word to acknowledge each."""
-ATTEMPTS: Final = 3
-"""Number of times that a question before the run is asked; a mistyped word does not end it."""
 STOP: Final = "stop"
 """Word that a signal becomes in the loop's input."""
 ALONE: Final = "the operator's process has ended"
@@ -92,27 +86,20 @@ class OperatorChannel:
 
     def tell(self, event: OperatorMessage) -> None:
         """Log a message, and send it to all operators."""
-        push_event(self._recorder.event, self._clock.now(), event.name, event.answers, event.text)
+        push_event(self._recorder.event, self._clock.now(), event)
         self.notify(event)
 
     def ask(self, event: OperatorMessage) -> str:
-        """Send a question and wait for the answer.
-
-        Returns:
-            An expected answer, a denial, or the last of three other words; later lines stay
-            pending.
+        """Send a question, and return the first expected answer or denial.
 
         Raises:
             LinkError: A device has failed.
         """
         self.tell(event)
-        for _ in range(ATTEMPTS - 1):
-            word = self._read_word()
-            if not event.answers or word in (*event.answers, *DENIALS):
-                return word
+        while (word := self._read_word()) not in (*event.answers, *DENIALS):
             expected = " or ".join(event.answers)
             self.tell(event._replace(text=f"{word!r} is not {expected}. {event.text}"))
-        return self._read_word()
+        return word
 
     def _read_word(self) -> str:
         while not (lines := self.read_input()):
@@ -120,7 +107,7 @@ class OperatorChannel:
             self._check_links()
             self._clock.wait_until(until)
         word, *self._pending = lines
-        push_event(self._recorder.event, self._clock.now(), WORD_TYPED, (), word)
+        push_event(self._recorder.event, self._clock.now(), OperatorMessage(WORD_TYPED, word))
         return word.strip().lower()
 
 
@@ -131,9 +118,9 @@ def run_on_rig(
     recorder: Recorder,
     *,
     measures: Callable[[], Sequence[Finding]] = tuple,
-    executor: Executor | None = None,
+    submit: Callable[[Job], "Future[Any]"] = run_inline,
     idle: Callable[[], None] = lambda: None,
-    wrap: Callable[[TickHandler], TickHandler] = lambda handler: handler,
+    wrap: Callable[[RunController], RunController] = lambda controller: controller,
     supervise: Callable[[Policy, float], Policy] = lambda policy, _: policy,
 ) -> RunEnd:
     """Connect a rig, run a policy on it, bring the arm to rest, and disconnect the rig.
@@ -144,9 +131,9 @@ def run_on_rig(
         operators: Operators; each receives the messages and may type.
         recorder: Rings for the log.
         measures: Applies the real-time settings of this process, and returns their results.
-        executor: Executor of long jobs (default: inline).
+        submit: Starts a long job (default: inline).
         idle: Called in each tick, e.g. to drain the rings.
-        wrap: Wraps the tick handler; tests inject faults there.
+        wrap: Wraps the controller; tests inject faults there.
         supervise: Wraps a policy without a kernel with a limit of its computing time [s].
 
     Raises:
@@ -215,8 +202,8 @@ def run_on_rig(
             wrap(controller),
             recorder,
             operator,
-            max_duration=PROLOGUE + request.duration,
-            executor=executor,
+            max_duration=600.0 + request.duration,  # [s]: the phases before the balancing
+            submit=submit,
             idle=idle,
         )
         if ending.stoppable:
@@ -241,7 +228,6 @@ def run_end(controller: RunController, ending: LoopResult, max_speed: float = in
     if ending.fault is not None:
         outcome = ending.fault.outcome if ending.stoppable else Outcome.LINK_LOST
         end = ending.fault._replace(outcome=outcome)
-    timing = ending.timing
     return RunEnd(
         outcome=end.outcome,
         evidence=dict(end.evidence),
@@ -250,10 +236,18 @@ def run_end(controller: RunController, ending: LoopResult, max_speed: float = in
         zero=controller.zero,
         max_speed=max_speed if max_speed < inf else None,
         identified=controller.identified,
-        missed=timing.missed,
-        late=timing.percentiles(timing.late),
-        compute=timing.percentiles(timing.compute),
+        missed=ending.missed,
+        late=_percentiles(ending.late),
+        compute=_percentiles(ending.compute),
     )
+
+
+def _percentiles(times: npt.NDArray[np.float64]) -> dict[str, float]:
+    """Return p50, p99, p99.9 and maximum of times [s]; empty without any."""
+    if not len(times):
+        return {}
+    p50, p99, p999 = np.percentile(times, (50.0, 99.0, 99.9)).tolist()
+    return {"p50": p50, "p99": p99, "p99.9": p999, "max": float(times.max())}
 
 
 def run_virtually(
@@ -262,7 +256,7 @@ def run_virtually(
     operator: Operator | None = None,
     *,
     rig: Rig | None = None,
-    wrap: Callable[[TickHandler], TickHandler] = lambda handler: handler,
+    wrap: Callable[[RunController], RunController] = lambda controller: controller,
 ) -> RunEnd:
     """Run on an emulated rig in this process, in virtual time.
 
@@ -271,7 +265,7 @@ def run_virtually(
         out: Path of the log; None writes no log.
         operator: Operator besides the emulated one.
         rig: The rig, such as one with faults (default: that of the robot's address).
-        wrap: Wraps the tick handler, see `run_on_rig`.
+        wrap: Wraps the controller, see `run_on_rig`.
 
     Raises:
         InputError: The policy does not fit the rig.
@@ -283,7 +277,7 @@ def run_virtually(
     ticks = count(1)
 
     def idle() -> None:
-        if next(ticks) % DRAIN_PERIOD:
+        if next(ticks) % 25:  # a quarter of a second, of the ten that the rings hold
             return
         if writer is not None:
             writer.drain(recorder)

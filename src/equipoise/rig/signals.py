@@ -32,9 +32,3 @@ def start_process(process: BaseProcess) -> None:
         process.start()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def ignore_signals() -> None:
-    """Ignore signals: a helper process ends with the run."""
-    for number in SIGNALS:
-        signal.signal(number, signal.SIG_IGN)

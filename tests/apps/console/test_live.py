@@ -93,7 +93,9 @@ def test_questions_controls_and_stop(played):
         wait_until(lambda: run.words, "answer")
         assert [word for _, word in run.words] == ["fence"]
         wait_until(lambda: not shown(page, "#equipoise-question"), "end of the question")
-        push_event(run.recorder.event, 0.0, "notice", (), "<img src=x onerror=alert(1)>")
+        push_event(
+            run.recorder.event, 0.0, OperatorMessage("notice", "<img src=x onerror=alert(1)>")
+        )
         run.phase = Phase.BALANCING
         wait_until(lambda: "balancing" in shown(page, "#equipoise-state")[0], "phase")
         wait_until(lambda: "<img" in "".join(shown(page, "#equipoise-messages")), "message as text")

@@ -51,7 +51,7 @@ def test_an_observer_sees_all_and_takes_nothing(shared, watch):
     tick(recorder, 1.0, Phase.HOMING, 3.0, late=0.004)
     tick(recorder, 1.01, Phase.BALANCING, 0.1)
     recorder.reply.push(1.0, nan, HOME, 0.0 * HOME, 1.0)
-    push_event(recorder.event, 1.0, "homing", (), "Moving")
+    push_event(recorder.event, 1.0, OperatorMessage("homing", "Moving"))
     now = watch.observe()
     assert (now.phase, now.phi, now.late, now.time) == (Phase.BALANCING, 0.1, 0.004, 1.01)
     assert now.q == pytest.approx(HOME)

@@ -7,6 +7,7 @@ from math import nan
 import numpy as np
 import numpy.typing as npt
 
+from equipoise.control.ticks import OperatorMessage
 from equipoise.logs.recorder import Recorder, push_event
 from equipoise.logs.shared import RunInfo, open_recorder, share
 
@@ -46,7 +47,7 @@ class Publisher:
 
     def say(self, time: float, text: str) -> None:
         """Publish a message."""
-        push_event(self._recorder.event, time, "notice", (), text)
+        push_event(self._recorder.event, time, OperatorMessage("notice", text))
 
     def words(self) -> list[str]:
         """Return the words of the console since the last call."""

@@ -14,12 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.logs import shared
-from equipoise.logs.recorder import PULSE, LoggedEvent, Question, read_events
+from equipoise.logs.recorder import LoggedEvent, Question, read_events
 from equipoise.outcomes import Phase
 
 Floats = npt.NDArray[np.float64]
-
-_TIME, _TICKS = (PULSE.index(name) for name in ("time", "ticks"))
 
 
 class Observation(NamedTuple):
@@ -87,8 +85,8 @@ class RunWatch:
             self._q = measured[-1]
         if len(ticks):
             self._last = ticks[-1]
-        last, streams = self._last, recorder.pulse[_TICKS] > 0
-        silence = time.monotonic() - float(recorder.pulse[_TIME]) if streams else 0.0
+        last, streams = self._last, recorder.pulse["ticks"] > 0
+        silence = time.monotonic() - float(recorder.pulse["time"]) if streams else 0.0
         question, events = recorder.question(), read_events(self._new("event"))
         if last is None:
             return Observation(
