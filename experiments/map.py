@@ -2,7 +2,7 @@
 
 Starts fill a slice of the state space, one at random in each cell of a grid. The policy balances
 the nominal plant from each of them, without a zero error; a start is held if the trial lasts. The
-boundary is that of `equipoise.worlds.reachability`, beyond which no controller recovers::
+boundary is that of `recoverable.py`, beyond which no controller recovers::
 
     python experiments/map.py lqr --out map.png
 """
@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from recoverable import RecoveryParams, fall, largest_start, make_recovery_params
 
 import equipoise as eq
 from equipoise.control.grid import TRUNCATED
@@ -22,12 +23,6 @@ from equipoise.executors import available_cores
 from equipoise.model.random import MAP
 from equipoise.worlds import setup_of, simulate
 from equipoise.worlds.evaluation import exact_interval
-from equipoise.worlds.reachability import (
-    RecoveryParams,
-    fall,
-    largest_start,
-    make_recovery_params,
-)
 
 PLANES = {
     "flange at rest in the middle": (2, 3),

@@ -1,7 +1,7 @@
 r"""Value iteration over the boxes, with probabilities counted in simulated episodes.
 
 The boxes are taken for the states of a Markov decision process: N(s, a, s') counts how often action
-a in box s led to box s' after one step, in episodes of the vector environment behind the actuator.
+a in box s led to box s' after one step, in episodes of the environment behind the actuator.
 The table solves
 
 .. math:: Q(s, a) = \sum_{s'} \frac{N(s, a, s')}{N(s, a)} \gamma \max_b Q(s', b)
@@ -19,6 +19,7 @@ from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
 import equipoise as eq
 import equipoise.envs
@@ -68,7 +69,7 @@ def solve_table(
     policy: eq.TabularPolicy,
     *,
     rounds: int = 6,
-    loops: int = 512,
+    loops: int = 64,
     ticks: int = 2000,
     workers: int = 1,
 ) -> eq.TabularPolicy:
@@ -79,21 +80,20 @@ def solve_table(
         rounds: Number of rounds.
         loops: Number of closed loops side by side.
         ticks: Number of steps of each loop in a round.
-        workers: Number of threads; the result does not depend on it.
+        workers: Number of threads of the race; the result does not depend on it.
     """
     settings, count = policy.settings, policy.settings.boxes.count
     boxes = partition(settings.boxes, policy.pendulum.parameters().k)
     envs = gym.make_vec(
         "equipoise/BalanceDiscrete-v0",
         num_envs=loops,
-        vectorization_mode="vector_entry_point",
-        autoreset_mode="SameStep",
+        vectorization_mode="sync",
+        vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP},
         duration=settings.learning.episode_duration,
         pendulum=policy.pendulum,
         arm=policy.arm,
         actuator=policy.actuator,
         settings=settings,
-        workers=workers,
     )
     N = np.zeros((count, len(LEVELS), count + 1), np.int64)
     table, tables, rng = np.zeros(count, np.int64), [], np.random.default_rng(0)
@@ -124,7 +124,7 @@ def main() -> None:
     """Solve for the shipped task, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=6)
-    parser.add_argument("--loops", type=int, default=512, help="closed loops side by side")
+    parser.add_argument("--loops", type=int, default=64, help="closed loops side by side")
     parser.add_argument("--ticks", type=int, default=2000, help="steps of each loop in a round")
     parser.add_argument("--out", type=Path, default=Path("value-iteration.json"))
     given = parser.parse_args()

@@ -23,7 +23,6 @@ def register() -> None:
             register(
                 id=name,
                 entry_point="equipoise.envs.balance:BalanceEnv",
-                vector_entry_point="equipoise.envs.vector:BalanceVectorEnv",
                 kwargs={"discrete": discrete},
             )
 

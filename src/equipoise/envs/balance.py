@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from math import inf, isfinite
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import gymnasium as gym
 import numpy as np
@@ -23,10 +23,9 @@ from equipoise.model.random import ENVIRONMENT, TEST
 from equipoise.model.worlds import MODEL, World
 from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.settings import Settings
-from equipoise.worlds import Setup, Trial, estimated, has_ideal_arm, predicted, simulate
+from equipoise.worlds import Setup, Trial, has_ideal_arm, predicted, simulate
 
 Array = npt.NDArray[np.float64]
-Observe = Literal["predicted", "estimated"]
 Reward = Callable[[Observation, float, Observation, bool], float]
 """Reward of a step: `reward(state, u, next_state, failed)`; the states are predicted ones."""
 
@@ -55,11 +54,7 @@ class BalanceEnv(gym.Env[Array, Any]):
 
     `Box(-inf, inf, (4,), float64)`: x [m], x_dot [m/s], phi from upright [rad], phi_dot [rad/s].
 
-    | `observe=` | meaning |
-    | --- | --- |
-    | `"predicted"` | state at which the action takes effect, past delay and lag (the default) |
-    | `"estimated"` | estimate of the state at the tick |
-
+    It is the state at which the action takes effect, predicted past delay and lag.
     In the world `ideal` the observation is the state itself.
 
     ## Rewards
@@ -88,7 +83,6 @@ class BalanceEnv(gym.Env[Array, Any]):
     | argument | default | meaning |
     | --- | --- | --- |
     | `world` | `"model"` | `ideal`, `model`, `twin:NAME`, `twin:FILE`, `MODULE:CLASS`, ... |
-    | `observe` | `"predicted"` | see above |
     | `discrete` | `False` | whether actions are indices of the paper's accelerations |
     | `duration` | 60.0 | length of an episode [s] |
     | `reward` | the paper's | see above |
@@ -106,7 +100,6 @@ class BalanceEnv(gym.Env[Array, Any]):
         self,
         world: str | World = MODEL,
         *,
-        observe: Observe = "predicted",
         discrete: bool = False,
         duration: float = 60.0,
         reward: Reward = rewards.paper,
@@ -123,8 +116,6 @@ class BalanceEnv(gym.Env[Array, Any]):
             SettingsError: The world does not exist.
             ArmError: The twin does not know the masses of the arm.
         """
-        if observe not in ("predicted", "estimated"):
-            raise InputError(f"observe is {observe!r}; expected 'predicted' or 'estimated'")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(f"render_mode is {render_mode!r}; expected 'rgb_array' or None")
         self.task = Setup(
@@ -134,10 +125,9 @@ class BalanceEnv(gym.Env[Array, Any]):
             (IDEAL_ACTUATOR if has_ideal_arm(world) else actuator or shipped_actuator(),),
             paper.STEP,
         )
-        self.observe, self.reward = observe, reward
+        self.reward = reward
         self.max_steps = round(duration / self.task.h)
         """Number of steps after which an episode is truncated."""
-        self._observation = predicted if observe == "predicted" else estimated
         self._discrete = discrete
         self.render_mode = render_mode
         self._renderer: RigRenderer | None = None
@@ -166,7 +156,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         self._number += 1
         self._loop.reset(self._trial(options or {}))
         self._steps, self._u, self._state = 0, 0.0, Observation(*predicted(self._loop).tolist())
-        return self._observation(self._loop), self._info("")
+        return predicted(self._loop), self._info("")
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Advance by one tick with the acceleration u [m/s^2].
@@ -187,7 +177,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         truncated = not failed and self._steps >= self.max_steps
         reward = float(self.reward(before, u, self._state, failed))
         info = self._info(TRIAL_OUTCOMES[cause] if failed or truncated else "")
-        return self._observation(self._loop), reward, failed, truncated, info
+        return predicted(self._loop), reward, failed, truncated, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]  # Gymnasium's type is wider
         """Return a picture of the rig, shape (480, 640, 3); None without a render mode.

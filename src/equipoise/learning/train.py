@@ -178,7 +178,7 @@ def check_task(
     """
     parameters = pendulum.parameters(linearised=settings.plant.linearised)
     warnings = [
-        check_releases(parameters, arm, settings, each, least=target)
+        check_releases(parameters, settings, each, least=target)
         for each in actuators_in(world, settings, actuator)
     ]
     return next(filter(None, warnings), None)

@@ -23,7 +23,6 @@ from equipoise.worlds.interface import (
     Setup,
     Simulation,
     TrialRecord,
-    estimated,
     predicted,
     run_trial,
 )
@@ -39,7 +38,6 @@ __all__ = [
     "Trial",
     "TrialRecord",
     "Trials",
-    "estimated",
     "find_world",
     "has_ideal_arm",
     "predicted",

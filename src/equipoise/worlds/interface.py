@@ -16,10 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.control.control_step import (
-    EST_PHI,
-    EST_PHI_DOT,
-    EST_PIVOT_V,
-    EST_X,
     ControllerParams,
     ControllerState,
 )
@@ -240,14 +236,6 @@ def _run_piece(
 def predicted(loop: ClosedLoop) -> Array:
     """Return x, x_dot, phi, phi_dot at which u takes effect: the observation, shape (4,)."""
     return loop.controller.observation[::BATCH_SIZE].copy()
-
-
-def estimated(loop: ClosedLoop) -> Array:
-    """Return the estimate of x, x_dot, phi, phi_dot at the tick, shape (4,)."""
-    if not loop.params.has_sensor:
-        return predicted(loop)
-    rows = loop.controller.estimate[::BATCH_SIZE]
-    return rows[[EST_X, EST_PIVOT_V, EST_PHI, EST_PHI_DOT]]
 
 
 def run_trial(

@@ -1,4 +1,4 @@
-r"""Recoverable set: releases of the pendulum that some controller can balance.
+r"""Bound on the releases of the pendulum that any controller can balance.
 
 Near upright the pendulum of `equipoise.model.pendulum` has the roots :math:`\lambda` and
 :math:`-\mu` of :math:`s^2 + c s - w_2`. With friction f the diverging angle obeys
@@ -8,91 +8,29 @@ Near upright the pendulum of `equipoise.model.pendulum` has the roots :math:`\la
 
 No acceleration up to :math:`u_{max}` turns it back beyond :math:`(k u_{max} + f) / w_2`, about
 :math:`u_{max} / g` for every pendulum. During the delay T of the arm it grows by
-:math:`e^{\lambda T}`. Failure angle and track make the set smaller: the flange must also stop
-before its end.
-
-The arm is modelled as a delay T, after which it accelerates with :math:`|u| \le u_{max}`, held for
-a tick. A linear program over the ticks encloses the recoverable set: the linear pendulum receives
-an additional acceleration up to the largest that sine, cosine, dry friction and drag can add within
-the failure angle, in its favour. No controller recovers a release outside that convex set.
+:math:`e^{\lambda T}`. Track and failure angle leave less; `experiments/recoverable.py` encloses
+that set.
 """
 
-from math import ceil, cos, degrees, exp, inf, log, sin, sqrt
-from typing import Any, Final, NamedTuple
+from math import degrees, log1p, sqrt
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
-from scipy.linalg import expm
-from scipy.optimize import linprog
-from scipy.special import ndtri
 
 from equipoise import paper
-from equipoise.control.control_step import SETPOINTS_PER_TICK
-from equipoise.control.grid import PHI_LIMIT
 from equipoise.errors import SettingsError
-from equipoise.model.actuator import CYCLE, Actuator, follow, lag_share
-from equipoise.model.arms.arm import FREE_JOINTS, Arm
-from equipoise.model.elementary import BATCH_SIZE
-from equipoise.model.pendulum import PendulumParameters, step
+from equipoise.model.actuator import Actuator
+from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import Settings
-from equipoise.worlds.plant import MIN_INERTIA_FACTOR, scaled
 
 Array = npt.NDArray[np.float64]
 
-TIME_CONSTANTS: Final = 10.0
-"""Length of a recovery in time constants of the fall: twice as long changes the set by less than
-0.1 %."""
-MAX_TICKS: Final = 400
-"""Limit on the ticks of a recovery; the set stays valid for a slower fall."""
-MAX_GROWTH: Final = 10.0
-"""Growth of the fall within a tick, in powers of e, beyond which the track has no effect."""
-MAX_RATE: Final = 200.0
-"""Limit on lambda for the delay of the arm [1/s]: faster falls see the transport alone."""
-RESPONSE_TIME: Final = 0.3
-"""Simulated time of the arm's response to constant acceleration [s]; it follows within 0.1 s."""
-FALL_STEP: Final = 0.1
-"""Length of a Runge-Kutta step over the delay, in time constants of the fall."""
 CLOSE: Final = 0.75
 """Diverging angle of the worst release, as a share of its limit, above which a warning is given:
 along a release the shipped table holds starts up to 0.58 of the limit, LQR up to 0.86."""
 RELEASES: Final = 1000
 """Number of releases for the share that is recoverable."""
-
-
-class RecoveryParams(NamedTuple):
-    """Parameters of a recovery."""
-
-    pendulum: PendulumParameters
-    """The pendulum."""
-    delay: float
-    """T, from the release to the acceleration of the flange [s]."""
-    u_max: float = paper.U_MAX
-    """Largest acceleration of the flange [m/s^2]."""
-    phi_limit: float = PHI_LIMIT
-    """Failure angle [rad]."""
-    x_limit: float = paper.X_LIMIT
-    """Failure displacement of the flange [m]."""
-    speed_limit: float = inf
-    """Failure speed of the flange [m/s]."""
-    h: float = paper.STEP
-    """Length of a tick [s]."""
-
-    @property
-    def rate(self) -> float:
-        """Rate of the fall, lambda [1/s]."""
-        return fall_rate(self.pendulum)
-
-    @property
-    def fade(self) -> float:
-        """Rate of the converging motion, mu [1/s]."""
-        return self.rate + self.pendulum.c
-
-    @property
-    def largest(self) -> float:
-        """Largest diverging angle that an endless track would allow, after the delay [rad]."""
-        w2, k, _, f = self.pendulum[:4]
-        return (k * self.u_max + f) / w2
 
 
 def fall_rate(pendulum: PendulumParameters) -> float:
@@ -111,194 +49,39 @@ def diverging_angle(phi: Any, phi_dot: Any, pendulum: PendulumParameters) -> Any
     return phi + phi_dot / (fall_rate(pendulum) + pendulum.c)
 
 
-def make_recovery_params(
-    pendulum: PendulumParameters, arm: Arm, settings: Settings, actuator: Actuator
-) -> RecoveryParams:
-    """Return the parameters of a recovery.
+def diverging_angles(pendulum: PendulumParameters, settings: Settings, actuator: Actuator) -> Array:
+    r"""Return the diverging angles of releases when the arm responds [rad], shape (RELEASES,).
+
+    Angles, rates, transport delay and lag vary as in trials. A lag delays the effect on the fall
+    by :math:`\ln(1 + \lambda \tau) / \lambda`; the servo's own delay is left out.
 
     Args:
         pendulum: The pendulum.
-        arm: The arm with its home posture.
-        settings: The section `plant`.
-        actuator: Model of the arm's response.
-    """
-    max_speed = settings.plant.max_speed
-    return RecoveryParams(
-        pendulum,
-        response_delay(arm, actuator, fall_rate(pendulum)),
-        speed_limit=inf if max_speed is None else max_speed,
-    )
-
-
-def response_delay(arm: Arm, actuator: Actuator, rate: float, u_max: float = paper.U_MAX) -> float:
-    r"""Return the delay T of an arm that accelerates from rest with all its acceleration [s].
-
-    The pure delay with the same effect on the fall:
-    :math:`e^{-\lambda T} = \lambda^2 \int e^{-\lambda t} v(t) dt / u_{max}`, where v is the
-    pivot's velocity behind transport, servo and drive. It is shorter than the prediction
-    horizon (`equipoise.control.control_step.horizon`), which holds for slow motion and has a
-    margin.
-
-    Args:
-        arm: The arm with its home posture.
-        actuator: Model of the arm's response.
-        rate: lambda [1/s].
-        u_max: Acceleration [m/s^2].
-    """
-    if actuator.kind == "ideal":
-        return 0.0
-    rate = min(rate, MAX_RATE)
-    home = arm.kinematics(arm.home_free)
-    _, lever_y, lever_z = home.rotation @ np.array(arm.pivot)
-    along_x = np.linalg.solve(home.jacobian, np.eye(FREE_JOINTS)[0])
-    of_pivot = home.jacobian[0] + lever_z * home.jacobian[4] - lever_y * home.jacobian[5]
-    q, dq, target = (np.zeros(FREE_JOINTS * BATCH_SIZE) for _ in range(3))
-    share = np.repeat([float(lag_share(lag.value)) for lag in actuator.lags], BATCH_SIZE)
-    interval = round(paper.STEP / SETPOINTS_PER_TICK / CYCLE)
-    late, cycles = round(actuator.delay.value / CYCLE), round(RESPONSE_TIME / CYCLE)
-    v = np.zeros(cycles)
-    for cycle in range(cycles):
-        # A setpoint is the place of the reference at the end of its interval.
-        sent = max((cycle - late) // interval + 1, 0) * interval * CYCLE
-        target[::BATCH_SIZE] = 0.5 * u_max * sent**2 * along_x
-        follow(q, dq, target, share, actuator.parameters, 1)
-        v[cycle] = of_pivot @ dq[::BATCH_SIZE]
-    # By parts, with the mean of the last interval and full acceleration from there on.
-    weights = np.diff(-np.exp(-rate * CYCLE * np.arange(cycles + 1)))
-    last = float(np.mean(v[-interval:])) + u_max / rate
-    effect = float(weights @ v) + exp(-rate * cycles * CYCLE) * last
-    return -log(rate * effect / u_max) / rate
-
-
-def fall(params: RecoveryParams, states: Array, delay: float | None = None) -> Array:
-    """Return the states after the delay, during which the flange keeps its velocity.
-
-    A pendulum that reaches the failure angle stays there.
-
-    Args:
-        params: Parameters.
-        states: x [m], x_dot [m/s], phi [rad], phi_dot [rad/s], shape (n, 4).
-        delay: Time [s], by default T; negative for the states before.
-    """
-    time = params.delay if delay is None else delay
-    steps = max(4, min(1000, ceil(abs(time) * params.rate / FALL_STEP)))
-    after = np.array(states, np.float64)
-    after[:, 0] += time * after[:, 1]
-    for row in after:
-        phi, phi_dot = float(row[2]), float(row[3])
-        for _ in range(steps if time else 0):
-            if time > 0.0 and abs(phi) > params.phi_limit:
-                break
-            phi, phi_dot = step(phi, phi_dot, 0.0, time / steps, params.pendulum)
-        row[2:] = phi, phi_dot
-    return after
-
-
-def largest_start(params: RecoveryParams, direction: Array) -> float:
-    """Return the factor on a state up to which it may be recoverable, after the delay.
-
-    Args:
-        params: Parameters.
-        direction: x [m], x_dot [m/s], phi [rad], phi_dot [rad/s], shape (4,).
-
-    Raises:
-        SettingsError: The linear program has no solution.
-    """
-    if params.rate * params.h > MAX_GROWTH:
-        angle = diverging_angle(direction[2], direction[3], params.pendulum)
-        return float(abs(params.largest / angle))
-    w2, k, c = params.pendulum[:3]
-    M = np.zeros((5, 5))
-    M[0, 1] = M[2, 3] = M[1, 4] = 1.0
-    M[3, 2:] = w2, -c, -k
-    E: Any = expm(M * params.h)
-    A, b = E[:4, :4], E[:4, 4:]
-    N = min(MAX_TICKS, ceil(TIME_CONSTANTS / params.rate / params.h))
-    ticks = sparse.eye_array(N)
-    first = sparse.csr_array((A @ direction)[:, None])
-    first.resize((4 * N, 1))
-    # Unknowns: the factor, u and the additional accelerations of each tick, all next states.
-    parts = [
-        first,
-        sparse.kron(ticks, b),
-        sparse.kron(ticks, _help(params)),
-        sparse.kron(sparse.eye_array(N, k=-1), A) - sparse.eye_array(4 * N),
-    ]
-    limits = (params.x_limit, params.speed_limit, params.phi_limit, inf)
-    high = np.concatenate(([inf], np.full(N, params.u_max), np.ones(2 * N), np.tile(limits, N)))
-    low = -high
-    low[0] = 0.0
-    found: Any = linprog(
-        -np.eye(1, len(low))[0],
-        A_eq=sparse.hstack(parts),
-        b_eq=np.zeros(4 * N),
-        bounds=np.column_stack((low, high)),
-        method="highs",
-    )
-    if found.x is None:
-        raise SettingsError(f"no recovery was computed ({found.message}); check the pendulum")
-    return float(found.x[0])
-
-
-class ReleaseLimit(NamedTuple):
-    """Releases of a task, compared with the recoverable set."""
-
-    share: float
-    """Share of the releases up to the limit."""
-    worst: float
-    """Largest diverging angle of the releases, after the delay [rad]."""
-    limit: float
-    """Diverging angle up to which the worst release may be recoverable, after the delay [rad]."""
-
-
-def release_limit(
-    pendulum: PendulumParameters, arm: Arm, settings: Settings, actuator: Actuator
-) -> ReleaseLimit:
-    """Compare the releases of a task with the recoverable set.
-
-    Angles and rates vary as in trials, with the plant: inertia, transport delay and lag. An unknown
-    zero error of the encoder only makes a recovery harder; it is left out.
-
-    Args:
-        pendulum: The pendulum.
-        arm: The arm with its home posture.
         settings: Releases (`evaluation`) and variation of the plant (`plant`).
         actuator: Model of the arm's response.
     """
-    params = make_recovery_params(pendulum, arm, settings, actuator)
-    e, plant = settings.evaluation, settings.plant
-    draws = np.random.default_rng(0).random((RELEASES, 5))
+    e, plant, rate = settings.evaluation, settings.plant, fall_rate(pendulum)
+    draws = np.random.default_rng(0).random((RELEASES, 4))
     phi = e.phi_low + (e.phi_high - e.phi_low) * draws[:, 0]
     phi_dot = e.phi_dot_low + (e.phi_dot_high - e.phi_dot_low) * draws[:, 1]
-    inertia = np.maximum(1.0 + plant.inertia_sigma * ndtri(draws[:, 2]), MIN_INERTIA_FACTOR)
-    delay = np.full(RELEASES, params.delay)
+    growth = np.zeros(RELEASES)
     if actuator.kind != "ideal":
         lag = float(np.mean([one.value for one in actuator.lags]))
-        delay += plant.delay_spread * (2.0 * draws[:, 3] - 1.0)
-        delay += lag * plant.lag_spread * (2.0 * draws[:, 4] - 1.0)
-    states = np.zeros((RELEASES, 4))
-    for i, state in enumerate(states):
-        one = params._replace(pendulum=scaled(pendulum, float(inertia[i]), 1.0))
-        state[:] = fall(one, np.array([[0.0, 0.0, phi[i], phi_dot[i]]]), max(delay[i], 0.0))
-    angles = diverging_angle(states[:, 2], states[:, 3], pendulum)
-    worst = int(np.argmax(angles))
-    limit = largest_start(params, states[worst]) * float(angles[worst])
-    share = float(np.mean(angles <= limit))
-    return ReleaseLimit(share, float(angles[worst]), limit)
+        growth += rate * (actuator.delay.value + plant.delay_spread * (2.0 * draws[:, 2] - 1.0))
+        growth += log1p(rate * lag) + rate * lag * plant.lag_spread * (2.0 * draws[:, 3] - 1.0)
+    resisted = pendulum.coulomb / pendulum.w2
+    start = np.maximum(diverging_angle(phi, phi_dot, pendulum) - resisted, 0.0)
+    # Beyond e^50 a pendulum has fallen long ago.
+    return start * np.exp(np.clip(growth, 0.0, 50.0)) + resisted
 
 
 def check_releases(
-    pendulum: PendulumParameters,
-    arm: Arm,
-    settings: Settings,
-    actuator: Actuator,
-    least: float = 0.0,
+    pendulum: PendulumParameters, settings: Settings, actuator: Actuator, least: float = 0.0
 ) -> str | None:
     """Reject a task whose releases no controller recovers.
 
     Args:
         pendulum: The pendulum.
-        arm: The arm with its home posture.
         settings: Releases (`evaluation`) and variation of the plant (`plant`).
         actuator: Model of the arm's response.
         least: Required share of the releases that may be recoverable.
@@ -309,37 +92,17 @@ def check_releases(
     Raises:
         SettingsError: All releases are lost, or more than allowed.
     """
-    found = release_limit(pendulum, arm, settings, actuator)
-    if found.worst <= CLOSE * found.limit:
+    angles = diverging_angles(pendulum, settings, actuator)
+    limit = (pendulum.k * paper.U_MAX + pendulum.coulomb) / pendulum.w2
+    worst, share = float(np.max(angles)), float(np.mean(angles <= limit))
+    if worst <= CLOSE * limit:
         return None
     text = (
-        f"no controller saves {1.0 - found.share:.1%} of the releases: the worst one "
-        f"leans {degrees(found.worst):.1f} deg when the arm responds, and at most "
-        f"{degrees(found.limit):.1f} deg can be turned back; shorten the delay, release "
+        f"no controller saves {1.0 - share:.1%} of the releases: the worst one "
+        f"leans {degrees(worst):.1f} deg when the arm responds, and at most "
+        f"{degrees(limit):.1f} deg can be turned back; shorten the delay, release "
         "gently (evaluation.phi_high, evaluation.phi_dot_high), or take another pendulum"
     )
-    if found.share == 0.0 or found.share < least:
+    if share == 0.0 or share < least:
         raise SettingsError(text)
     return text
-
-
-def _help(params: RecoveryParams) -> Array:
-    """Return the effects of additional accelerations in favour of the pendulum, shape (4, 2).
-
-    Columns: the largest effect of a tick on the diverging and on the converging angle. Both are
-    bounded separately, which includes every course within the tick.
-    """
-    w2, k, _, f, drag = params.pendulum[:5]
-    a, rate, other, h = params.phi_limit, params.rate, params.fade, params.h
-    largest = f
-    if not params.pendulum.linearised:
-        largest += w2 * (a - sin(a)) + k * params.u_max * (1.0 - cos(a))
-    # Within the limits the diverging angle bounds the angular velocity.
-    largest += drag * (other * (a + params.largest)) ** 2
-    grows = largest / other * (exp(rate * h) - 1.0) / rate
-    fades = largest / rate * (1.0 - exp(-other * h)) / other
-    both = rate + other
-    help_ = np.zeros((4, 2))
-    help_[2] = other * grows / both, rate * fades / both
-    help_[3] = rate * other * grows / both, -rate * other * fades / both
-    return help_

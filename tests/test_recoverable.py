@@ -1,0 +1,150 @@
+"""experiments/recoverable.py against closed forms, SciPy's integrator and brute force."""
+
+from itertools import combinations_with_replacement
+from math import degrees, exp, inf
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from equipoise.artefacts import Estimate
+from equipoise.control.control_step import horizon
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.settings import GRAVITY
+from equipoise.worlds.reachability import diverging_angle, fall_rate
+from tests.test_experiments import module
+
+SET = module("recoverable")
+RecoveryParams, fall = SET["RecoveryParams"], SET["fall"]
+largest_start, response_delay = SET["largest_start"], SET["response_delay"]
+
+PENDULUMS = [(25.0, 0.01), (70.2, 0.15), (140.0, 0.6)]
+
+
+def params(w2=70.2, c=0.15, **more):
+    fields = {"linearised": more.pop("linearised", False), "coulomb": more.pop("coulomb", 0.0)}
+    pendulum = PendulumParameters(w2, w2 / GRAVITY, c, **fields)
+    return RecoveryParams(pendulum, more.pop("delay", 0.0), **more)
+
+
+def late(seconds):
+    return shipped_actuator().model_copy(update={"delay": Estimate.around(seconds, 0.0, "assumed")})
+
+
+@pytest.mark.parametrize(("w2", "c"), PENDULUMS)
+def test_the_diverging_angle_is_the_left_eigenvector_of_the_unstable_root(w2, c):
+    pendulum = PendulumParameters(w2, w2 / GRAVITY, c)
+    values, vectors = np.linalg.eig(np.array([[0.0, 1.0], [w2, -c]]).T)
+    unstable = int(np.argmax(values))
+    assert fall_rate(pendulum) == pytest.approx(values[unstable], rel=1e-12)
+    left = vectors[:, unstable] / vectors[0, unstable]
+    assert diverging_angle(0.3, 2.0, pendulum) == pytest.approx(left @ (0.3, 2.0), rel=1e-12)
+
+
+@pytest.mark.parametrize(("w2", "c"), PENDULUMS)
+def test_without_ends_of_track_and_angle_the_limit_is_that_of_the_closed_form(w2, c):
+    free = params(w2, c, linearised=True, x_limit=1e3, phi_limit=1.0)
+    direction = np.array([0.0, 0.0, 1.0, 0.0])
+    closed = free.u_max / GRAVITY
+    assert free.largest == pytest.approx(closed, rel=1e-12)
+    assert largest_start(free, direction) == pytest.approx(closed, rel=1e-3)
+    assert largest_start(free._replace(x_limit=0.22), direction) < 0.97 * closed
+
+
+@pytest.mark.parametrize(("w2", "c"), PENDULUMS)
+@pytest.mark.parametrize("coulomb", [0.0, 1.0])
+def test_no_bang_bang_command_recovers_a_start_outside_the_set_and_one_does_inside(w2, c, coulomb):
+    """All commands with three switches, on a grid of 20 ms, on the nonlinear pendulum."""
+    given, direction = params(w2, c, coulomb=coulomb), np.array([0.0, 0.0, 0.04, 0.31])
+    limit = largest_start(given, direction)
+    assert not survive(given, 1.01 * limit * direction)
+    if coulomb == 0.0:
+        assert survive(given, 0.95 * limit * direction)
+
+
+def survive(given, start):
+    """Whether any command survives; its last part is as long as the time."""
+    w2, k, c, f = given.pendulum[:4]
+    ticks, length = round(5.0 / given.rate / 0.02), 0.02
+    switches = np.array(list(combinations_with_replacement(range(ticks + 1), 3)))
+    x, v, phi, phi_dot = (np.full(len(switches), value) for value in start)
+    alive = np.ones(len(switches), bool)
+    for tick in range(ticks):
+        u = given.u_max * (-1.0) ** np.sum(tick >= switches, axis=1)
+        for _ in range(20):
+            h = length / 20
+            a = w2 * np.sin(phi) - c * phi_dot - f * np.sign(phi_dot) - k * u * np.cos(phi)
+            phi_dot = phi_dot + h * a
+            phi = phi + h * phi_dot
+        x, v = x + length * v + 0.5 * length**2 * u, v + length * u
+        alive &= (np.abs(x) < given.x_limit) & (np.abs(phi) < given.phi_limit)
+    return bool(alive.any())
+
+
+def test_the_fall_over_the_delay_is_that_of_scipys_integrator():
+    given = params(delay=0.04, coulomb=0.5)
+    w2, _, c, f = given.pendulum[:4]
+
+    def motion(_, s):
+        return [s[1], w2 * np.sin(s[0]) - c * s[1] - f * np.sign(s[1])]
+
+    done = solve_ivp(motion, (0.0, 0.04), (0.04, 0.3), rtol=1e-10, atol=1e-12)
+    found = fall(given, np.array([[0.01, 0.1, 0.04, 0.3]]))[0]
+    assert found == pytest.approx([0.014, 0.1, *done.y[:, -1]], abs=1e-6)
+    back = fall(given._replace(pendulum=given.pendulum._replace(coulomb=0.0)), found[None], -0.04)
+    assert back.shape == (1, 4)
+
+
+def test_the_delay_of_a_lag_is_the_sum_of_transport_and_lag():
+    rate = 8.0
+    actuator = Actuator.assumed("lag", delay=0.03, lag=0.02)
+    # The setpoint of an interval is the place at its end, held: half an interval early.
+    expected = 0.03 + np.log1p(rate * 0.02) / rate - 0.0025
+    assert response_delay(iiwa(7), actuator, rate) == pytest.approx(expected, abs=0.001)
+    assert response_delay(iiwa(7), IDEAL_ACTUATOR, rate) == 0.0
+
+
+def test_the_delay_at_full_acceleration_is_below_the_prediction_horizon():
+    arm, actuator = iiwa(7), shipped_actuator()
+    delay = response_delay(arm, actuator, 8.3)
+    assert actuator.delay.value < delay < horizon(arm, actuator, 0.0)
+
+
+def test_no_command_acts_on_the_fall_earlier_than_constant_full_acceleration():
+    """The response to random commands, by a servo of one joint in plain Python."""
+    rate, u_max, generator = 8.3, 2.0, np.random.default_rng(3)
+    switches = np.sort(generator.uniform(0.0, 0.3, (300, 3)), axis=1)
+    switches[0] = inf
+    levels = generator.uniform(-u_max, u_max, (300, 4))
+    levels[::2] = u_max * np.sign(levels[::2])
+    levels[0] = u_max
+    x = v = q = dq = target = effect = np.zeros(300)
+    lever, interval, late_cycles, sent = 1.684, 5, 10, []
+    for cycle in range(600):
+        if cycle % interval == 0:
+            for _ in range(interval):
+                part = np.sum((cycle * 1e-3) >= switches, axis=1)
+                u = levels[np.arange(300), part] if cycle < 300 else u_max
+                x, v = x + 1e-3 * v + 0.5e-6 * u, v + 1e-3 * u
+            sent.append(x)
+        if cycle >= late_cycles:
+            target = sent[(cycle - late_cycles) // interval]
+        e = lever * target - q
+        wanted = 70.0 * np.sign(e) * (1.0 - np.exp(-((e / 0.0525) ** 2)))
+        dq = dq + (wanted - dq) * (1.0 - exp(-1e-3 / 0.008))
+        q = q + 1e-3 * dq
+        effect = effect + 1e-3 * rate * np.exp(-rate * 1e-3 * (cycle + 0.5)) * dq / lever
+    assert np.argmax(effect) == 0
+    # The last part is that of constant acceleration at the final velocity.
+    whole = effect[0] + exp(-rate * 0.6) * (dq[0] / lever + u_max / rate)
+    delay = -np.log(rate * whole / u_max) / rate
+    assert delay == pytest.approx(response_delay(iiwa(7), shipped_actuator(), rate), abs=0.003)
+
+
+def test_a_speed_limit_lowers_the_limit():
+    given, direction = params(), np.array([0.0, 0.0, 1.0, 0.0])
+    slow = largest_start(given._replace(speed_limit=0.23), direction)
+    assert slow < 0.9 * largest_start(given, direction)
+    assert degrees(slow) > 1.0
