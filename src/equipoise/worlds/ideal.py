@@ -4,7 +4,6 @@ With the actuator `ideal` this is the paper's simulation; with any other, the ar
 delay, servo and drive, and the controller observes through an encoder.
 """
 
-from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -106,11 +105,6 @@ class PlantSimulation(Simulation):
         self.params = make_loop_params(arm, settings, setup.h, self.pendulum, setup.actuator)
         """Constants of the closed loop."""
         self.spread = spread
-
-    def __reduce__(self) -> Any:
-        """Return what sets the simulation up in another process."""
-        given = {"seed": self.seed, "stream": self.stream, "spread": self.spread}
-        return partial(type(self), self.world, self.setup, **given), ()
 
     def draw(self, count: int, first: int = 0) -> Trials:
         """Draw the conditions of `count` trials from number `first` on."""
