@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import partial
 from math import nan
-from typing import Any, ClassVar, Final, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from equipoise.control.control_step import (
 )
 from equipoise.control.grid import TRUNCATED
 from equipoise.control.policy import KernelPolicy, Policy, PolicyKernel, TaskPolicy
-from equipoise.executors import Workers, executor_of
+from equipoise.executors import completed
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.elementary import BATCH_SIZE
@@ -31,8 +31,6 @@ from equipoise.settings import Settings
 from equipoise.worlds.trials import IntArray, Trial, Trials, draw_trials
 
 Array = npt.NDArray[np.float64]
-REMOTE_PIECES: Final = 32
-"""Number of pieces in a task of another process, which sets the simulation up anew."""
 TrialColumns = tuple[IntArray, IntArray, Array]
 """Steps, causes of the end and sums of x^2 [m^2] of some trials, each of shape (n,)."""
 Finished = Callable[[Sequence[int]], None]
@@ -158,11 +156,6 @@ class Simulation(ABC):
         self.pendulum = setup.pendulum.parameters(linearised=linearised)
         """Nominal parameters, which the trials vary."""
 
-    def __reduce__(self) -> Any:
-        """Return what sets the simulation up in another process."""
-        given = {"seed": self.seed, "stream": self.stream}
-        return partial(type(self), self.world, self.setup, **given), ()
-
     @abstractmethod
     def loop(self) -> ClosedLoop:
         """Return a closed loop for `reset`."""
@@ -186,7 +179,7 @@ class Simulation(ABC):
         rows: Sequence[int],
         *,
         duration: float,
-        workers: Workers = 1,
+        workers: int = 1,
         done: Finished = lambda _: None,
     ) -> None:
         """Run trials: compiled if policy and world are, otherwise from Python, one by one.
@@ -196,8 +189,7 @@ class Simulation(ABC):
             trials: Conditions, from `draw`; receives the results.
             rows: Rows of the trials to run.
             duration: Length of a trial [s].
-            workers: Number of threads, or executor, for compiled trials; the results do not depend
-                on it.
+            workers: Number of threads for compiled trials; the results do not depend on it.
             done: Called with the rows of trials that have just finished.
         """
         kernel = policy if isinstance(policy, PolicyKernel) else policy.kernel
@@ -209,13 +201,11 @@ class Simulation(ABC):
                 trials.steps[row], trials.cause[row], trials.sum_x2[row] = ended
                 done([row])
             return
-        executor = executor_of(workers)
-        share = -(-len(rows) // (self.BATCH * executor.workers)) * self.BATCH
-        most = self.PIECE * (REMOTE_PIECES if executor.is_remote else 1)
-        size = min(most, max(share, 1))
+        share = -(-len(rows) // (self.BATCH * workers)) * self.BATCH
+        size = min(self.PIECE, max(share, 1))
         pieces = [rows[first : first + size] for first in range(0, len(rows), size)]
         run = partial(self.run_piece, kernel, duration)
-        for i, results in executor.completed(run, [trials.rows(piece) for piece in pieces]):
+        for i, results in completed(run, [trials.rows(piece) for piece in pieces], workers):
             piece = pieces[i]
             trials.steps[piece], trials.cause[piece], trials.sum_x2[piece] = results
             done(piece)
