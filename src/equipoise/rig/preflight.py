@@ -101,13 +101,14 @@ def require_survival(policy: TaskPolicy) -> None:
     Raises:
         InputError: Fewer than `MIN_SURVIVAL` of them lasted.
     """
-    final = policy.final_round if isinstance(policy, TabularPolicy) else None
-    if final is None or final[0] >= MIN_SURVIVAL * final[1]:
+    if not isinstance(policy, TabularPolicy):
         return
-    survived, trials = final
+    last = policy.test or next(iter(policy.checkpoints), None)
+    if last is None or last.survived >= MIN_SURVIVAL * last.trials:
+        return
     raise InputError(
-        f"the policy lasted {survived:,} of {trials:,} trials in the final round of its training, "
-        f"expected at least {MIN_SURVIVAL:.1%}; train more learners with equipoise train "
+        f"the policy lasted {last.survived:,} of {last.trials:,} trials in the final round of its "
+        f"training, expected at least {MIN_SURVIVAL:.1%}; train more learners with equipoise train "
         "--learners, or run it with --anyway"
     )
 
