@@ -82,24 +82,20 @@ class RunController(RunContext):
         for fault in inputs.faults:
             self.stop(fault)
         self._check_rules(now, inputs.lateness)
-        self.record, self.leads = TickRecord(estimated_phi=self.encoder.phi()), ()
+        self.record = TickRecord(estimated_phi=self.encoder.phi())
         stalls = self._overdue > MAX_UNANSWERED and self.phase.moves
         setpoints = self.phase.wait(now) if stalls else self.phase.tick(now)
         stops = self.phase is self.stopping
-        if self.leads:
-            self.lead = self.leads[-1]
-        elif setpoints and not stops:
-            self.lead = (0.0,) * len(self.lead)
         for place, setpoint in enumerate(setpoints):
             sent = now - late + place * 0.5 * h
-            self.sent.store(sent, setpoint, self.leads[place] if self.leads else ())
+            self.sent.store(sent, setpoint)
             self.phase.note_sent(sent, setpoint)
         self.phase.ticks += 1
         events, self.events = self.events, []
         output = TickOutput(
             setpoints, self.q, self.dq, PHASES.index(self.phase.kind), self.record, events, self.job
         )
-        return output._replace(leads=self.leads, to_rest=stops, done=self.stopping.done)
+        return output._replace(to_rest=stops, done=self.stopping.done)
 
     def _take_measurements(self, inputs: TickInputs) -> None:
         for sample in inputs.samples:
