@@ -22,10 +22,9 @@ from equipoise.logs.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
 from equipoise.logs.writer import RunWriter
 from equipoise.outcomes import End, Outcome
 from equipoise.printable import printable
-from equipoise.rig.checks import check_fit
+from equipoise.rig.checks import check_fit, require
 from equipoise.rig.clocks import DrainingClock
 from equipoise.rig.connection import Rig
-from equipoise.rig.findings import Finding, require
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import Clock, Operator
 from equipoise.rig.loop import LoopResult, run_inline, run_loop
@@ -117,7 +116,7 @@ def run_on_rig(
     operators: Sequence[Operator],
     recorder: Recorder,
     *,
-    measures: Callable[[], Sequence[Finding]] = tuple,
+    measures: Callable[[], dict[str, str]] = dict,
     submit: Callable[[Job], "Future[Any]"] = run_inline,
     idle: Callable[[], None] = lambda: None,
     wrap: Callable[[RunController], RunController] = lambda controller: controller,
@@ -158,7 +157,7 @@ def run_on_rig(
         results, max_speed = preflight(request, rig, measures())
         fit = check_fit(request.policy, request.actuator, request.settings)
         for result in (*fit, *results):
-            text = f"{result.name}: {result.status}, {result.text}"
+            text = f"{result.name}: {result.status}, {result.found}"
             text += f"; {result.remedy}" if result.remedy else ""
             tell(OperatorMessage(f"finding {result.status}", printable(text)))
         require(fit)
