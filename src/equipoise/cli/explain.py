@@ -14,12 +14,11 @@ def explain(output: Output, run: Path) -> None:
     rules, and gives advice. A truncated log is read as far as it is readable.
     """
     from equipoise.logs.run_log import RunLog
-    from equipoise.logs.runs import ending
     from equipoise.outcomes import describe
     from equipoise.rig.explanation import explain as why
 
     read = RunLog.load(run, damaged=True)
-    causes, end = why(read), ending(read)
+    causes, end = why(read), read.ending
     output.result(
         warnings=[read.damage],
         outcome=end.outcome,

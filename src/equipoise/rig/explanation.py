@@ -28,7 +28,6 @@ import numpy.typing as npt
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.identification.refine import read_motion
 from equipoise.logs.run_log import RunLog
-from equipoise.logs.runs import ending, pendulum_of
 from equipoise.outcomes import Outcome, describe
 
 Array = npt.NDArray[np.float64]
@@ -121,7 +120,7 @@ def explain(run: RunLog) -> list[Cause]:
     Args:
         run: Log of the run.
     """
-    end, balanced = ending(run), run.conditions.simulated
+    end, balanced = run.ending, run.conditions.simulated
     if not balanced:
         try:
             # The encoder's angles need the zero of the balancing.
@@ -158,7 +157,7 @@ def unexplained_rate(run: RunLog) -> tuple[Array, Array]:
         ArtefactError: The run is of an unknown arm.
         RecordingError: The run is too short, or its samples exceed its ticks.
     """
-    pendulum = pendulum_of(run)
+    pendulum = run.conditions.pendulum_parameters
     moved = read_motion(run, run.conditions.arm)
     if moved.time[-1] - moved.time[0] > 2.0 * run.lasted + 1.0:
         raise RecordingError("its samples reach far beyond its ticks")
@@ -192,7 +191,7 @@ def _local_fits(time: Array, values: Array, at: Array, half: float) -> tuple[Arr
 
 def _outside(log: RunLog) -> Cause | None:
     """Detect the time after which no command could hold the pendulum."""
-    w2, k, c, coulomb = pendulum_of(log)[:4]
+    w2, k, c, coulomb = log.conditions.pendulum_parameters[:4]
     u_max = log.conditions.u_max or float(np.abs(log.u).max())
     mu = 0.5 * (sqrt(c**2 + 4.0 * w2) + c)
     diverging, bound = log.phi + log.phi_dot / mu, (k * u_max + coulomb) / w2
@@ -246,7 +245,7 @@ def _zero(log: RunLog, time: Array, rate: Array) -> Cause | None:
     # The median of all slopes over a quarter of the window is robust to a step, which is a push.
     quarter = max(int(late.sum()) // 4, 1)
     slopes = (rate[late][quarter:] - rate[late][:-quarter]) / (quarter * GRID_STEP)
-    error = -float(np.median(slopes)) / pendulum_of(log).w2
+    error = -float(np.median(slopes)) / log.conditions.pendulum_parameters.w2
     # A referenced zero is good to 0.1 deg, a base is level to 0.5 deg; 2.5 deg end a run.
     if abs(error) < radians(0.75):
         return None
@@ -271,7 +270,9 @@ def _frozen(log: RunLog) -> Cause | None:
     if lasted < 0.06 or ticks.sum() < 2:
         return None
     # The observed x_dot is ahead of the arm: it includes the pending commands.
-    turned = pendulum_of(log).k * cos(log.phi[-1]) * float(np.ptp(log.x_dot[ticks]))
+    turned = (
+        log.conditions.pendulum_parameters.k * cos(log.phi[-1]) * float(np.ptp(log.x_dot[ticks]))
+    )
     if turned < 0.2:  # [rad/s]
         return None
     text = (

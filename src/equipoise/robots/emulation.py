@@ -106,12 +106,13 @@ class Emulation:
             OutsideError: The port is not available.
         """
         try:
-            while not stop():
+            while True:
                 port = self._serve(host, port, stop, listening)
                 self.bench.body.servo(False)
                 listening = ignore
-                if not stop():
-                    self._say("the robot's server has ended, and starts again")
+                if stop():
+                    break
+                self._say("the robot's server has ended, and starts again")
         finally:
             self.terminal.close()
 
