@@ -2,7 +2,6 @@
 
 import pytest
 
-from equipoise.control.policy import shipped_policy
 from equipoise.logs.run_log import RunLog
 from tests.cli.conftest import contents
 from tests.robots.encoder.by_hand import RELEASE, ByHand
@@ -29,16 +28,6 @@ def test_a_dry_run_ends_before_the_arm_moves(equipoise, tmp_path):
     assert equipoise("deploy", "--robot", "twin:nominal", "--dry-run").code == 2
     assert (tmp_path / "run.mcap").read_bytes() == b"the log of an earlier run"
     assert equipoise("deploy", "--robot", "twin:nominal", "--dry-run", "--force").code == 0
-
-
-def test_a_policy_that_is_too_fast_for_t1_is_refused_before_anything_is_connected(
-    refused, tmp_path
-):
-    policy = shipped_policy()
-    plant = policy.settings.plant.model_copy(update={"max_speed": 0.05})
-    settings = policy.settings.model_copy(update={"plant": plant})
-    policy.model_copy(update={"settings": settings}).save(tmp_path / "fast.json", command="test")
-    refused("deploy", "fast.json", "--robot", "twin:nominal", "--t1", saying="0 of 20")
 
 
 def test_doctor_examines_this_machine(equipoise):

@@ -1,16 +1,11 @@
-"""Checks of a run before the arm moves: its request, the connected rig, the policy's time, T1."""
+"""Checks of a run before the arm moves: its request, the connected rig, the policy's time."""
 
-from collections import Counter
-from math import ceil
 from statistics import median
 from time import perf_counter
-from typing import Final
 
 from equipoise.control.controller import Controller, FlangeKinematics
 from equipoise.control.policy import tick_policy
 from equipoise.errors import InputError
-from equipoise.model.worlds import read_world
-from equipoise.outcomes import Outcome
 from equipoise.rig.checks import (
     Finding,
     check_encoder,
@@ -27,15 +22,6 @@ from equipoise.rig.connection import Rig, check_addresses
 from equipoise.rig.phases.balancing import POLICY_TIME_SHARE
 from equipoise.rig.probes import listen, round_trips
 from equipoise.rig.request import RunRequest
-from equipoise.rig.simulate import simulate_run
-from equipoise.safety.rules import T1_SPEED
-
-T1_TRIALS: Final = 20
-"""Number of trials on the twin before a run in T1."""
-T1_DURATION: Final = 20.0
-"""Length of each of these trials [s]."""
-T1_SHARE: Final = 0.9
-"""Minimum share of these trials that last [-]."""
 
 
 def preflight(
@@ -105,42 +91,4 @@ def warm_up(request: RunRequest) -> None:
         raise InputError(
             f"{request.policy.name} takes {1e3 * typical:.1f} ms, expected at most "
             f"{1e3 * limit:.1f} ms; make it faster"
-        )
-
-
-def rehearse_t1(
-    request: RunRequest, *, trials: int = T1_TRIALS, duration: float = T1_DURATION
-) -> None:
-    """Run trials of a policy on the twin under the speed limit of T1, before a run on a robot.
-
-    Args:
-        request: The run.
-        trials: Number of trials.
-        duration: Length of each [s].
-
-    Raises:
-        InputError: The policy does not fit the rig, or too few trials last.
-    """
-    check_request(request)
-    nominal = read_world("twin:nominal")
-    in_t1 = nominal.settings.model_copy(
-        update={"t1": True, "counts_per_rev": request.settings.counts_per_rev}
-    )
-    ended = Counter[Outcome]()
-    for seed in range(trials):
-        run = simulate_run(
-            request.policy,
-            world=nominal._replace(settings=in_t1),
-            actuator=None if request.alternatives else request.actuator,
-            seed=seed,
-            duration=duration,
-        )
-        ended[run.outcome] += 1
-    least = ceil(T1_SHARE * trials)
-    if ended[Outcome.LASTED] < least:
-        others = ", ".join(f"{each} {n}" for each, n in ended.items() if each != Outcome.LASTED)
-        raise InputError(
-            f"on the twin in T1 this policy lasts {duration:g} s in {ended[Outcome.LASTED]} of "
-            f"{trials} trials, expected {least} (ended by: {others}); train one for "
-            f"this limit: equipoise train --set plant.max_speed={T1_SPEED:g}"
         )

@@ -144,7 +144,7 @@ def run_on_rig(
 
     def check_links() -> None:
         """Request the joints, and drop the encoder's samples; each raises where its link failed."""
-        robot.measured()
+        rig.robot.measured()
         rig.sensor.samples()
 
     waiting = DrainingClock(rig.clock, rig.sensor)
@@ -153,7 +153,7 @@ def run_on_rig(
     try:
         tell(OperatorMessage(CONNECTING, f"Connecting to {request.robot}."))
         rig.sensor.connect()
-        robot.connect()
+        rig.robot.connect()
         results, max_speed = preflight(request, rig, measures())
         fit = check_fit(request.policy, request.actuator, request.settings)
         for result in (*fit, *results):
@@ -207,13 +207,13 @@ def run_on_rig(
         )
         if ending.stoppable:
             try:
-                robot.stop()
+                rig.robot.stop()
             except LinkError as error:
                 fault = End(Outcome.LINK_LOST, {"text": str(error)})
                 ending = ending._replace(fault=fault, stoppable=False)
         return run_end(controller, ending, max_speed)
     finally:
-        robot.close()
+        rig.robot.close()
         rig.sensor.close()
 
 
