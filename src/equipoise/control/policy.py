@@ -327,15 +327,6 @@ class TabularPolicy(Artefact):
         return min(self.tests, key=lambda test: test.interval[0], default=None)
 
     @property
-    def final_round(self) -> tuple[int, int] | None:
-        """Trials that lasted and all trials of the test, else of the race's last round.
-
-        None if the last table was taken without any trial.
-        """
-        last = self.test or next(iter(self.checkpoints), None)
-        return None if last is None else (last.survived, last.trials)
-
-    @property
     def shortfall(self) -> str:
         """One line where the policy misses the target of its training; else empty."""
         if self.test is None or self.test.met:
