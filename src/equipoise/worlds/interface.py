@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import partial
 from math import nan
-from typing import Any, ClassVar, Final, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -31,8 +31,6 @@ from equipoise.settings import Settings
 from equipoise.worlds.trials import IntArray, Trial, Trials, draw_trials
 
 Array = npt.NDArray[np.float64]
-REMOTE_PIECES: Final = 32
-"""Number of pieces in a task of another process, which sets the simulation up anew."""
 TrialColumns = tuple[IntArray, IntArray, Array]
 """Steps, causes of the end and sums of x^2 [m^2] of some trials, each of shape (n,)."""
 Finished = Callable[[Sequence[int]], None]
@@ -211,7 +209,8 @@ class Simulation(ABC):
             return
         executor = executor_of(workers)
         share = -(-len(rows) // (self.BATCH * executor.workers)) * self.BATCH
-        most = self.PIECE * (REMOTE_PIECES if executor.is_remote else 1)
+        # Another process sets the simulation up anew in each task, which has many pieces then.
+        most = self.PIECE * (32 if executor.is_remote else 1)
         size = min(most, max(share, 1))
         pieces = [rows[first : first + size] for first in range(0, len(rows), size)]
         run = partial(self.run_piece, kernel, duration)
