@@ -30,7 +30,7 @@ SHELL = re.compile(r"\s*(?:&&|\|\||;|\||\n)\s*(?:do\s)?")
 OTHERS = {
     *("python", "pip", "make", "pre-commit", "jupyter", "jupytext", "docker", "podman"),
     *("sudo", "printf", "echo", "mkdir", "cd", "true", "for", "done", "."),
-    *("ray", "arduino-cli"),
+    "arduino-cli",
 }
 """Commands of other programs, whose options nothing here checks."""
 PYTHON_HOMES = {
@@ -144,7 +144,6 @@ ELSEWHERE = {
     r"pip install|pytest|pre-commit|make install|venv": "the environment that runs this",
     r"jupyter|jupytext": "tests/test_course.py opens the notebooks",
     r"sudo|printf|arduino-cli|list_ports": "changes or asks this computer's hardware",
-    r"^ray |--ray": "several computers: tests/test_executors.py",
     r"coppeliasim": "needs CoppeliaSim: tests/worlds/test_coppeliasim.py",
     r"kst://|serial://|doctor": "needs a rig: tests/robots, tests/rig, tests/cli",
     r"benchmarks/|experiments/": "tests/test_bench.py, tests/test_experiments.py",
@@ -258,3 +257,11 @@ def forced(line):
         words = words[2:]
     known = "force" in parse(words)
     return re.sub(r"( &&| \|\||$)", r" --force\1", first, count=1) if known else first
+
+
+def test_the_files_of_the_first_hour_are_short():
+    page = (ROOT / "docs" / "index.md").read_text()
+    walk = re.findall(r"^\d+\. .*\(\.\./(.*)\):", page, re.MULTILINE)
+    assert len(walk) == 10
+    for path in walk:
+        assert len((ROOT / path).read_text().splitlines()) < 250, path

@@ -23,7 +23,6 @@ from equipoise import paper
 from equipoise.artefacts import Artefact, Name, Value, first_fault
 from equipoise.control.policy import TaskPolicy
 from equipoise.errors import InputError
-from equipoise.executors import Workers
 from equipoise.model.worlds import MODEL, read_world
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS
 from equipoise.worlds.evaluation import Done, Evaluation, evaluate
@@ -215,7 +214,7 @@ def certify(
     policy: TaskPolicy,
     claim: Claim,
     *,
-    workers: Workers = 1,
+    workers: int = 1,
     done: Done = lambda _: None,
 ) -> Certificate:
     """Test a claim about a policy.
@@ -223,7 +222,7 @@ def certify(
     Args:
         policy: The policy.
         claim: The claim, from `make_claim`.
-        workers: Number of threads, or an executor; the result does not depend on it.
+        workers: Number of threads; the result does not depend on it.
         done: Called with the number of trials that have just finished.
 
     Returns:

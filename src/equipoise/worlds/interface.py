@@ -21,18 +21,16 @@ from equipoise.control.control_step import (
 )
 from equipoise.control.grid import TRUNCATED
 from equipoise.control.policy import KernelPolicy, Policy, PolicyKernel, TaskPolicy
-from equipoise.executors import Workers, executor_of
+from equipoise.executors import completed
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.settings import Settings
-from equipoise.worlds.trials import IntArray, Trial, Trials, draw_trials
+from equipoise.worlds.trials import Trial, Trials, draw_trials
 
 Array = npt.NDArray[np.float64]
-TrialColumns = tuple[IntArray, IntArray, Array]
-"""Steps, causes of the end and sums of x^2 [m^2] of some trials, each of shape (n,)."""
 Finished = Callable[[Sequence[int]], None]
 """Receives the rows of trials that have just finished."""
 
@@ -156,11 +154,6 @@ class Simulation(ABC):
         self.pendulum = setup.pendulum.parameters(linearised=linearised)
         """Nominal parameters, which the trials vary."""
 
-    def __reduce__(self) -> Any:
-        """Return what sets the simulation up in another process."""
-        given = {"seed": self.seed, "stream": self.stream}
-        return partial(type(self), self.world, self.setup, **given), ()
-
     @abstractmethod
     def loop(self) -> ClosedLoop:
         """Return a closed loop for `reset`."""
@@ -170,11 +163,10 @@ class Simulation(ABC):
         settings, spread = self.setup.settings, self.setup.spread
         return draw_trials(count, settings, self.seed, self.stream, spread, first)
 
-    def run_piece(self, policy: PolicyKernel, duration: float, trials: Trials) -> TrialColumns:
-        """Run trials of a compiled policy in this thread, and return their results.
-
-        Only a world with a `PIECE` has it; see `run`.
-        """
+    def run_piece(
+        self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
+    ) -> None:
+        """Run trials of a compiled policy in this thread; only with a `PIECE`; see `run`."""
         raise NotImplementedError
 
     def run(
@@ -184,7 +176,7 @@ class Simulation(ABC):
         rows: Sequence[int],
         *,
         duration: float,
-        workers: Workers = 1,
+        workers: int = 1,
         done: Finished = lambda _: None,
     ) -> None:
         """Run trials: compiled if policy and world are, otherwise from Python, one by one.
@@ -194,8 +186,7 @@ class Simulation(ABC):
             trials: Conditions, from `draw`; receives the results.
             rows: Rows of the trials to run.
             duration: Length of a trial [s].
-            workers: Number of threads, or executor, for compiled trials; the results do not depend
-                on it.
+            workers: Number of threads for compiled trials; the results do not depend on it.
             done: Called with the rows of trials that have just finished.
         """
         kernel = policy if isinstance(policy, PolicyKernel) else policy.kernel
@@ -207,17 +198,12 @@ class Simulation(ABC):
                 trials.steps[row], trials.cause[row], trials.sum_x2[row] = ended
                 done([row])
             return
-        executor = executor_of(workers)
-        share = -(-len(rows) // (self.BATCH * executor.workers)) * self.BATCH
-        # Another process sets the simulation up anew in each task, which has many pieces then.
-        most = self.PIECE * (32 if executor.is_remote else 1)
-        size = min(most, max(share, 1))
+        share = -(-len(rows) // (self.BATCH * workers)) * self.BATCH
+        size = min(self.PIECE, max(share, 1))
         pieces = [rows[first : first + size] for first in range(0, len(rows), size)]
-        run = partial(self.run_piece, kernel, duration)
-        for i, results in executor.completed(run, [trials.rows(piece) for piece in pieces]):
-            piece = pieces[i]
-            trials.steps[piece], trials.cause[piece], trials.sum_x2[piece] = results
-            done(piece)
+        run = partial(self.run_piece, kernel, trials, duration=duration)
+        for i, _ in completed(run, pieces, workers):
+            done(pieces[i])
 
 
 def predicted(loop: ClosedLoop) -> Array:

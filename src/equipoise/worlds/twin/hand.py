@@ -69,11 +69,6 @@ class HandParams(NamedTuple):
         """Whether the hand pushes or drags."""
         return self.push != 0.0 or self.opening > RANGES["opening"][1]
 
-    def tremble(self, time: float) -> tuple[float, float]:
-        """Return the tremor of the hand [rad], and its rate [rad/s]."""
-        angle, speed = self.frequency * time + self.phase, self.amplitude * self.frequency
-        return float(self.amplitude @ np.sin(angle)), float(speed @ np.cos(angle))
-
 
 def draw_hand_params(
     random: np.random.Generator, *, side: Side | None = None, clumsy: float = 0.25
@@ -214,7 +209,9 @@ class Hand:
         s = min(max((now - self._begin) / self._duration, 0.0), 1.0)
         way = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
         speed = 30.0 * s**2 * (1.0 - s) ** 2 / self._duration
-        off, off_dot = manner.tremble(now - self._begin)
+        tremor = manner.frequency * (now - self._begin) + manner.phase
+        off = float(manner.amplitude @ np.sin(tremor))
+        off_dot = float((manner.amplitude * manner.frequency) @ np.cos(tremor))
         distance = self._to - self._from
         rate = distance * speed + speed * off + way * off_dot
         return self._from + distance * way + way * off, rate
