@@ -81,7 +81,9 @@ SPEED_LIMIT_CAUSE: Final = SAFETY_STOP + SPEED_CODE
 """Cause of failure where the task limits the flange's speed: that of the guard of a rig."""
 
 # Rows of the block of states.
-X, X_DOT, PHI, PHI_DOT, TRACKED = range(5)
+X, X_DOT, PHI, PHI_DOT = range(4)
+TRACKED: Final = 4
+"""Row of the tracked acceleration u' of the last step."""
 
 
 class LoopParams(NamedTuple):
