@@ -15,11 +15,10 @@ from equipoise.identification import actuator as fitting
 from equipoise.identification.actuator import identify_actuator, identify_run
 from equipoise.identification.wrist_load import WristLoad, load_motion
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.pendulum import PendulumParameters, shipped_pendulum
+from equipoise.model.pendulum import Pendulum, PendulumParameters, shipped_pendulum
 from equipoise.model.worlds import read_world, rotor_inertias
-from equipoise.rig.simulate import excite as excite_run
+from equipoise.rig.simulate import excite
 from equipoise.worlds.twin import physics
-from equipoise.worlds.twin.excitation import excite
 from equipoise.worlds.twin.servo_model import equivalent_actuator
 
 pytestmark = pytest.mark.compiled_only
@@ -216,16 +215,16 @@ def test_the_intervals_cover_the_truth_of_some_logs():
 @pytest.mark.parametrize("world", ["twin:nominal", "twin:harsh"])
 def test_a_log_of_the_twin_gives_its_delay_and_lags(world):
     settings = read_world(world).settings
-    pendulum = PendulumParameters(w2=70.2, k=7.15, c=0.15)
-    record, fresh = (excite(iiwa(7), settings, pendulum, seed) for seed in (1, 2))
+    arm, pendulum = iiwa(7), Pendulum.assumed(70.2, 0.15)
+    free = list(arm.free)
     log, fresh = (
         SimpleNamespace(
-            stream_time=each.stream_time,
-            stream_q=each.stream_q,
-            reply_time=each.reply_time,
-            reply_q=each.reply_q,
+            stream_time=each.stream.time,
+            stream_q=each.stream.q[:, free],
+            reply_time=each.replies.time,
+            reply_q=each.replies.q[:, free],
         )
-        for each in (record, fresh)
+        for each in (excite(arm, world, pendulum, seed=seed) for seed in (1, 2))
     )
     actuator = identified(log)
     assert actuator.kind == "kst"
@@ -292,7 +291,7 @@ def test_the_load_on_the_last_joint_is_that_of_mujoco():
 )
 def test_a_log_of_a_named_world_gives_its_servo_and_its_rotor(world, kind, t_c):
     settings = read_world(world).settings
-    actuator = identify_run(excite_run(iiwa(7), world, shipped_pendulum(), seed=3))
+    actuator = identify_run(excite(iiwa(7), world, shipped_pendulum(), seed=3))
     assert actuator.kind == kind
     assert actuator.fit.warnings == ()
     assert holds(actuator.delay, settings.transport)
