@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.identification.jackknife import blocks_of_time, jackknife
+from equipoise.identification.least_squares import blocks_of_time, jackknife
 from equipoise.model.pendulum import STEPS_PER_PERIOD, PendulumParameters, swing
 from equipoise.settings import Friction
 

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from equipoise.artefacts import Estimate, Value
 from equipoise.errors import RecordingError
-from equipoise.identification.jackknife import blocks_of_time, jackknife
+from equipoise.identification.least_squares import blocks_of_time, jackknife
 from equipoise.settings import GRAVITY
 
 Array = npt.NDArray[np.float64]

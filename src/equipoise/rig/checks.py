@@ -64,9 +64,6 @@ MIN_CLEARANCE_MM: Final = 50.0
 """Minimum clearance below the tip of the hanging pendulum [mm]."""
 HOME_MARGIN_DEG: Final = 5.0
 """Minimum distance of home from a joint's limits, beyond the rig's margin [deg]."""
-MIN_ROTOR_INERTIA: Final = 1e-3
-"""Rotor inertia of the last joint below which a warning is given [kg m^2]: a third of the load of
-bracket and pendulum about it. Published estimates are 0.4 to 1.2."""
 
 
 def examine(
@@ -321,14 +318,6 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> list[
             bad=room < rig.position_margin_deg + HOME_MARGIN_DEG,
         ),
     ]
-    if actuator.drive_inertia is not None:
-        inertia = float(actuator.drive_inertia.rotor[0])
-        remedy = (
-            "each swing twists the joint: enter the load at the cabinet, or bring the pivot nearer "
-            "to the joint's axis"
-        )
-        low = inertia < MIN_ROTOR_INERTIA
-        findings.append(find("last rotor", {"inertia_kg_m2": inertia}, remedy, warning=low))
     if rig.table_height_mm is not None:
         pose = arm.pose(arm.home_free)
         pivot = pose.position + pose.rotation @ np.array(arm.pivot)
