@@ -69,8 +69,6 @@ class Outcome(StrEnum):
     """A setpoint asks for more than the joint's velocity."""
     ACCELERATION = "joint acceleration"
     """A setpoint asks for more than the joint's acceleration."""
-    LEAD = "setpoint lead"
-    """A setpoint is too far from its reference: the arm goes there if nothing follows."""
     SINGULAR = "near singularity"
     """The arm is close to a singular posture."""
     TRACK = "track"
@@ -175,8 +173,6 @@ SENTENCES: Final = {
     "most {limit:.3f} rad/s",
     Outcome.ACCELERATION: "the setpoint of joint {joint:g} asks for {value:.2f} rad/s^2, expected "
     "at most {limit:.2f} rad/s^2",
-    Outcome.LEAD: "the setpoint of joint {joint:g} leads its reference by {value:.4f} rad, "
-    "expected at most {limit:.4f} rad",
     Outcome.SINGULAR: "the arm is near a singularity: |det J| is {value:.2g} m^3, expected at "
     "least {limit:.2g} m^3",
     Outcome.TRACK: "the flange is at {x:.3f} m with {x_dot:.3f} m/s and could be stopped at "

@@ -91,9 +91,9 @@ def arrays(run):
     """All arrays of a run by name."""
     ticks = {name: run.ticks[name] for name in COLUMNS}
     return ticks | {
-        f"{part}.{name}": values
+        f"{part}.{name}": getattr(run, part)[name]
         for part in PARTS
-        for name, values in getattr(run, part)._asdict().items()
+        for name in getattr(run, part).dtype.names
     }
 
 

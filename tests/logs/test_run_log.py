@@ -14,7 +14,6 @@ from equipoise.errors import ArtefactError, OutsideError
 from equipoise.logs.columns import TABLES
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.run_log import RunLog
-from equipoise.logs.writer import FORMAT
 from equipoise.outcomes import Outcome
 from tests.logs.made_up import arrays, columns, conditions, made_up
 
@@ -86,7 +85,6 @@ def test_any_reader_of_mcap_finds_named_numbers_with_a_schema(file, run):
     (tick,) = {schema.data for schema, channel, _ in found if channel.topic == "/tick"}
     assert json.loads(tick)["properties"]["u"]["description"].endswith("[m/s^2]")
     assert topics[-1] == "/end"
-    assert json.loads(found[-1][2].data)["digest"] == run.digest
 
 
 def test_each_field_of_a_control_steps_record_is_a_column_of_the_log(run):
@@ -142,38 +140,26 @@ def edited(file, change):
     file.write_bytes(out.getvalue())
 
 
-def test_writing_it_again_unchanged_does_no_harm(file, run):
-    edited(file, lambda topic, content: content)
-    assert RunLog.load(file).digest == run.digest
-
-
 def conditions_with(entries, **changes):
     return entries | {"conditions": json.dumps(json.loads(entries["conditions"]) | changes)}
 
 
 EDITS = {
-    "a nicer state": lambda t, c: c | {"phi": 0.0} if t == "/tick" else c,
-    "another cause": lambda t, c: c | {"outcome": "lasted"} if t == "/end" else c,
-    "another seed": lambda t, c: conditions_with(c, seed=5) if t == "metadata" else c,
-    "no replies": lambda t, c: None if t == "/reply" else c,
     "half a count": lambda t, c: c | {"counts": 0.5} if t == "/encoder" else c,
     "another version": lambda t, c: c | {"version": "9"} if t == "metadata" else c,
     "no version": lambda t, c: {k: v for k, v in c.items() if k != "version"},
-    "a missing tick": lambda t, c: None if t == "/tick" and c["time"] == 0.2 else c,
     "no conditions": lambda t, c: {**c, "conditions": ""} if t == "metadata" else c,
     "an unknown setting": lambda t, c: conditions_with(c, luck=1) if t == "metadata" else c,
-    "a missing column": lambda t, c: {k: v for k, v in c.items() if k != "u"},
     "a word for a number": lambda t, c: c | {"x": "far"} if t == "/tick" else c,
     "a huge number": lambda t, c: c | {"x": 1e300} if t == "/tick" else c,
     "a short posture": lambda t, c: c | {"q": c["q"][:3]} if t == "/stream" else c,
     "no such phase": lambda t, c: c | {"state": 99} if t == "/tick" else c,
-    "no digest": lambda t, c: {"lasted": 0.4} if t == "/end" else c,
     "no object": lambda t, c: [1] if t == "/end" else c,
 }
 
 
 @pytest.mark.parametrize("edit", EDITS)
-def test_an_edited_run_is_refused(file, edit):
+def test_a_run_of_another_form_is_refused(file, edit):
     edited(file, EDITS[edit])
     for damaged in (False, True):
         with pytest.raises(ArtefactError):
@@ -215,8 +201,3 @@ def test_a_disk_that_refuses_leaves_nothing(run, tmp_path):
 def test_columns_that_are_no_numbers_or_of_another_length_are_refused(table, new):
     with pytest.raises(ArtefactError, match=list(new)[-1]):
         made_up(**{table: columns()[table] | new})
-
-
-def test_the_format_has_its_name(file):
-    with file.open("rb") as stream:
-        assert [m.name for m in make_reader(stream).iter_metadata()] == [FORMAT]

@@ -8,26 +8,18 @@ import pytest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.control.ticks import OperatorMessage
-from equipoise.errors import ArtefactError, RecordingError
-from equipoise.identification.refine import read_motion, thinned
+from equipoise.errors import RecordingError
+from equipoise.identification.refine import read_motion
 from equipoise.logs.conditions import RunEnd
+from equipoise.logs.export import export
 from equipoise.logs.recorder import Recorder, push_event
-from equipoise.logs.run_log import RunLog
-from equipoise.logs.runs import ending, export, load_run, pendulum_of
+from equipoise.logs.run_log import RunLog, load_run
 from equipoise.logs.writer import RunWriter
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.outcomes import Outcome
 from equipoise.rig.config import RigSettings
-from equipoise.rig.simulate import simulate_run
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
-
-
-@pytest.fixture(scope="module")
-def twin_log(tmp_path_factory):
-    path = tmp_path_factory.mktemp("twin") / "run.mcap"
-    simulate_run(shipped_policy(), world="twin:nominal", duration=0.5).save(path, command="test")
-    return path
 
 
 def table(path):
@@ -47,7 +39,7 @@ def test_the_balancing_of_a_rig_is_a_run_log(rig_log):
     assert len(log.stream.time) == pytest.approx(304, abs=3)
     assert len(log.replies.time) == pytest.approx(274, abs=3)
     assert len(whole.tables["tick"]) > 10 * len(log.time)
-    assert pendulum_of(whole) == shipped_policy().pendulum.parameters()
+    assert whole.conditions.pendulum_parameters == shipped_policy().pendulum.parameters()
     assert whole.conditions.arm == RigSettings().described_arm
 
 
@@ -63,7 +55,7 @@ def test_counts_and_joints_of_a_rig_tell_what_the_observer_believed(rig_log):
 
 def test_a_log_that_breaks_off_is_read_to_its_last_chunk(broken_off, rig_log):
     log, whole = load_run(broken_off), load_run(rig_log)
-    assert ending(RunLog.load(broken_off, damaged=True)).outcome is Outcome.BROKEN_OFF
+    assert RunLog.load(broken_off, damaged=True).ending.outcome is Outcome.BROKEN_OFF
     assert 10 < len(log.time) < len(whole.time)
     assert log.phi.tolist() == whole.phi[: len(log.time)].tolist()
     # Nobody said where the zero is: the last angle in the hand does.
@@ -71,15 +63,6 @@ def test_a_log_that_breaks_off_is_read_to_its_last_chunk(broken_off, rig_log):
     away = log.encoder.counts - whole.encoder.counts[:n]
     turn = whole.conditions.counts_per_rev
     assert np.all((away + turn // 2) % turn - turn // 2 == 0)
-
-
-def test_samples_closer_than_a_tick_are_averaged_before_a_fit(rig_log):
-    motion = read_motion(load_run(rig_log), iiwa(7))
-    few = thinned(motion)
-    assert len(few.time) == len(motion.time) // 10
-    assert few.phi[3] == pytest.approx(motion.phi[30:40].mean())
-    assert np.diff(few.time) == pytest.approx(0.01, abs=5e-4)
-    assert thinned(few).x.tolist() == few.x.tolist()
 
 
 def test_a_run_that_did_not_balance_is_refused_with_its_reason(tmp_path, rig_log):
@@ -114,24 +97,10 @@ def test_every_table_is_exported_with_units(rig_log, tmp_path):
     assert [row[3] for row in table(made[4])[1]] == [event.text for event in run.events]
 
 
-def test_a_log_of_a_twin_is_exported(twin_log, tmp_path):
-    run = RunLog.load(twin_log)
-    made = {path.stem: table(path) for path in export(run, tmp_path)}
-    assert set(made) == {"tick", "truth", "stream", "reply", "encoder"}
-    header, rows = made["truth"]
-    assert header[:3] == ["time_s", "x_m", "x_dot_m_s"]
-    assert [float(row[1]) for row in rows] == run.truth.x.tolist()
-
-
-def test_a_log_that_breaks_off_is_refused_where_all_of_it_is_needed(broken_off):
-    with pytest.raises(ArtefactError, match="is cut short.* sound before that: .* ticks"):
-        RunLog.load(broken_off)
-
-
 @pytest.mark.parametrize(
     "end", [RunEnd(), RunEnd(lost_rows=2), RunEnd(evidence={"text": "no device"})]
 )
 def test_a_run_that_ended_with_an_error_says_so(rig_log, end):
     whole = RunLog.load(rig_log, damaged=True)
-    how = ending(dataclasses.replace(whole, end=end))
+    how = dataclasses.replace(whole, end=end).ending
     assert how == (Outcome.ERROR, end.evidence)

@@ -12,7 +12,6 @@ import pytest
 from mcap.reader import make_reader
 
 from equipoise.control.ticks import OperatorMessage
-from equipoise.errors import OutsideError
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.recorder import CONNECTING, Recorder, push_event, read_events
 from equipoise.logs.run_log import RunLog
@@ -71,21 +70,6 @@ def test_what_is_written_comes_back(tmp_path):
     }
 
 
-def test_a_log_that_grows_is_read_at_any_time(tmp_path):
-    path, sizes = tmp_path / "run.mcap", []
-    recorder = Recorder(7)
-    writer = RunWriter(path, CONDITIONS, 0.0)
-    for begin in range(0, 2000, 100):
-        push(recorder, 100, begin)
-        writer.drain(recorder)
-        run = RunLog.load(path, damaged=True)
-        assert run.end is None
-        sizes.append(len(run.tables["tick"]))
-    assert sizes == sorted(sizes)
-    # No more is kept back than a chunk, of which a second has 200 kB.
-    assert sizes[-1] > 2000 - 160
-
-
 def test_a_writer_that_is_killed_leaves_its_chunks(tmp_path):
     path = tmp_path / "run.mcap"
     script = (
@@ -130,12 +114,6 @@ def test_a_full_disk_ends_the_log_and_leaves_what_was_written(tmp_path):
     assert 100 < sound_ticks(path) < 2900
     # The rings are drained on, so that nothing is dropped that others may want.
     assert recorder.lost == 0
-
-
-def test_a_folder_that_cannot_be_written_is_refused_before_the_run(tmp_path):
-    (tmp_path / "taken").write_text("a file where a folder should be")
-    with pytest.raises(OutsideError):
-        RunWriter(tmp_path / "taken" / "run.mcap", CONDITIONS, 0.0)
 
 
 def test_a_ring_that_nobody_drains_drops_and_counts():

@@ -23,11 +23,11 @@ from equipoise.control.policy import TaskPolicy, tick_policy
 from equipoise.control.ticks import TickInputs, TickOutput, TickRecord
 from equipoise.errors import ArtefactError
 from equipoise.identification.actuator import identify_motion
-from equipoise.logs.conditions import IDEAL
 from equipoise.logs.recorder import FAILED as DEVICE_FAILED
 from equipoise.logs.recorder import WORD_TYPED
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
+from equipoise.model.worlds import IDEAL
 from equipoise.outcomes import End, Outcome
 from equipoise.rig.config import RigSettings
 from equipoise.rig.interfaces import Reply, Sample
@@ -281,7 +281,7 @@ def _control_steps(
 ) -> Rows:
     """Yield the logged and the replayed values of each tick's control step."""
     phi_dot = run.conditions.start[3]
-    stamp, counts = run.encoder
+    stamp, counts = run.encoder.time, run.encoder.counts
     controller.begin(pi - counts[0] * resolution - stamp[0] * phi_dot, phi_dot)
     acting = tick_policy(policy)
     acting.reset()

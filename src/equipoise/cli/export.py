@@ -29,8 +29,8 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
     choose another part.
     """
     from equipoise.film import check_format, write_film
+    from equipoise.logs.export import export
     from equipoise.logs.run_log import RunLog
-    from equipoise.logs.runs import export
 
     video, folder = film.video, None
     if video is None and (film.from_ is not None or film.to is not None):

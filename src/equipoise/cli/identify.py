@@ -80,7 +80,7 @@ def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:
     out = files.file("actuator.json", log)
 
     from equipoise.identification.actuator import identify_run
-    from equipoise.logs.runs import load_run
+    from equipoise.logs.run_log import load_run
 
     run = load_run(log)
     with output.busy(f"fitting {len(run.replies.time):,} measured postures"):

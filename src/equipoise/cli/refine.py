@@ -47,7 +47,7 @@ def refine(
 
     from equipoise.control.policy import TabularPolicy
     from equipoise.identification.refine import inspect
-    from equipoise.logs.runs import load_run
+    from equipoise.logs.run_log import load_run
 
     table = TabularPolicy.load(policy)
     logs = {printable(str(path)): load_run(path) for path in runs}

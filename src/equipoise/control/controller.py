@@ -86,7 +86,7 @@ def command_tick(controller: Any) -> None:
 @kernel
 def hold_tick(controller: Any) -> None:
     """Advance the model of the arm towards the last setpoints."""
-    advance_arm_model(controller.params, controller.state, False, 1)
+    advance_arm_model(controller.params, controller.state, 1)
 
 
 @kernel
@@ -245,14 +245,6 @@ class Controller:
         command_tick(self._handle)
         setpoints = state.setpoints.reshape(SETPOINTS_PER_TICK, -1)
         return tuple(self._all_joints(self._arm.home, setpoint) for setpoint in setpoints)
-
-    @property
-    def leads(self) -> tuple[tuple[float, ...], ...]:
-        """Distances of these setpoints from their references [rad]; empty without a lead."""
-        if not self._controller.lead:
-            return ()
-        leads = self._state.leads.reshape(SETPOINTS_PER_TICK, -1)
-        return tuple(self._all_joints((0.0,) * len(self._arm.joints), lead) for lead in leads)
 
     @property
     def limit_exceeded(self) -> bool:

@@ -1,7 +1,7 @@
 """Conditions of a run, which are known before it begins, and its end."""
 
 from math import isfinite
-from typing import Annotated, Any, Final, Literal, TypeAlias, get_args
+from typing import Annotated, Any, Final
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -12,28 +12,24 @@ from equipoise.model.pendulum import PendulumParameters
 from equipoise.outcomes import EXIT_CODES, End, Outcome, Phase, describe
 from equipoise.settings import Settings
 
-IDEAL: Final = "ideal"
-"""Placeholder for the digest of an actuator: the arm follows its commands at once."""
+PENDULUM: Final = ("w2", "k", "c", "coulomb", "drag")
+"""Parameters of a pendulum in a log."""
 
-MAX_TEXT_LENGTH: Final = 4096
-"""Maximum length of a text [characters]; longer ones are truncated."""
+
+def named(pendulum: PendulumParameters) -> dict[str, float]:
+    """Return the parameters of a pendulum by name."""
+    return {name: float(getattr(pendulum, name)) for name in PENDULUM}
 
 
 def _storable(value: Any) -> Any:
     """Return evidence for a file: a truncated text, and a number that is not finite as text."""
     if isinstance(value, float) and not isfinite(value):
         return str(value)
-    return value[:MAX_TEXT_LENGTH] if isinstance(value, str) else value
+    return value[:4096] if isinstance(value, str) else value
 
 
 EvidenceValue = Annotated[float | str, BeforeValidator(_storable)]
 """Number or text of an end; a text may quote an exception of a custom policy."""
-PendulumName: TypeAlias = Literal["w2", "k", "c", "coulomb", "drag"]
-
-
-def named(pendulum: PendulumParameters) -> dict[PendulumName, float]:
-    """Return the parameters of a pendulum by name."""
-    return {name: float(getattr(pendulum, name)) for name in get_args(PendulumName)}
 
 
 class RunConditions(Value):
@@ -47,7 +43,7 @@ class RunConditions(Value):
     """World of a simulated run, or address of the robot."""
     arm: Arm
     """The arm, with its home posture and the pendulum's place."""
-    pendulum: dict[PendulumName, Number] = Field(min_length=5)
+    pendulum: dict[str, Number]
     """Parameters w2 [1/s^2], k [1/m], c [1/s], coulomb [1/s^2], drag [1/rad]: in simulation the
     true ones, on a rig those assumed by the controller."""
     pendulum_digest: Name = ""
@@ -97,12 +93,20 @@ class RunConditions(Value):
     def _is_possible(self) -> "RunConditions":
         if Phase.BALANCING not in self.phases:
             raise ValueError("phases lacks 'balancing'")
+        if set(self.pendulum) != set(PENDULUM):
+            raise ValueError(f"pendulum has {set(self.pendulum)}")
         return self
 
     @property
     def simulated(self) -> bool:
         """Whether the run is a simulation, which starts at the release, and not a run on a rig."""
         return self.rig is None
+
+    @property
+    def pendulum_parameters(self) -> PendulumParameters:
+        """The pendulum of the run."""
+        w2, k, c, coulomb, drag = (self.pendulum[name] for name in PENDULUM)
+        return PendulumParameters(w2, k, c, coulomb, drag)
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -1,15 +1,13 @@
 """Reader of run logs, up to the first damage.
 
 A truncated or damaged log is read up to the first damage, on request: a chunk counts only with its
-checksum, messages only with consecutive sequence numbers. A log whose rows contradict the digest at
-its end is rejected.
+checksum, messages only with consecutive sequence numbers.
 """
 
 import json
 from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,38 +15,24 @@ from equipoise.artefacts import Provenance, check_version, shortened
 from equipoise.errors import ArtefactError
 from equipoise.logs.columns import Rows, from_messages, tables
 from equipoise.logs.conditions import RunConditions, RunEnd
-from equipoise.logs.digest import digest_of
 from equipoise.logs.writer import FORMAT, VERSION
 
 
-class LogContent(NamedTuple):
-    """Content of the sound part of a log."""
-
-    conditions: RunConditions
-    """Place and settings of the run."""
-    tables: Mapping[str, Rows]
-    """Rows of each table."""
-    end: RunEnd | None
-    """End of the run; None for a log without one."""
-    damage: str
-    """Sentence on the damage and the sound part; empty for a complete log."""
-    provenance: Provenance
-    """Provenance of the file."""
-
-
-def read_log(path: Path) -> LogContent:
-    """Read a log up to the first damage.
+def read_log(
+    path: Path,
+) -> tuple[RunConditions, Mapping[str, Rows], RunEnd | None, str, Provenance]:
+    """Read a log up to the first damage; the values are those of a `RunLog`.
 
     Raises:
-        ArtefactError: The file is missing, edited, damaged before its conditions, not a run log,
-            or of another version.
+        ArtefactError: The file is missing, damaged before its conditions, not a run log, or of
+            another version.
     """
     entries, messages, damage = _read_mcap(path)
     version = entries.get("version", "")
     if not (version.isascii() and version.isdecimal() and len(version) < 9):
         raise ArtefactError(f"{path} {damage or 'is no run log'}; give a log that deploy wrote")
     check_version(path, FORMAT, int(version), VERSION, "record the run again")
-    end, digest = None, None
+    end = None
     try:
         conditions = RunConditions.model_validate_json(entries["conditions"], strict=True)
         provenance = Provenance.model_validate_json(entries["provenance"], strict=True)
@@ -59,9 +43,7 @@ def read_log(path: Path) -> LogContent:
         if not np.isin(rows["tick"]["state"], range(len(conditions.phases))).all():
             raise ValueError("state is no phase of the run")
         if written := messages["/end"]:
-            given = json.loads(written[-1])
-            digest, damage = given.pop("digest"), ""
-            end = RunEnd.model_validate_json(json.dumps(given), strict=True)
+            end, damage = RunEnd.model_validate_json(written[-1], strict=True), ""
     except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
         what = damage or f"is not a valid {FORMAT!r} file: {shortened(str(error), 200)}"
         raise ArtefactError(f"{path} {what}; record the run again") from None
@@ -72,19 +54,14 @@ def read_log(path: Path) -> LogContent:
             f"the log {damage or 'lacks its end'}; sound before that: {ticks:,} ticks, "
             f"{ticks * conditions.h:.2f} s; what came after is not known"
         )
-    elif digest != digest_of(conditions, rows, end):
-        raise ArtefactError(
-            f"{path} does not match its digest: it was edited or damaged after it was written; "
-            "record the run again"
-        )
-    return LogContent(conditions, rows, end, damage, provenance)
+    return conditions, rows, end, damage, provenance
 
 
 def _read_mcap(path: Path) -> tuple[Mapping[str, str], Mapping[str, list[bytes]], str]:
     """Return the entries of the metadata, the messages by topic, and the damage as a clause.
 
     Raises:
-        ArtefactError: The file is missing, cannot be read, or is no MCAP file.
+        ArtefactError: The file is missing, cannot be read, is no MCAP file, or was changed.
     """
     from mcap.exceptions import InvalidMagic
     from mcap.records import Channel, DataEnd, Message, Metadata
@@ -111,7 +88,12 @@ def _read_mcap(path: Path) -> tuple[Mapping[str, str], Mapping[str, list[bytes]]
                         break
             except (InvalidMagic, OSError):
                 raise
-            except Exception:  # a damaged length raises exceptions of any type
+            except Exception as error:  # a damaged length raises exceptions of any type
+                if isinstance(getattr(error, "record", None), DataEnd):
+                    raise ArtefactError(
+                        f"{path} does not match its checksum: it was changed after it was written; "
+                        "record the run again"
+                    ) from None
                 return entries, messages, f"is cut short or damaged at byte {file.tell():,}"
     except FileNotFoundError:
         raise ArtefactError(f"there is no file {path}; check the path") from None

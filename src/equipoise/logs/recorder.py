@@ -5,7 +5,7 @@ writer and one reader and needs no lock. A full ring drops new rows and counts t
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -33,10 +33,8 @@ EVENT: Final = tables(0)["event"]
 """Type of the rows of the table `event`."""
 WORD: Final = np.dtype([("word", "S64")])
 """Type of the rows with words typed by the operator."""
-ANSWER: Final = np.dtype([("question", np.int64), *WORD.descr])
-"""Type of the rows with words from a console, and the number of the question that they answer."""
-QUESTION: Final = np.dtype([("number", np.int64), *EVENT.descr[1:]])
-"""Type of the row with the open question; its number is 0 without one."""
+ANSWER: Final = np.dtype([("question", np.float64), *WORD.descr])
+"""Type of the rows with words from a console, and the time of the question that they answer."""
 PULSE: Final = np.dtype([(name, np.float64) for name in ("time", "state", "phi", "ticks")])
 """Type of `Recorder.pulse`: time of the last tick [s], its state, phi [rad], number of ticks."""
 CONNECTING: Final = "connecting"
@@ -56,19 +54,6 @@ class LoggedEvent(NamedTuple):
     """Name of the phase that began, or kind of message."""
     answers: tuple[str, ...]
     """Words expected from the operator: one of them."""
-    text: str
-    """Sentence for the operator."""
-
-
-class Question(NamedTuple):
-    """The question that the run asks now."""
-
-    number: int
-    """Number of the question in the run, from 1."""
-    name: str
-    """Name of the question, one word."""
-    answers: tuple[str, ...]
-    """Expected answers."""
     text: str
     """Sentence for the operator."""
 
@@ -188,21 +173,19 @@ class Recorder:
         """Return the rows of each table since the last call."""
         return {name: ring.take() for name, ring in self.rings.items()}
 
-    def ask(self, question: Question | None) -> None:
-        """Publish the open question; None without one."""
+    def ask(self, time: float, question: OperatorMessage | None) -> None:
+        """Publish the open question, which its time [s] identifies; None without one."""
         row = self._question
-        row["number"] = 0  # an observer ignores a row that is being written
+        row["time"] = 0.0  # an observer ignores a row that is being written
         if question is not None:
-            texts = _columns_of(question.name, question.answers, question.text)
-            row["name"], row["answers"], row["text"] = texts
-            row["number"] = question.number
+            row["name"], row["answers"], row["text"] = _columns_of(question)
+            row["time"] = time
 
-    def question(self) -> Question | None:
+    def question(self) -> LoggedEvent | None:
         """Return the open question; None without one."""
-        number, *texts = self._question[0].item()
-        if number == 0 or number != int(self._question["number"][0]):
-            return None
-        return Question(number, *_texts(*texts))
+        (question,) = read_events(self._question.copy())
+        open_ = question.time == self._question["time"][0] != 0.0
+        return question if open_ else None
 
     @property
     def lost(self) -> int:
@@ -217,29 +200,27 @@ def _memory_layout(joints: int) -> np.dtype[Any]:
     rows = [(name, kinds[name], round(rate * BUFFERED)) for name, rate in RATES.items()]
     words = {"notices": EVENT, "typed": WORD, "console": ANSWER}
     operator = [(name, kind, OPERATOR_BUFFER) for name, kind in words.items()]
-    pulse, question = ("pulse", PULSE), ("question", QUESTION, 1)
+    pulse, question = ("pulse", PULSE), ("question", EVENT, 1)
     return np.dtype([counters, pulse, question, *rows, *operator])
 
 
 def push_event(ring: Ring, time: float, event: OperatorMessage) -> None:
     """Write an event into a ring; truncate its texts to their columns."""
-    ring.push(time, *_columns_of(event.name, event.answers, event.text))
+    ring.push(time, *_columns_of(event))
 
 
 def read_events(rows: npt.NDArray[Any]) -> list[LoggedEvent]:
     """Return the events in rows of the table `event`."""
-    return [LoggedEvent(time, *_texts(*texts)) for time, *texts in rows.tolist()]
+    events: list[LoggedEvent] = []
+    for time, *texts in rows.tolist():
+        name, answers, text = (value.decode("utf-8", "replace") for value in texts)
+        events.append(LoggedEvent(time, name, tuple(filter(None, answers.split("|"))), text))
+    return events
 
 
-def _columns_of(name: str, answers: Sequence[str], text: str) -> Iterator[bytes]:
-    """Yield the columns of an event: its texts, each at most as long as its column in UTF-8."""
-    columns = {"name": name, "answers": "|".join(answers), "text": text}
+def _columns_of(event: OperatorMessage) -> Iterator[bytes]:
+    """Yield the texts of an event, each at most as long as its column in UTF-8."""
+    columns = {"name": event.name, "answers": "|".join(event.answers), "text": event.text}
     for column, value in columns.items():
         cut = value.encode(errors="backslashreplace")[: EVENT[column].itemsize]
         yield cut.decode(errors="ignore").encode()
-
-
-def _texts(*texts: bytes) -> tuple[str, tuple[str, ...], str]:
-    """Return name, answers and text of an event from its columns."""
-    name, answers, text = (value.decode("utf-8", "replace") for value in texts)
-    return name, tuple(filter(None, answers.split("|"))), text

@@ -6,63 +6,29 @@ per tick, with the time since the release. On a rig the encoder's counts are the
 hanging pendulum, and the true state is unknown.
 """
 
+import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.artefacts import Provenance, StrPath, write_whole
+from equipoise.artefacts import DIGEST_PREFIX, Provenance, StrPath, write_whole
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.logs.columns import MAX_NUMBER, TABLES, Rows, canonical, tables
 from equipoise.logs.conditions import RunConditions, RunEnd
-from equipoise.logs.digest import digest_of
 from equipoise.logs.reader import read_log
 from equipoise.logs.recorder import LoggedEvent, read_events
 from equipoise.logs.writer import LogEncoder
-from equipoise.outcomes import Outcome, Phase
+from equipoise.outcomes import End, Outcome, Phase
 
 Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-
-
-class TruthColumns(NamedTuple):
-    """True state at each tick; no rows on a rig."""
-
-    x: Array
-    """Displacement of the flange from home along base x [m], shape (n,)."""
-    x_dot: Array
-    """Velocity of the flange [m/s], shape (n,)."""
-    phi: Array
-    """Angle of the pendulum from upright [rad], shape (n,)."""
-    phi_dot: Array
-    """Angular velocity of the pendulum [rad/s], shape (n,)."""
-    tracked: Array
-    """Acceleration of the flange over the tick [m/s^2], shape (n,)."""
-    q: Array
-    """Joint positions [rad], shape (n, joints)."""
-
-
-class JointSamples(NamedTuple):
-    """Joint positions as sent or as measured; no rows on the ideal model."""
-
-    time: Array
-    """Time since the release [s], shape (m,)."""
-    q: Array
-    """Joint positions [rad], shape (m, joints)."""
-
-
-class EncoderSamples(NamedTuple):
-    """Counts of the pendulum's encoder; no rows on the ideal model."""
-
-    time: Array
-    """Time stamp since the release [s], shape (r,)."""
-    counts: IntArray
-    """Counts relative to the zero, shape (r,)."""
 
 
 class _TickColumn:
@@ -139,6 +105,14 @@ class RunLog:
         """How the run ended."""
         return Outcome.BROKEN_OFF if self.end is None else self.end.outcome
 
+    @property
+    def ending(self) -> End:
+        """End of the run; of a broken-off log, the evidence is its last stop or fault."""
+        if self.end is not None:
+            return End(self.end.outcome, self.end.evidence)
+        stops = [event.text for event in self.events if event.name in ("stopping", "fault")]
+        return End(Outcome.BROKEN_OFF, {"text": stops[-1]} if stops else {})
+
     @cached_property
     def events(self) -> tuple[LoggedEvent, ...]:
         """Changes of the phase, prompts and faults, in order."""
@@ -154,7 +128,11 @@ class RunLog:
     @property
     def digest(self) -> str:
         """SHA-256 of conditions, rows and end."""
-        return digest_of(self.conditions, self.tables, self.end)
+        whole = hashlib.sha256(_json(self.conditions.model_dump(mode="json")))
+        for name, rows in self.tables.items():
+            whole.update(name.encode() + hashlib.sha256(rows.tobytes()).digest())
+        whole.update(_json(self.end and self.end.model_dump(mode="json")))
+        return DIGEST_PREFIX + whole.hexdigest()
 
     # Phases.
 
@@ -235,34 +213,50 @@ class RunLog:
     """Estimate of the encoder's zero error [rad], shape (n,)."""
 
     @cached_property
-    def truth(self) -> TruthColumns:
-        """True state; in simulation only."""
-        return TruthColumns(*(self.tables["truth"][name] for name in TruthColumns._fields))
+    def truth(self) -> Any:
+        """True state at each tick: attributes as the columns of `truth`; in simulation only."""
+        return self.tables["truth"].view(np.recarray)
 
     @cached_property
-    def stream(self) -> JointSamples:
-        """Setpoints as sent."""
-        rows = _while_balancing(self, "stream")
-        return JointSamples(_frozen(rows["time"] - self.release), rows["q"])
+    def stream(self) -> Any:
+        """Setpoints as sent: `time` since the release [s], joints `q` [rad]."""
+        return self._while_balancing("stream")
 
     @cached_property
-    def replies(self) -> JointSamples:
-        """Joint positions as measured, on a rig half-way between request and reply."""
-        rows = _while_balancing(self, "reply")
-        rows = _frozen(rows[np.isfinite(rows["q"]).all(axis=1) & np.isfinite(rows["sent"])])
-        measured = 0.5 * (rows["sent"] + rows["time"])
-        return JointSamples(_frozen(measured - self.release), rows["q"])
+    def replies(self) -> Any:
+        """Measured joints: `time` since the release [s], `q` [rad], with those of `reply`.
+
+        On a rig they count as measured half-way between request and reply.
+        """
+        rows = self._while_balancing("reply")
+        rows = rows[np.isfinite(rows["q"]).all(axis=1) & np.isfinite(rows["sent"])]
+        rows["time"] = 0.5 * (rows["sent"] - self.release + rows["time"])
+        return _frozen(rows)
 
     @cached_property
-    def encoder(self) -> EncoderSamples:
-        """Counts of the encoder relative to the zero.
+    def encoder(self) -> Any:
+        """Samples: `time` since the release [s], `counts` relative to the zero.
 
         Raises:
             ArtefactError: The log of a run on a rig does not contain the zero.
         """
-        rows = _while_balancing(self, "encoder")
-        zero = 0 if self.conditions.simulated or not len(rows) else round(self.encoder_zero)
-        return EncoderSamples(_frozen(rows["time"] - self.release), _frozen(rows["counts"] - zero))
+        rows = self._while_balancing("encoder").copy()
+        if len(rows) and not self.conditions.simulated:
+            rows["counts"] -= round(self.encoder_zero)
+        return _frozen(rows)
+
+    def _while_balancing(self, table: str) -> Any:
+        """Return the rows from one tick before the release to one after the last.
+
+        Their times count from the release.
+        """
+        rows, h = self.tables[table], self.conditions.h
+        if not self.conditions.simulated:
+            first, last = self.ticks["time"][[0, -1]] if len(self.ticks) else (np.inf, -np.inf)
+            rows = rows[(rows["time"] >= first - h) & (rows["time"] <= last + h)]
+        rows = rows.copy()
+        rows["time"] -= self.release
+        return _frozen(rows.view(np.recarray))
 
     @property
     def encoder_zero(self) -> float:
@@ -307,8 +301,7 @@ class RunLog:
                 rejecting it.
 
         Raises:
-            ArtefactError: The file is missing, corrupt, edited, not a run log, or of another
-                version.
+            ArtefactError: The file is missing, corrupt, not a run log, or of another version.
         """
         run = cls(*read_log(Path(path)))
         if run.damage and not damaged:
@@ -317,6 +310,23 @@ class RunLog:
                 "the run again"
             )
         return run
+
+
+def load_run(path: Path) -> RunLog:
+    """Read a run for measurements, damaged or not.
+
+    Raises:
+        ArtefactError: The file is missing, not readable, or not a run log.
+        RecordingError: A run on a rig did not reach the balancing.
+    """
+    run = RunLog.load(path, damaged=True)
+    if not run.conditions.simulated:
+        run.require_balancing()
+    return run
+
+
+def _json(content: Any) -> bytes:
+    return json.dumps(content, separators=(",", ":"), sort_keys=True, allow_nan=False).encode()
 
 
 def _filled(name: str, kind: np.dtype[Any], columns: Mapping[str, Any]) -> Rows:
@@ -344,17 +354,6 @@ def _filled(name: str, kind: np.dtype[Any], columns: Mapping[str, Any]) -> Rows:
 def _frozen(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     values.flags.writeable = False
     return values
-
-
-def _while_balancing(run: RunLog, table: str) -> Rows:
-    """Return the rows of a table from one tick before the release to one after the last."""
-    rows, h = run.tables[table], run.conditions.h
-    if run.conditions.simulated:
-        return rows
-    if not len(run.ticks):
-        return rows[:0]
-    first, last = run.ticks["time"][[0, -1]]
-    return _frozen(rows[(rows["time"] >= first - h) & (rows["time"] <= last + h)])
 
 
 def _counted_zero(run: RunLog) -> float:

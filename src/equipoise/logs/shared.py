@@ -19,18 +19,16 @@ from typing import Annotated, BinaryIO, Final
 
 from pydantic import Field
 
-from equipoise.artefacts import Name, Value
+from equipoise.artefacts import Name, Value, write_whole
 from equipoise.errors import OutsideError
 from equipoise.logs.recorder import Recorder
 from equipoise.model.arms.arm import Arm
 from equipoise.outcomes import Phase
 
-FOLDER: Final = Path("/dev/shm")
-"""Folder for files without a disk on Linux; elsewhere the folder of temporary files serves."""
-MEMORY: Final = "memory"
-INFO: Final = "run.json"
-ALIVE: Final = "alive"
-"""File that the process of the run has locked."""
+FOLDER: Final = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())
+"""Folder for files without a disk on Linux; elsewhere that of temporary files."""
+PREFIX: Final = f"equipoise-{os.getuid() if hasattr(os, 'getuid') else 0}-"
+"""Begin of the names of this user's runs."""
 CONSOLE: Final = "console"
 """File that the console with the ring of words has locked."""
 
@@ -64,26 +62,22 @@ def share(info: RunInfo) -> Generator[Path]:
     Raises:
         OutsideError: The memory cannot be created.
     """
-    remove_leftovers()
+    for leftover in _folders():
+        if (leftover / "alive").exists() and not is_alive(leftover):  # its process was killed
+            shutil.rmtree(leftover, ignore_errors=True)
+    folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=FOLDER))
     try:
-        begun = Path(tempfile.mkdtemp(prefix=".equipoise-", dir=_parent()))
-    except OSError as error:
-        raise OutsideError(f"cannot create shared memory in {_parent()}: {error}") from None
-    folder = begun
-    try:
-        with (begun / ALIVE).open("wb") as alive:
+        with (folder / "alive").open("wb") as alive:
             lock(alive)
             size = Recorder.buffer_size(len(info.arm.joints))
             try:
-                (begun / MEMORY).write_bytes(bytes(size))  # not sparse: a full disk shows here
-                (begun / CONSOLE).touch()
-                (begun / INFO).write_text(info.model_dump_json(), encoding="utf-8")
-                # Complete under its name, so that an observer never sees a part of it.
-                folder = begun.rename(begun.with_name(f"{_prefix()}{begun.name[11:]}"))
+                (folder / "memory").write_bytes(bytes(size))  # not sparse: a full disk shows here
+                (folder / CONSOLE).touch()
+                # An observer waits for this file.
+                write_whole(folder / "run.json", info.model_dump_json())
             except OSError as error:
-                raise OutsideError(
-                    f"cannot create {size} bytes of shared memory in {_parent()}: {error}"
-                ) from None
+                message = f"cannot create {size} bytes of shared memory in {FOLDER}: {error}"
+                raise OutsideError(message) from None
             yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -99,7 +93,7 @@ def open_recorder(folder: Path, joints: int) -> Recorder:
     Raises:
         OSError: The run has ended.
     """
-    with (folder / MEMORY).open("r+b") as file:
+    with (folder / "memory").open("r+b") as file:
         return Recorder(joints, memoryview(mmap.mmap(file.fileno(), 0)))
 
 
@@ -110,17 +104,22 @@ def read_info(folder: Path) -> RunInfo:
         OSError: The run has ended.
         ValueError: The run is one of another version of Equipoise.
     """
-    return RunInfo.model_validate_json((folder / INFO).read_text(encoding="utf-8"))
+    return RunInfo.model_validate_json((folder / "run.json").read_text(encoding="utf-8"))
 
 
 def live_runs() -> list[Path]:
     """Return the folders of this user's runs on this machine, the newest first."""
+    return [folder for folder in _folders() if is_alive(folder) and (folder / "run.json").exists()]
+
+
+def _folders() -> list[Path]:
+    """Return the folders of this user's runs, alive or not, the newest first."""
     found: list[tuple[float, Path]] = []
-    for folder in _parent().glob(f"{_prefix()}*"):
+    for folder in FOLDER.glob(f"{PREFIX}*"):
         with suppress(OSError):
             status = folder.lstat()
-            own = status.st_uid == _user() and stat.S_ISDIR(status.st_mode)
-            if own and not status.st_mode & 0o077 and is_alive(folder):
+            own = not hasattr(os, "getuid") or status.st_uid == os.getuid()
+            if own and stat.S_ISDIR(status.st_mode) and not status.st_mode & 0o077:
                 found.append((status.st_ctime, folder))
     return [folder for _, folder in sorted(found, reverse=True)]
 
@@ -128,18 +127,10 @@ def live_runs() -> list[Path]:
 def is_alive(folder: Path) -> bool:
     """Return whether the process of a run is alive."""
     try:
-        with (folder / ALIVE).open("rb") as file:
+        with (folder / "alive").open("rb") as file:
             return not lock(file)
     except OSError:
         return False
-
-
-def remove_leftovers() -> None:
-    """Remove the memory of runs whose processes were killed."""
-    for folder in _parent().glob(f"{_prefix()}*"):
-        with suppress(OSError):
-            if folder.lstat().st_uid == _user() and not is_alive(folder):
-                shutil.rmtree(folder, ignore_errors=True)
 
 
 def lock(file: BinaryIO) -> bool:
@@ -153,15 +144,3 @@ def lock(file: BinaryIO) -> bool:
     except OSError:
         return False
     return True
-
-
-def _parent() -> Path:
-    return FOLDER if FOLDER.is_dir() else Path(tempfile.gettempdir())
-
-
-def _prefix() -> str:
-    return f"equipoise-{_user()}-"
-
-
-def _user() -> int:
-    return os.getuid() if hasattr(os, "getuid") else 0

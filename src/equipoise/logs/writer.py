@@ -1,8 +1,7 @@
 """Writer of run logs: rows become MCAP, in memory or in a file that grows with the run.
 
 The log begins with a metadata record, which holds conditions and provenance. Rows follow as JSON,
-compressed with zstd, in the order of time. The last message holds the end of the run and a digest
-of conditions, rows and end.
+compressed with zstd, in the order of time. The last message holds the end of the run.
 
 A killed process leaves a file that `equipoise.logs.reader` reads up to its last chunk. A full disk
 ends the log there and does not affect the tick loop.
@@ -20,7 +19,6 @@ from equipoise.artefacts import Provenance, temporary_name
 from equipoise.errors import OutsideError
 from equipoise.logs.columns import TABLES, Rows, canonical, schema, to_messages
 from equipoise.logs.conditions import RunConditions, RunEnd
-from equipoise.logs.digest import Digest
 from equipoise.logs.foxglove import SCHEMAS, ArmDisplay
 from equipoise.logs.recorder import CONNECTING, Recorder
 from equipoise.model.arms.urdf_writer import PENDULUM
@@ -49,9 +47,8 @@ class LogEncoder:
         from mcap.writer import CompressionType, Writer
 
         self._origin, self._sequence = origin, 0
-        self._digest = Digest(conditions)
         self._display = ArmDisplay(conditions.arm)
-        self._writer = Writer(stream, CHUNK, CompressionType.ZSTD)
+        self._writer = Writer(stream, CHUNK, CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="", library=FORMAT)
         entries = {
             "version": str(VERSION),
@@ -72,11 +69,10 @@ class LogEncoder:
 
         Rows of one table keep their order even if their times do not increase.
         """
-        parts: list[list[tuple[float, str, dict[str, Any]]]] = []
-        for name, given in rows_of.items():
-            rows = canonical(given)
-            self._digest.update(name, rows)
-            parts.append([(row["time"], name, row) for row in to_messages(rows)])
+        parts = [
+            [(row["time"], name, row) for row in to_messages(canonical(rows))]
+            for name, rows in rows_of.items()
+        ]
         for time, name, row in heapq.merge(*parts, key=itemgetter(0)):
             self._add(f"/{name}", time, row)
             for topic, message in self._display.messages(name, row, self._stamp(time)):
@@ -84,8 +80,7 @@ class LogEncoder:
 
     def finish(self, time: float, end: RunEnd) -> None:
         """Encode the end of the run at `time` [s], and complete the file."""
-        content = end.model_dump(mode="json", exclude_defaults=True)
-        self._add("/end", time, content | {"digest": self._digest.finish(end)})
+        self._add("/end", time, end.model_dump(mode="json", exclude_defaults=True))
         self._writer.finish()
 
     def _stamp(self, time: float) -> int:

@@ -9,7 +9,7 @@ The report uses these files only::
 """
 
 from pathlib import Path
-from typing import Annotated, ClassVar, Final, NamedTuple
+from typing import Annotated, Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -19,7 +19,7 @@ from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Value
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError
 from equipoise.identification.recording import Trajectory, read_swing
-from equipoise.logs.run_log import RunLog, TruthColumns
+from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import MODEL
 from equipoise.outcomes import Outcome
@@ -130,7 +130,7 @@ def digests(results: Results) -> dict[str, str]:
     return found
 
 
-def truth(run: RunLog) -> TruthColumns | RunLog:
+def truth(run: RunLog) -> Any:
     """Return the true state if the log has it, else the observations and commands."""
     return run.truth if len(run.truth.phi) else run
 

@@ -28,7 +28,6 @@ import numpy.typing as npt
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.identification.refine import read_motion
 from equipoise.logs.run_log import RunLog
-from equipoise.logs.runs import ending, pendulum_of
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.outcomes import End, Outcome, describe
 from equipoise.safety.rules import MAX_COUNT_JUMP, unexplained_turn
@@ -183,7 +182,7 @@ def explain(run: RunLog) -> Explanation:
     Args:
         run: Log of the run.
     """
-    end, log = ending(run), run if _has_balancing(run) else None
+    end, log = run.ending, run if _has_balancing(run) else None
     score = 0.2 if end.outcome in SYMPTOMS else 0.95
     found = [Finding(end.outcome, score, 0.0 if log is None else log.lasted, describe(end))]
     if log is not None and len(log.time) > 0 and end.outcome not in NOT_ANALYSED:
@@ -204,7 +203,7 @@ def _has_balancing(run: RunLog) -> bool:
 
 
 def _timeline(run: RunLog) -> RunTimeline:
-    pendulum = pendulum_of(run)
+    pendulum = run.conditions.pendulum_parameters
     try:
         time, rate = _unexplained_rate(run, pendulum)
     except (ArtefactError, RecordingError, ValueError):  # too short, or of an unknown arm

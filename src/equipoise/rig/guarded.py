@@ -2,7 +2,7 @@
 
 The guard checks each setpoint by the rules of `equipoise.safety.rules`. It holds back an invalid
 setpoint and all later ones, and sends its own ramp to rest instead, which starts at the last
-setpoint sent with the velocity of its reference. It never clips a setpoint.
+setpoint sent with its velocity. It never clips a setpoint.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,8 +30,8 @@ class GuardedRobot:
         """Measured joints at the start of the servo [rad], equal to the first setpoint."""
         self.last: tuple[float, ...] | None = None
         """Last setpoint sent [rad]; None before the first."""
-        self._references: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
-        """References of the last two setpoints [rad], the older one first."""
+        self._before: tuple[float, ...] = ()
+        """Setpoint before the last one [rad]; the same where the arm rests."""
         self._ramp: Ramp | None = None
         self._sent = 0  # setpoints of the ramp
         self.held_back: End | None = None
@@ -79,7 +79,6 @@ class GuardedRobot:
         self,
         q: Sequence[float] | Array,
         *,
-        lead: Sequence[float] | Array = (),
         to_rest: bool = False,
         from_rest: bool = False,
     ) -> None:
@@ -87,8 +86,6 @@ class GuardedRobot:
 
         Args:
             q: The joints [rad], shape (joints,).
-            lead: Their distances from the setpoint's reference [rad], shape (joints,); empty for
-                none.
             to_rest: Whether the setpoint belongs to a ramp to rest inside the limits, so that the
                 stopping distance is not checked.
             from_rest: Whether the arm has come to rest at the last setpoint, because the stream
@@ -99,26 +96,22 @@ class GuardedRobot:
                 measured joints.
         """
         if self._ramp is None:
-            setpoint, ahead = tuple(map(float, q)), tuple(map(float, lead))
-            reference = setpoint
-            if ahead:
-                reference = tuple(a - b for a, b in zip(setpoint, ahead, strict=True))
-            if from_rest and self.last is not None:
-                self._references = self.last, self.last
-            before, last = self._references
-            if self.last is None:
-                last = reference
+            setpoint, last = tuple(map(float, q)), self.last
+            if last is None:
+                last = setpoint
                 if broken := check_first(self._limits, setpoint, self.started_at):
                     self.held_back = broken
                     raise LinkError(f"nothing was sent: {describe(broken)}")
             else:
-                path, sent = (reference, last, before), (setpoint, self.last)
-                if broken := check_setpoint(self._limits, *path, self._period, to_rest, sent):
+                if from_rest:
+                    self._before = last
+                path = setpoint, last, self._before
+                if broken := check_setpoint(self._limits, *path, self._period, to_rest):
                     self.held_back = broken
-                    self._begin_ramp(self.last)
+                    self._begin_ramp(last)
             if self._ramp is None:
                 self._robot.send(setpoint)
-                self._references, self.last = (last, reference), setpoint
+                self._before, self.last = last, setpoint
                 return
         self.last = self._upcoming
         self._sent += 1
@@ -156,7 +149,7 @@ class GuardedRobot:
             yield self._upcoming  # repeated, so that the arm no longer moves
 
     def _begin_ramp(self, last: tuple[float, ...]) -> None:
-        dq = [(b - a) / self._period for a, b in zip(*self._references, strict=True)]
+        dq = [(b - a) / self._period for a, b in zip(self._before, last, strict=True)]
         # The flange speed is not known here: the joints alone determine the ramp.
         self._ramp, self._sent = ramp(last, dq, 0.0, self._limits), 0
 

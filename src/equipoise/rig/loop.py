@@ -116,9 +116,8 @@ def run_loop(
             output, faults = controller.tick(now, inputs), []
             first, rest = output.setpoints[:1], output.setpoints[1:]
             still = still or inputs.paused(h)
-            leads = output.leads or ((),) * len(output.setpoints)
             for setpoint in first:
-                robot.send(setpoint, lead=leads[0], to_rest=output.to_rest, from_rest=still)
+                robot.send(setpoint, to_rest=output.to_rest, from_rest=still)
             still = not first
             sent, took = clock.now(), perf_counter() - begin
             if ticks < len(late):
@@ -137,7 +136,7 @@ def run_loop(
                 if moment > deadline + (place + 1) * period:
                     unsent = len(rest) + 1 - place
                     break
-                robot.send(setpoint, lead=leads[place], to_rest=output.to_rest)
+                robot.send(setpoint, to_rest=output.to_rest)
                 recorder.stream.push(moment, robot.last)
             if output.job is not None:
                 pending = submit(output.job)

@@ -31,7 +31,7 @@ from equipoise.control.policy import Policy
 from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import EquipoiseError, OutsideError
 from equipoise.logs.conditions import RunEnd
-from equipoise.logs.recorder import Question, Recorder, push_event, read_events
+from equipoise.logs.recorder import Recorder, push_event, read_events
 from equipoise.logs.shared import RunInfo, open_recorder, share
 from equipoise.logs.writer import RunWriter
 from equipoise.rig import realtime
@@ -293,18 +293,18 @@ class OperatorProxy:
     def __init__(self, recorder: Recorder) -> None:
         """Connect to the rings of a run."""
         self._recorder = recorder
-        self._asked = self._open = 0
+        self._open = 0.0  # time of the open question [s]; 0 without one
         self._parent = os.getppid()
         self.signals: list[str] = []
         """Stops that signals to this process request."""
 
     def notify(self, event: OperatorMessage) -> None:
         """Send a message to the operators; never blocks."""
-        push_event(self._recorder.notices, time.monotonic(), event)
+        now = time.monotonic()
+        push_event(self._recorder.notices, now, event)
         if event.answers:
-            self._asked += 1
-            self._open = self._asked
-            self._recorder.ask(Question(self._asked, event.name, event.answers, event.text))
+            self._open = now
+            self._recorder.ask(now, event)
         elif event.name not in ("warning", "nudge"):  # these come beside an open question
             self._close()
 
@@ -313,9 +313,9 @@ class OperatorProxy:
         words = [word.decode("utf-8", "ignore") for word in self._recorder.typed.take()["word"]]
         if any(words):  # Enter alone may be no answer
             self._close()
-        for number, data in self._recorder.console.take().tolist():
+        for question, data in self._recorder.console.take().tolist():
             word = data.decode("utf-8", "ignore")
-            if word == STOP or number == self._open > 0:
+            if word == STOP or question == self._open > 0.0:
                 self._close()
                 words.append(word)
                 self.notify(OperatorMessage("console", f"Console: {word}"))
@@ -329,5 +329,5 @@ class OperatorProxy:
     def _close(self) -> None:
         """Withdraw the open question."""
         if self._open:
-            self._open = 0
-            self._recorder.ask(None)
+            self._open = 0.0
+            self._recorder.ask(0.0, None)

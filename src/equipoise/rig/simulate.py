@@ -18,13 +18,14 @@ from equipoise import paper
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.grid import TRUNCATED, box_indices, partition
 from equipoise.control.policy import TaskPolicy
-from equipoise.logs.conditions import IDEAL, RunConditions, RunEnd, named
+from equipoise.logs.conditions import RunConditions, RunEnd, named
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import DEPLOYMENT
 from equipoise.model.worlds import (
+    IDEAL,
     MODEL,
     TwinSettings,
     World,

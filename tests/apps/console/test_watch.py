@@ -80,9 +80,9 @@ def test_an_answer_counts_for_its_question_alone_and_once(shared, watch):
     assert first.answers == ("a",)
     ask(operator, "Second? Type b.", "b")
     second = watch.observe().question
-    watch.say("a", first.number)  # too late
-    watch.say("b", second.number)
-    watch.say("b", second.number)  # a second press
+    watch.say("a", first.time)  # too late
+    watch.say("b", second.time)
+    watch.say("b", second.time)  # a second press
     assert operator.read_input() == ["b"]
     assert watch.observe().question is None
 
@@ -91,7 +91,7 @@ def test_an_answer_at_the_terminal_closes_the_question(shared, watch):
     recorder = shared[1]
     operator = OperatorProxy(recorder)
     ask(operator, "First? Type a.", "a")
-    number = watch.observe().question.number
+    number = watch.observe().question.time
     recorder.typed.push(b"a")
     watch.say("a", number)
     assert operator.read_input() == ["a"]

@@ -6,12 +6,12 @@ from equipoise import paper
 from equipoise.artefacts import Estimate, Provenance
 from equipoise.control.policy import Checkpoint, LearningPoint, TabularPolicy
 from equipoise.identification.recording import Trajectory
-from equipoise.logs.conditions import IDEAL, RunConditions, RunEnd
+from equipoise.logs.conditions import RunConditions, RunEnd
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, SwingFit
-from equipoise.model.worlds import MODEL, read_world
+from equipoise.model.worlds import IDEAL, MODEL, read_world
 from equipoise.outcomes import Outcome
 from equipoise.reproduction.results import PipelineStage, ReproductionRecord, Results, digests
 from equipoise.reproduction.synthetic_swing import SyntheticSwing

@@ -19,7 +19,7 @@ from equipoise.apps.console.plots import QUANTITIES, Plots
 from equipoise.apps.console.watch import Observation, RunWatch
 from equipoise.apps.style import BLUE, GREEN, GREY, INK, VERMILION
 from equipoise.control.ticks import OK
-from equipoise.logs.recorder import LoggedEvent, Question
+from equipoise.logs.recorder import LoggedEvent
 from equipoise.outcomes import Phase
 from equipoise.rig.processes import HEARTBEAT_TIMEOUT
 
@@ -55,7 +55,7 @@ class LivePage:
         self._lock = threading.RLock()
         self._clients: dict[int, _ClientControls] = {}
         self._holder: int | None = None
-        self._question: Question | None = None
+        self._question: LoggedEvent | None = None
         self._history: deque[tuple[float, ...]] = deque()
         self._messages: deque[LoggedEvent] = deque(maxlen=MESSAGES)
         self._began = self._ended = nan
@@ -124,17 +124,17 @@ class LivePage:
             self._holder = client
             self._refresh()
 
-    def answer(self, client: int, word: str, number: int) -> None:
+    def answer(self, client: int, word: str, question: float) -> None:
         """Send the answer of a browser, if it has the controls.
 
         Args:
             client: Number of the browser.
             word: The answer, or an action.
-            number: Number of the question; 0 for an action.
+            question: Time of the question [s]; 0 for an action.
         """
         with self._lock:
             if self._watch is not None and client == self._holder:
-                self._watch.say(word, number)
+                self._watch.say(word, question)
 
     def _describe(self, watch: RunWatch, now: Observation) -> None:
         """Show the state in words."""
@@ -204,7 +204,9 @@ class _ClientControls:
         self._take = client.gui.add_button("Take the controls", color="orange", order=31)
         self._take.on_click(lambda _: page.take_controls(self._number))
 
-    def show(self, question: Question | None, actions: tuple[str, ...], holder: int | None) -> None:
+    def show(
+        self, question: LoggedEvent | None, actions: tuple[str, ...], holder: int | None
+    ) -> None:
         """Show a question with its buttons, or actions; without the controls they are disabled."""
         mine = holder == self._number
         whose = "You have" if mine else "Nobody has" if holder is None else "Another browser has"
@@ -217,29 +219,29 @@ class _ClientControls:
             for button in self._buttons:
                 button.remove()
             words = dict.fromkeys(actions) if question is None else answers(question)
-            number = 0 if question is None else question.number
+            asked = 0.0 if question is None else question.time
             self._buttons = [
-                self._add(place, word, label or word, number, mine)
+                self._add(place, word, label or word, asked, mine)
                 for place, (word, label) in enumerate(words.items())
             ]
 
-    def _add(self, place: int, word: str, label: str, number: int, mine: bool) -> Any:
+    def _add(self, place: int, word: str, label: str, question: float, mine: bool) -> Any:
         look: Any = {"color": "gray" if word == DENIAL else "green", "disabled": not mine}
         button = self._client.gui.add_button(label, order=11.0 + place, **look)
-        answer = partial(self._page.answer, self._number, word, number)
+        answer = partial(self._page.answer, self._number, word, question)
         button.on_click(lambda _: answer())
         return button
 
 
-def answers(question: Question) -> dict[str, str]:
+def answers(question: LoggedEvent) -> dict[str, str]:
     """Return the answers to a question with the labels of their buttons.
 
     A question with one word, which is typed to acknowledge it, has a denial as well.
 
     Example:
-        >>> answers(Question(1, "move", ("y", "n"), "Move?"))
+        >>> answers(LoggedEvent(1.0, "move", ("y", "n"), "Move?"))
         {'y': 'Yes', 'n': 'No'}
-        >>> answers(Question(2, "checklist", ("fence",), "Is the fence closed?"))
+        >>> answers(LoggedEvent(2.0, "checklist", ("fence",), "Is the fence closed?"))
         {'fence': 'Yes: fence', 'n': 'No'}
     """
     labels = {"y": "Yes", "n": "No", OK: "OK"}

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.logs import shared
-from equipoise.logs.recorder import LoggedEvent, Question, read_events
+from equipoise.logs.recorder import LoggedEvent, read_events
 from equipoise.outcomes import Phase
 
 Floats = npt.NDArray[np.float64]
@@ -41,7 +41,7 @@ class Observation(NamedTuple):
     """Largest lateness of the new ticks [s]; NaN without any."""
     events: list[LoggedEvent]
     """New events, the oldest first."""
-    question: Question | None
+    question: LoggedEvent | None
     """Question that the run asks now."""
     ended: bool
     """Whether the process of the run has ended."""
@@ -107,12 +107,12 @@ class RunWatch:
             ended=ended,
         )
 
-    def say(self, word: str, question: int = 0) -> None:
+    def say(self, word: str, question: float = 0.0) -> None:
         """Send a word to the run; any thread may call this.
 
         Args:
             word: `stop`, an answer, or an action.
-            question: Number of the question that it answers; 0 for a stop or an action.
+            question: Time of the question that it answers [s]; 0 for a stop or an action.
         """
         with self._speaking:
             self._recorder.console.push(question, word.encode()[:64])

@@ -116,8 +116,6 @@ def step(trial: TwinTrial) -> int:
         for i in range(FREE_JOINTS):
             q[i] = at(state.setpoints, 6 * s + i, 0)
         if monitor.active:
-            for i in range(FREE_JOINTS):
-                monitor.lead[i] = at(state.leads, 6 * s + i, 0)
             broken = setpoint_violation(monitor, q, twin.cabinet.clock[NOW] * TICK)
             if broken != NO_VIOLATION:
                 return SAFETY_STOP + broken
