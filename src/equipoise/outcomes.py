@@ -197,17 +197,11 @@ SENTENCES: Final = {
     "deg",
     Outcome.OPERATOR: "stopped by the operator ({typed})",
     Outcome.DRY_RUN: "all steps before the motion passed; nothing has moved",
-    Outcome.SELF_TEST: "{text}",
     Outcome.UNIDENTIFIED: "the arm is not identified: {text}",
     Outcome.POLICY: "the policy failed: {text}",
-    Outcome.ENCODER_LOST: "{text}",
-    Outcome.LINK_LOST: "{text}",
-    Outcome.FAULT: "{text}",
-    Outcome.ERROR: "{text}",
-    Outcome.BROKEN_OFF: "{text}",
 }
-"""Sentence of each end with its evidence: the value, the expected one, a remedy. `_ms` stands for
-thousandths (ms or mm) of a value, `_deg` for degrees."""
+"""Sentence of an end with its evidence: the value, the expected one, a remedy; its text otherwise.
+`_ms` stands for thousandths (ms or mm) of a value, `_deg` for degrees."""
 
 
 def describe(end: End) -> str:
@@ -220,7 +214,7 @@ def describe(end: End) -> str:
     for name, value in numbers.items():
         values |= {f"{name}_ms": 1e3 * value, f"{name}_deg": degrees(value)}
     try:
-        return SENTENCES[end.outcome].format_map(values)
+        return SENTENCES.get(end.outcome, "{text}").format_map(values)
     except (LookupError, ValueError):
         shown = {name: f"{value:.4g}" for name, value in numbers.items()}
         known = (f"{name} {value}" for name, value in (dict(end.evidence) | shown).items())

@@ -8,8 +8,7 @@ from typing import NamedTuple
 from equipoise.control.bound_policy import bind_policy
 from equipoise.control.policy import LearningPoint, TaskPolicy
 from equipoise.jit import watching_compilation
-from equipoise.learning.target import LearnerResult, TargetObserver
-from equipoise.learning.train import train
+from equipoise.learning.train import TrainingObserver, train
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.worlds import MODEL, World
@@ -60,57 +59,35 @@ def counted(stage: str, total: int, show: Show) -> Callable[[int], None]:
     return done
 
 
-class TrainingProgress(TargetObserver):
-    """Progress of a training to a target.
+class TrainingProgress(TrainingObserver):
+    """Progress of a training to a target: stages of episodes, race and test for each learner."""
 
-    The first learner has a stage each for its episodes, its race and its test. Further learners
-    are counted in one stage.
-    """
-
-    def __init__(self, settings: Settings, show: Show, learners: int = 1) -> None:
+    def __init__(self, settings: Settings, show: Show) -> None:
         """Begin with the episodes.
 
         Args:
             settings: Settings of the training.
             show: Called with the progress.
-            learners: Maximum number of learners.
         """
-        self._show, self._learners = show, learners
-        self._episodes, self._finished, self._lock = settings.learning.episodes, 0, Lock()
+        self._show, self._episodes = show, settings.learning.episodes
         show(StageProgress("train", 0, self._episodes, "episodes"))
 
     def report(self, learner: int, point: LearningPoint) -> None:
         """Show a point of a learning curve."""
-        text = f"{point.duration:.1f} s an episode"
-        self._show_first(learner, "train", point.episodes, self._episodes, "episodes", text)
+        stage, text = _stage("train", learner), f"{point.duration:.1f} s an episode"
+        self._show(StageProgress(stage, point.episodes, self._episodes, "episodes", text))
 
     def selecting(self, learner: int, done: int, of: int) -> None:
         """Show the trials of a race."""
-        self._show_first(learner, "select", done, of)
+        self._show(StageProgress(_stage("select", learner), done, of, "trials"))
 
     def testing(self, learner: int, done: int, of: int) -> None:
         """Show the trials of a test."""
-        self._show_first(learner, "test", done, of)
+        self._show(StageProgress(_stage("test", learner), done, of, "trials"))
 
-    def finished(self, result: LearnerResult) -> None:
-        """Count a tested learner, unless the first one suffices."""
-        with self._lock:
-            self._finished += 1
-            if self._finished > 1 or not result.test.met:
-                done = min(self._finished, self._learners - 0.01)  # `ended` closes the stage
-                self._show(StageProgress("learners", done, self._learners, "learners"))
 
-    def ended(self) -> None:
-        """Close the stage of further learners."""
-        if self._finished > 1:
-            count = self._finished
-            self._show(StageProgress("learners", count, count, "learners"))
-
-    def _show_first(
-        self, learner: int, stage: str, done: int, of: int, unit: str = "trials", text: str = ""
-    ) -> None:
-        if learner == 0:
-            self._show(StageProgress(stage, done, of, unit, text))
+def _stage(name: str, learner: int) -> str:
+    return f"{name} {learner + 1}" if learner else name
 
 
 @contextmanager

@@ -41,7 +41,6 @@ REFUSED = {
     ("evaluate", "--trials", "0"): "--trials",
     ("evaluate", "--duration", "nan"): "--duration",
     ("evaluate", "--world", "twin:nowhere"): "twin:nowhere",
-    ("evaluate", "--workers", "2", "--ray", "localhost:1"): "--ray",
     ("evaluate", "--claim", "1"): "probability",
     ("evaluate", "--claim", "0.99", "--trials", "10"): "299",
     ("evaluate", "--claim", "0.99", "--seed", "1"): "--seed",

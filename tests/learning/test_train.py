@@ -17,7 +17,6 @@ from equipoise.learning.episodes import (
     train_episodes,
 )
 from equipoise.learning.target import (
-    TargetObserver,
     compare_policies,
     measure_policy,
     train_to_target,
@@ -305,11 +304,11 @@ def test_the_learning_curve_is_told_as_it_grows(pendulum):
     assert np.all(ended <= np.array(steps) * (1.0 + 1e-12))
 
 
-class Told(TargetObserver):
+class Told(TrainingObserver):
     """Everything that a training reports, by learner."""
 
     def __init__(self):
-        self.points, self.raced, self.tested, self.results = [], [], [], []
+        self.points, self.raced, self.tested = [], [], []
 
     def report(self, learner, point):
         self.points.append((learner, point))
@@ -319,9 +318,6 @@ class Told(TargetObserver):
 
     def testing(self, learner, done, of):
         self.tested.append((learner, done, of))
-
-    def finished(self, result):
-        self.results.append(result)
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -337,7 +333,6 @@ def test_several_learners_tell_whose_progress_it_is(pendulum, workers):
     )
     points = tuple(point for n, point in told.points if n == found.policy.learner)
     assert points == found.policy.learning_curve
-    assert sorted(told.results, key=lambda each: each.learner) == list(found.learners)
     for result in found.learners:
         tested = [(done, of) for n, done, of in told.tested if n == result.learner]
         assert tested[-1] == (result.test.trials, result.test.trials)

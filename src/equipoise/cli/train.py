@@ -46,7 +46,7 @@ def train(
     plant: Plant,
     learning: Learning,
     changes: opt.Changes,
-    cluster: opt.Cluster,
+    random: opt.Random,
     files: opt.Files,
 ) -> None:
     """Train a policy by Q-learning, or by another learner.
@@ -77,7 +77,7 @@ def train(
     with output.progress() as show:
         with compiling(show):
             compile_training(arm, settings)
-        progress = TrainingProgress(settings, show, learning.learners)
+        progress = TrainingProgress(settings, show)
         trained = train_to_target(
             source,
             arm,
@@ -86,11 +86,10 @@ def train(
             learners=learning.learners,
             actuator=given,
             world=plant.world,
-            seed=cluster.seed,
-            workers=cluster.executor(),
+            seed=random.seed,
+            workers=random.threads,
             observer=progress,
         )
-        progress.ended()
     best = trained.policy
     actuators = {f"actuator {i}": each.digest for i, each in enumerate(best.actuators, start=1)}
     inputs = {"pendulum": source.digest, "world": plant.world, **actuators}

@@ -28,7 +28,6 @@ from scipy.stats import binom
 from equipoise import paper
 from equipoise.control.grid import TRUNCATED, partition
 from equipoise.control.policy import Checkpoint, PolicyKernel, TargetTest, table_kernel
-from equipoise.executors import Workers
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
@@ -127,7 +126,7 @@ def race(
     plants: Sequence[TrialPlant],
     candidates: Sequence[Candidate],
     *,
-    workers: Workers = 1,
+    workers: int = 1,
     running: Running = lambda _, __: None,
 ) -> list[tuple[int, Checkpoint]]:
     """Race candidates on common trials; return their indices and results, the best first.
@@ -138,7 +137,7 @@ def race(
     Args:
         plants: Inputs of the trials, on each plant.
         candidates: At least one.
-        workers: Threads, or an executor; the result does not depend on it.
+        workers: Number of threads; the result does not depend on it.
         running: Called as trials finish.
     """
     rule, count = plants[0].settings.selection, len(candidates)
@@ -233,7 +232,7 @@ def measure_share(
     *,
     target: float,
     error: float = ERROR,
-    workers: Workers = 1,
+    workers: int = 1,
     running: Running = lambda _, __: None,
 ) -> TargetTest:
     """Measure the share of trials that a selected policy lasts, until the target is decided.
@@ -247,7 +246,7 @@ def measure_share(
         u_of_box: Acceleration of each box [m/s^2], shape (boxes,).
         target: Required share [-].
         error: Probability that the interval does not contain the share.
-        workers: Threads, or an executor; the result does not depend on it.
+        workers: Number of threads; the result does not depend on it.
         running: Called as trials finish, with the number after which the target would be met.
     """
     rule = plant.settings.selection

@@ -212,10 +212,9 @@ def _trained(
     wanted: dict[str, Any] = {"target": 0.0, "learners": 1}
     if not quick and settings.selection.every > 0:
         wanted = {"target": TARGET, "learners": LEARNERS}
-    progress = TrainingProgress(settings, report, wanted["learners"])
+    progress = TrainingProgress(settings, report)
     given: dict[str, Any] = {"seed": seed, "workers": workers, "observer": progress}
     trained = train_to_target(pendulum, arm, settings, **wanted, **given)
-    progress.ended()
     return trained.policy
 
 

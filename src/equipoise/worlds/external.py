@@ -22,7 +22,7 @@ from equipoise.control.grid import ANGLE, JOINT_LIMIT, PHI_LIMIT, TRACK, TRUNCAT
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.user_code import guest_code
-from equipoise.worlds.interface import Array, ClosedLoop, Measurement, Simulation
+from equipoise.worlds.interface import Array, ClosedLoop, Simulation
 from equipoise.worlds.plant import SPEED_LIMIT_CAUSE, draw_noise, scaled
 from equipoise.worlds.trials import Trial
 
@@ -138,10 +138,3 @@ class ExternalLoop(ClosedLoop):
     def state(self) -> Array:
         """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
         return self._state.copy()
-
-    def measurement(self) -> Measurement | None:
-        """Return the measurements of this tick; `None` without an encoder."""
-        if not self.params.has_sensor:
-            return None
-        q = self.controller.measured[::BATCH_SIZE].copy()
-        return Measurement(float(self.controller.counts[0]), self.now, q, self.now)

@@ -46,17 +46,6 @@ from equipoise.worlds.twin.twin import TwinKernel, advance, reset, send_free, tr
 Array = npt.NDArray[np.float64]
 
 
-class TrialResult(NamedTuple):
-    """Result of a trial."""
-
-    steps: int
-    """Number of control steps."""
-    cause: int
-    """Cause of the end: TRUNCATED, ANGLE, TRACK, JOINT_LIMIT, or from SAFETY_STOP on the rule."""
-    sum_x2: float
-    """Sum of x^2 over the steps [m^2]."""
-
-
 class TwinTrial(NamedTuple):
     """Closed loop of a trial on the twin; kernels change its states in place."""
 
@@ -162,7 +151,7 @@ def advance_trial(loop: Any, true_state: Array) -> int:
 @kernel
 def run_trial(
     loop: Any, policy: PolicyKernel, phi: float, phi_dot: float, max_steps: int
-) -> TrialResult:
+) -> tuple[int, int, float]:
     """Run one trial.
 
     Args:
@@ -171,6 +160,10 @@ def run_trial(
         phi: Angle of the pendulum from upright at the release [rad].
         phi_dot: Its rate [rad/s].
         max_steps: Number of steps after which the trial is truncated.
+
+    Returns:
+        Number of steps; cause of the end: TRUNCATED, ANGLE, TRACK, JOINT_LIMIT, or from SAFETY_STOP
+        on the rule; sum of x^2 over the steps [m^2].
     """
     release(loop, phi, phi_dot)
     trial = loop.trial
@@ -188,4 +181,4 @@ def run_trial(
         cause = step(trial)
         steps += 1
         sum_x2 += truth(twin).x ** 2
-    return TrialResult(steps, cause, sum_x2)
+    return steps, cause, sum_x2
