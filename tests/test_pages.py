@@ -257,3 +257,11 @@ def forced(line):
         words = words[2:]
     known = "force" in parse(words)
     return re.sub(r"( &&| \|\||$)", r" --force\1", first, count=1) if known else first
+
+
+def test_the_files_of_the_first_hour_are_short():
+    page = (ROOT / "docs" / "index.md").read_text()
+    walk = re.findall(r"^\d+\. .*\(\.\./(.*)\):", page, re.MULTILINE)
+    assert len(walk) == 10
+    for path in walk:
+        assert len((ROOT / path).read_text().splitlines()) < 250, path

@@ -122,7 +122,9 @@ def pairs(monkeypatch):
     ran, original = [], PlantSimulation.run_piece
 
     def spy(self, policy, duration, trials):
-        ran.extend(zip([self.spread] * len(trials.table), trials.table, trials.number, strict=True))
+        ran.extend(
+            zip([self.setup.spread] * len(trials.table), trials.table, trials.number, strict=True)
+        )
         return original(self, policy, duration, trials)
 
     monkeypatch.setattr(PlantSimulation, "run_piece", spy)

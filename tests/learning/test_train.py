@@ -28,8 +28,7 @@ from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
 from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.settings import resolve
-from equipoise.worlds import ideal as plant
-from equipoise.worlds import setup_of, simulate
+from equipoise.worlds import interface, setup_of, simulate
 from equipoise.worlds.plant import make_loop_params
 
 # Thousands of episodes' worth of steps: minutes without compilation.
@@ -231,13 +230,13 @@ def test_only_the_latest_candidates_race(pendulum):
 
 def test_race_and_test_have_trials_of_their_own(monkeypatch, pendulum):
     seen = set()
-    original = plant.draw_trials
+    original = interface.draw_trials
 
     def spy(count, settings, seed, stream, spread, first):
         seen.add((seed, stream, spread))
         return original(count, settings, seed, stream, spread, first)
 
-    monkeypatch.setattr(plant, "draw_trials", spy)
+    monkeypatch.setattr(interface, "draw_trials", spy)
     train_to_target(pendulum, ARM, settings(), target=0.9, learners=2, seed=5)
     assert seen == {(5, SELECTION, settings().selection.spread), (5, TARGET_TEST, 1.0)}
     assert TEST not in (SELECTION, TARGET_TEST)

@@ -178,7 +178,7 @@ def restart(scene):
         lambda scene: scene.sim_pauseSimulation(),
         restart,
         lambda scene: scene.sim_removeObjects(list(scene.things)),
-        lambda scene: scene.access("Float")[1](1, 0.02),
+        lambda scene: scene.parameters["Float"].update({1: 0.02}),
     ],
     ids=["pause", "restart", "remove", "another step"],
 )

@@ -90,7 +90,8 @@ class TrialPlant(NamedTuple):
 
     def simulation(self, stream: int, spread: float = 1.0) -> PlantSimulation:
         """Return the simulation of trials for one purpose."""
-        return PlantSimulation(MODEL, self.setup, seed=self.seed, stream=stream, spread=spread)
+        setup = self.setup._replace(spread=spread)
+        return PlantSimulation(MODEL, setup, seed=self.seed, stream=stream)
 
     def tables(self, u_of_box: Array) -> PolicyKernel:
         """Return the policy of several tables, from their accelerations one after the other."""

@@ -68,7 +68,7 @@ def simulate_run(
         SettingsError: The world is unknown.
     """
     setup = setup_of(policy, world, settings, actuator)
-    pendulum, arm, settings, _, h = setup
+    pendulum, arm, settings, h = setup.pendulum, setup.arm, setup.settings, setup.h
     duration = settings.evaluation.duration if duration is None else duration
     name, twin = find_world(world)
     simulation = simulate(world, setup, seed=seed, stream=DEPLOYMENT)

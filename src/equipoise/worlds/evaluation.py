@@ -188,7 +188,7 @@ def evaluate(
         ArmError: The masses of the twin's arm are unknown.
     """
     setup = setup_of(policy, world, settings, actuator)
-    pendulum, arm, settings, actuators, h = setup
+    pendulum, arm, settings, h = setup.pendulum, setup.arm, setup.settings, setup.h
     place, numbers = find_world(world)
     simulation = simulate(world, setup, seed=seed, stream=TEST)
     count, span = settings.evaluation.trials, settings.evaluation.duration
@@ -213,7 +213,7 @@ def evaluate(
         world_settings=numbers,
         arm=arm.name,
         arm_digest=arm.digest,
-        actuators=tuple(each.digest for each in actuators),
+        actuators=tuple(each.digest for each in setup.actuators),
         pendulum=pendulum.digest,
         friction=None if numbers is None else pivot_friction(pendulum, numbers),
         settings=settings,

@@ -34,7 +34,7 @@ from equipoise.worlds.plant import (
     scaled,
     step,
 )
-from equipoise.worlds.trials import IntArray, Trial, Trials, draw_trials
+from equipoise.worlds.trials import IntArray, Trial, Trials
 
 Lanes: Any = struct_ref("Lanes", __name__, ("plant", "pendulum", "batch", "number", "tick", "key"))
 
@@ -84,17 +84,8 @@ class PlantSimulation(Simulation):
             raise SettingsError(f"there is no world {quoted(name)}; choose {IDEAL} or {MODEL}")
         return name, None
 
-    def __init__(
-        self, world: str | World, setup: Setup, *, seed: int, stream: int, spread: float = 1.0
-    ) -> None:
-        """Set up the plant.
-
-        Args:
-            world: `ideal` or `model`.
-            setup: Pendulum, arm and controller; of several actuators the first one holds.
-            seed: Master seed of the trials.
-            stream: Purpose of the trials.
-            spread: Factor on the variation of the plants.
+    def __init__(self, world: str | World, setup: Setup, *, seed: int, stream: int) -> None:
+        """Set up the plant, with the first one of several actuators; see `Simulation`.
 
         Raises:
             ArmError: Home is a singular posture.
@@ -104,12 +95,6 @@ class PlantSimulation(Simulation):
         arm, settings = setup.arm, setup.settings
         self.params = make_loop_params(arm, settings, setup.h, self.pendulum, setup.actuator)
         """Constants of the closed loop."""
-        self.spread = spread
-
-    def draw(self, count: int, first: int = 0) -> Trials:
-        """Draw the conditions of `count` trials from number `first` on."""
-        settings = self.setup.settings
-        return draw_trials(count, settings, self.seed, self.stream, self.spread, first)
 
     def loop(self) -> "PlantLoop":
         """Return a closed loop for `reset`."""

@@ -110,6 +110,8 @@ class Setup(NamedTuple):
     the move of the self-test before the release; elsewhere the first one holds."""
     h: float
     """Time between ticks [s]."""
+    spread: float = 1.0
+    """Factor on the variation of the plants [-]."""
 
     @property
     def actuator(self) -> Actuator:
@@ -160,7 +162,8 @@ class Simulation(ABC):
 
     def draw(self, count: int, first: int = 0) -> Trials:
         """Draw the conditions of `count` trials from number `first` on."""
-        return draw_trials(count, self.setup.settings, self.seed, self.stream, 1.0, first)
+        settings, spread = self.setup.settings, self.setup.spread
+        return draw_trials(count, settings, self.seed, self.stream, spread, first)
 
     def run_piece(self, policy: PolicyKernel, duration: float, trials: Trials) -> TrialColumns:
         """Run trials of a compiled policy in this thread, and return their results.

@@ -82,7 +82,7 @@ def release(loop: Any, phi: float, phi_dot: float) -> None:
     trial = loop.trial
     twin, controller = trial.twin, trial.params
     reset(twin, twin.home, phi, phi_dot)
-    counts, stamp = encoder(twin.sensors, twin.past, 0, twin.key[0], twin.key[1])
+    counts, stamp = encoder(twin.sensors, 0, twin.key[0], twin.key[1])
     shown = pi - counts * controller.resolution - stamp * phi_dot
     start_controller(controller, trial.state, 0.0, 0.0, shown, phi_dot, 0)
     reset_trial_monitor(trial.monitor, controller.home)
@@ -111,8 +111,8 @@ def step(trial: TwinTrial) -> int:
         send_free(twin, q)
         advance(twin, round(controller.h / SETPOINTS_PER_TICK / TICK))
     tick = twin.cabinet.clock[NOW]
-    counts, counted = encoder(twin.sensors, twin.past, tick, twin.key[0], twin.key[1])
-    measured = reply(twin.sensors, twin.past, tick, twin.key[0], twin.key[1], q)
+    counts, counted = encoder(twin.sensors, tick, twin.key[0], twin.key[1])
+    measured = reply(twin.sensors, tick, twin.key[0], twin.key[1], q)
     put(state.counts, 0, 0, counts)
     for i in range(FREE_JOINTS):
         put(state.measured, i, 0, q[i])

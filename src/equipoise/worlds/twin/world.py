@@ -55,7 +55,7 @@ class TwinSimulation(Simulation):
         world = world if isinstance(world, World) else read_world(world)
         super().__init__(world, setup, seed=seed, stream=stream)
         numbers = self.numbers = world.settings
-        _, arm, settings, self.actuators, h = setup
+        arm, settings, self.actuators, h = setup.arm, setup.settings, setup.actuators, setup.h
         self.friction = pivot_friction(setup.pendulum, numbers)
         """Friction of the pendulum in the twin."""
         self.servo = make_servo_params(arm, numbers)
@@ -85,7 +85,7 @@ class TwinSimulation(Simulation):
         sigmas = {name: getattr(self.numbers, name) for name in ("inertia_sigma", "friction_sigma")}
         plant = self.setup.settings.plant.model_copy(update=sigmas)
         settings = self.setup.settings.model_copy(update={"plant": plant})
-        return draw_trials(count, settings, self.seed, self.stream, 1.0, first)
+        return draw_trials(count, settings, self.seed, self.stream, self.setup.spread, first)
 
     def loop(self) -> "TwinLoop":
         """Return a closed loop for `reset`."""
