@@ -177,14 +177,13 @@ def test_code_of_a_guest(equipoise, guest, tmp_path, text, command, end):
     "command",
     [
         "deploy --robot own://x --encoder serial://x",
-        "rig emulate --robot own",
         "rig doctor --robot own://x --seconds 0.05",
     ],
 )
 def test_a_plugin_of_a_robot(equipoise, guest, monkeypatch, command, end):
     for text in (
         "end()",
-        "from equipoise.rig.plugins import *\nPLUGIN = RobotPlugin(end, end, end)",
+        "from equipoise.rig.plugins import *\nPLUGIN = RobotPlugin(end, end)",
     ):
         entry = EntryPoint("own", f"{guest(text, end)}:PLUGIN", "equipoise.robots")
         monkeypatch.setattr(plugins, "entry_points", lambda group, entry=entry: [entry])

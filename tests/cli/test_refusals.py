@@ -71,7 +71,6 @@ REFUSED = {
     ("rig", "record", "--out", "new.csv"): "--encoder",
     ("rig", "record", "--encoder", "/dev/tty", "--out", "new.csv"): "serial:",
     ("rig", "record", "--encoder", BOARD, "--duration", "0.5"): "--duration",
-    ("rig", "emulate", "--inject", "drop=2"): "drop",
     ("rig", "emulate", "--world", "model"): "twin:nominal",
 }
 

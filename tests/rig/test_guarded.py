@@ -57,7 +57,6 @@ class Tape:
 def guarded(q=HOME):
     tape = Tape(q)
     robot = GuardedRobot(tape, limits_of(ARM), PERIOD)
-    robot.connect()
     robot.start()
     return robot, tape
 
@@ -147,7 +146,7 @@ def test_nothing_leaves_before_a_first_setpoint_where_the_arm_is(away):
 def test_each_start_asks_where_the_arm_is_now():
     robot, tape = guarded()
     robot.send(HOME)
-    robot.stop()
+    robot.robot.stop()
     tape.q = HOME + 0.1
     robot.start()
     assert robot.started_at == tuple(tape.q)

@@ -36,7 +36,7 @@ SETTINGS = Settings()
 STILL = resolve(overrides=["plant.inertia_sigma=0", "plant.friction_sigma=0"])
 QUIET = resolve(overrides=["plant.position_error_sigma=0", "plant.orientation_error_sigma=0"])
 NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
-BOXES = grid.partition(BoxSettings(look_ahead=0.0), 1.0)
+BOXES = grid.make_grid(BoxSettings(look_ahead=0.0), 1.0)
 ARMS = pytest.mark.parametrize("size", [7, 14])
 
 

@@ -15,7 +15,7 @@ from equipoise.control.grid import (
     JOINT_LIMIT,
     TRACK,
     TRUNCATED,
-    partition,
+    make_grid,
 )
 from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, PolicyKernel, act, table_kernel
 from equipoise.model.actuator import Actuator
@@ -66,7 +66,7 @@ def kernels():
     rng = np.random.default_rng(0)
     gains = lqr_gains(PENDULUM, paper.STEP)
     return {
-        "table": table_kernel(rng.choice(paper.ACTIONS, 270), partition(BoxSettings(), 1.0)),
+        "table": table_kernel(rng.choice(paper.ACTIONS, 270), make_grid(BoxSettings(), 1.0)),
         "linear": PolicyKernel(LINEAR, gains=gains),
         "snapped": PolicyKernel(SNAPPED, gains=gains),
         "random": PolicyKernel(RANDOM),

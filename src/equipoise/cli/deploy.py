@@ -41,7 +41,7 @@ class OnRig(Options):
     identify: bool = False
     """Identify the arm before the lift, and use its response."""
     anyway: bool = False
-    """Run a policy that lasts too seldom, or does not fit the identified arm."""
+    """Run a policy that does not fit the identified arm."""
     console: bool = False
     """Show the run in the browser, with a button for each answer and a STOP."""
 
@@ -116,13 +116,12 @@ def _request(
     """Return the request for a run on a rig.
 
     Raises:
-        InputError: No robot is named, or the policy lasted too seldom in its training.
+        InputError: No robot is named.
     """
     from equipoise.control.bound_policy import BoundPolicy
     from equipoise.identification.actuator import identify_motion
     from equipoise.rig.config import read_rig
     from equipoise.rig.connection import world_of
-    from equipoise.rig.preflight import require_survival
     from equipoise.rig.request import RunRequest
 
     if run.world != Run().world:
@@ -136,8 +135,6 @@ def _request(
     if task.arm is None and isinstance(chosen, BoundPolicy):
         chosen = replace(chosen, arm=described.described_arm)
     output.warn(opt.shortfall(chosen))
-    if not on_rig.anyway:
-        require_survival(chosen)
     response = opt.read_actuator(task.actuator)
     carried = chosen.actuators if response is None else (response,)
     return RunRequest(

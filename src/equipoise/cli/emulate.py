@@ -15,7 +15,6 @@ from pydantic import Field
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output, signals
 from equipoise.cli.verb import Options, verb
-from equipoise.user_code import guest_code
 
 if TYPE_CHECKING:
     from equipoise.robots.emulation import Emulation
@@ -30,8 +29,6 @@ class Emulated(Options):
 
     world: str = "twin:nominal"
     """twin:nominal, twin:harsh, or twin:FILE."""
-    robot: str = "kst"
-    """Robot, by the scheme of its addresses."""
     arm: str = "iiwa7"
     """iiwa7, iiwa14, another registered arm, a URDF or a rig.toml."""
     pendulum: Path | None = None
@@ -40,24 +37,19 @@ class Emulated(Options):
     """Port of the robot; 0 selects a free one."""
     encoder_link: Path | None = None
     """Further name of the encoder's terminal."""
-    inject: str = ""
-    """Faults of the robot's answers; kst: delay=S,jitter=S,drop=SHARE,refuse=SHARE."""
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     """Seed of all random numbers."""
-    operator: bool = True
-    """An operator acts by sight; otherwise type the operator's actions."""
     console: bool = False
     """Show the rig in the browser, with a button for each action."""
 
 
 @verb
 def emulate(output: Output, *, emulated: Emulated) -> None:
-    """Emulate robot, pendulum, encoder and operator, until Ctrl-C.
+    """Emulate robot, pendulum and encoder, until Ctrl-C; type what the hand does.
 
-    The robot answers on a port of this machine, an encoder board on a
-    pseudo-terminal. The arm begins beside its home. The operator does not see
-    your screen: the operator presses the button when the arm rests at home and
-    the pendulum hangs, and lifts the pendulum after the arm has moved there.
+    A KST server answers on a port of this machine, an encoder board on a
+    pseudo-terminal. The arm begins beside its home. Type lift where a run asks
+    for it, and release once it is armed.
     """
     from equipoise.model.worlds import pendulum_on, read_world
     from equipoise.rig import realtime
@@ -76,9 +68,6 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
         pendulum_on(opt.read_pendulum(emulated.pendulum), settings),
         settings,
         SystemClock(),
-        clumsy=0.0 if emulated.operator else None,
-        robot=emulated.robot,
-        faults=emulated.inject,
         seed=emulated.seed,
         say=say,
     )
@@ -90,16 +79,15 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     def ready(number: int) -> None:
         # The emulated cabinet takes the first core: the loop of the run stays on the last one.
         realtime.prepare(core=0)
-        address = f"{emulated.robot}://{HOST}:{number}"
-        actions = None if emulated.operator else sorted(emulation.acts)
+        address = f"kst://{HOST}:{number}"
         then = f"deploy --robot {address} --encoder {encoder}"
-        output.result(robot=address, encoder=encoder, actions=actions, then=then)
+        output.result(robot=address, encoder=encoder, actions=sorted(emulation.acts), then=then)
         sys.stdout.flush()
 
     with _shown(output, emulated.console, emulation) as show, signals() as stopped:
 
         def stop() -> bool:
-            for word in () if emulated.operator else _typed():
+            for word in _typed():
                 if word in emulation.acts:
                     emulation.acts[word]()
                 else:
@@ -107,8 +95,7 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
             show()
             return stopped.is_set()
 
-        with guest_code(f"the emulator of {emulated.robot}"):
-            emulation.run(HOST, emulated.port, stop, listening=ready)
+        emulation.run(HOST, emulated.port, stop, listening=ready)
 
 
 @contextmanager

@@ -113,7 +113,7 @@ class Rig(Options):
     robot: str | None = None
     """kst://HOST:30001; or twin:nominal, an emulated rig."""
     encoder: str | None = None
-    """serial:///dev/ttyACM0 or socket://HOST:PORT."""
+    """serial:///dev/ttyACM0."""
     rig: Path | None = None
     """Description of the rig as TOML."""
 

@@ -39,7 +39,7 @@ def run_on_rig(output: Output, request: "RunRequest", out: Path, *, console: boo
         console: Whether the run is shown in the browser, too.
     """
     from equipoise.rig.connection import world_of
-    from equipoise.rig.preflight import check_request, rehearse_t1
+    from equipoise.rig.preflight import check_request
     from equipoise.rig.processes import run_in_processes
     from equipoise.rig.run import run_virtually
 
@@ -49,9 +49,6 @@ def run_on_rig(output: Output, request: "RunRequest", out: Path, *, console: boo
             f"--console shows a run in real time, and {request.robot} runs in virtual time; start "
             "equipoise rig emulate, and give the --robot and --encoder that it prints"
         )
-    if request.t1:
-        with output.busy("testing the policy in T1 on the twin"):
-            rehearse_t1(request)
     person = TerminalOperator(output)
     if world_of(request.robot):
         with signals() as stopped, guest_code(f"the driver of {request.robot}"):

@@ -23,7 +23,7 @@ from equipoise.control.control_step import (
     observe,
     start_controller,
 )
-from equipoise.control.grid import Grid, box_index, partition
+from equipoise.control.grid import Grid, box_index, make_grid
 from equipoise.control.policy import Policy
 from equipoise.jit import kernel, struct_ref
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
@@ -104,7 +104,7 @@ class Controller:
     def __init__(self, arm: Arm, controller: ControllerParams, boxes: BoxSettings) -> None:
         """Begin at home, at rest."""
         self._arm, self._controller = arm, controller
-        self._state, edges = new_controller_state(), partition(boxes, controller.pendulum.k)
+        self._state, edges = new_controller_state(), make_grid(boxes, controller.pendulum.k)
         # By whether there are counts and measured joints: without, the model is not corrected.
         self._handles = {
             (counts, joints): new_controller_handle(

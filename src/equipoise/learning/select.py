@@ -26,7 +26,7 @@ from scipy.special import betaln, xlog1py, xlogy
 from scipy.stats import binom
 
 from equipoise import paper
-from equipoise.control.grid import TRUNCATED, partition
+from equipoise.control.grid import TRUNCATED, make_grid
 from equipoise.control.policy import Checkpoint, PolicyKernel, TargetTest, table_kernel
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
@@ -95,7 +95,7 @@ class TrialPlant(NamedTuple):
 
     def tables(self, u_of_box: Array) -> PolicyKernel:
         """Return the policy of several tables, from their accelerations one after the other."""
-        return table_kernel(u_of_box, partition(self.settings.boxes, self.pendulum.k))
+        return table_kernel(u_of_box, make_grid(self.settings.boxes, self.pendulum.k))
 
 
 def trial_plants(

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
-from equipoise.control.grid import ACTIONS, partition
+from equipoise.control.grid import ACTIONS, make_grid
 from equipoise.control.policy import (
     MAX_ACTUATORS,
     Checkpoint,
@@ -350,5 +350,5 @@ def training_config(settings: Settings, k: float) -> TrainingConfig:
         lag_spread=plant.lag_spread,
         zero_error=plant.zero_error,
         actions=np.array(paper.ACTIONS),
-        boxes=partition(settings.boxes, k),
+        boxes=make_grid(settings.boxes, k),
     )

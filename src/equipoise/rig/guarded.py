@@ -9,13 +9,13 @@ from collections.abc import Iterator, Sequence
 
 from equipoise.errors import LinkError
 from equipoise.outcomes import End, describe
-from equipoise.rig.interfaces import Array, Reply, Robot
+from equipoise.rig.interfaces import Array, Robot
 from equipoise.safety.rules import Limits, check_first, check_setpoint
 from equipoise.safety.stop import Ramp, ramp
 
 
 class GuardedRobot:
-    """`Robot` that sends valid setpoints only, and otherwise stops the arm."""
+    """Robot that is sent valid setpoints only, and otherwise stopped."""
 
     def __init__(self, robot: Robot, limits: Limits, period: float) -> None:
         """Guard a robot.
@@ -25,7 +25,9 @@ class GuardedRobot:
             limits: Limits of setpoints.
             period: Time between two setpoints [s].
         """
-        self._robot, self._limits, self._period = robot, limits, period
+        self._limits, self._period = limits, period
+        self.robot = robot
+        """The robot, for all but its start and its setpoints."""
         self.started_at: tuple[float, ...] = ()
         """Measured joints at the start of the servo [rad], equal to the first setpoint."""
         self.last: tuple[float, ...] | None = None
@@ -38,30 +40,9 @@ class GuardedRobot:
         """Broken rule of a setpoint that was held back; None without one."""
 
     @property
-    def joints(self) -> int:
-        """Number of joints."""
-        return self._robot.joints
-
-    @property
     def at_rest(self) -> bool:
         """Whether the guard's ramp has ended or was never started."""
         return self._ramp is None or self._sent * self._period >= self._ramp.duration
-
-    def connect(self) -> None:
-        """Connect.
-
-        Raises:
-            LinkError: A reply is missing or invalid.
-        """
-        self._robot.connect()
-
-    def measured(self) -> Array:
-        """Return the measured joints [rad], shape (joints,).
-
-        Raises:
-            LinkError: The reply is late or invalid.
-        """
-        return self._robot.measured()
 
     def start(self) -> None:
         """Start the servo; the first setpoint has to equal the joints measured now.
@@ -71,9 +52,9 @@ class GuardedRobot:
         """
         if self.held_back is not None:
             raise LinkError(f"the guard has stopped ({describe(self.held_back)}); begin a new run")
-        self.started_at = tuple(self._robot.measured().tolist())
+        self.started_at = tuple(self.robot.measured().tolist())
         self.last = None
-        self._robot.start()
+        self.robot.start()
 
     def send(
         self,
@@ -110,32 +91,12 @@ class GuardedRobot:
                     self.held_back = broken
                     self._begin_ramp(last)
             if self._ramp is None:
-                self._robot.send(setpoint)
+                self.robot.send(setpoint)
                 self._before, self.last = last, setpoint
                 return
         self.last = self._upcoming
         self._sent += 1
-        self._robot.send(self.last)
-
-    def replies(self) -> list[Reply]:
-        """Return the replies since the last call, the oldest first.
-
-        Raises:
-            LinkError: The link is down, or a reply is overdue or invalid.
-        """
-        return self._robot.replies()
-
-    def stop(self) -> None:
-        """Stop the servo, the arm at rest.
-
-        Raises:
-            LinkError: A reply is late or invalid.
-        """
-        self._robot.stop()
-
-    def close(self) -> None:
-        """Disconnect."""
-        self._robot.close()
+        self.robot.send(self.last)
 
     def rest(self) -> Iterator[tuple[float, ...]]:
         """Yield the setpoints of a ramp to rest from the last one sent, one for each period."""

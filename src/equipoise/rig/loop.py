@@ -108,7 +108,7 @@ def run_loop(
                 except LinkError as error:
                     sensor_lost = True
                     faults.append(End(Outcome.ENCODER_LOST, {"text": str(error)}))
-            replies, words = robot.replies(), operator.read_input()
+            replies, words = robot.robot.replies(), operator.read_input()
             result = None
             if pending is not None and pending.done():
                 result, pending = pending.exception() or pending.result(), None
@@ -183,7 +183,7 @@ def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) 
         for setpoint in robot.rest():
             moment += period
             clock.wait_until(moment)
-            robot.replies()
+            robot.robot.replies()
             now = clock.now()
             robot.send(setpoint)
             recorder.stream.push(now, robot.last)

@@ -18,7 +18,7 @@ from equipoise.control.control_step import (
     start_controller,
 )
 from equipoise.control.controller import command_tick, new_controller_handle, observe_tick
-from equipoise.control.grid import ANGLE, JOINT_LIMIT, PHI_LIMIT, TRACK, TRUNCATED, partition
+from equipoise.control.grid import ANGLE, JOINT_LIMIT, PHI_LIMIT, TRACK, TRUNCATED
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.user_code import guest_code
@@ -53,7 +53,7 @@ class ExternalLoop(ClosedLoop):
             has_sensor=setup.actuator.kind != "ideal",
         )
         self.controller = new_controller_state()
-        boxes = partition(setup.settings.boxes, nominal.k)
+        boxes = make_grid(setup.settings.boxes, nominal.k)
         self._handle = new_controller_handle(self.params, self.controller, boxes)
         self._sigmas = np.repeat([plant.position_error_sigma, plant.orientation_error_sigma], 3)
         self._fastest = inf if plant.max_speed is None else plant.max_speed

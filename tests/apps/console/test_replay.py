@@ -98,7 +98,7 @@ def test_the_events_are_phases_warnings_and_the_causes_that_explain_names():
         (2.5, "warning", "The disk is nearly full."),
     ]
     causes = {(mark.name, mark.text) for mark in marks if mark.cause}
-    assert causes == {(one.cause, one.evidence) for one in explain(RUN).causes}
+    assert causes == {(one.cause, one.evidence) for one in explain(RUN)}
     state = np.resize([PHASES.index(Phase.LIFTING), PHASES.index(Phase.BALANCING)], 901)
     many = changed_table(RUN, "tick", state=state)
     assert len(marks_of(many, Motion.of(many))) == MAX_MARKS

@@ -15,7 +15,7 @@ from equipoise.apps.console.scenes import PolicyChoice, Scene
 from equipoise.artefacts import Estimate
 from equipoise.control.bound_policy import load_policy
 from equipoise.control.control_step import horizon
-from equipoise.control.grid import TRUNCATED, box_indices, partition
+from equipoise.control.grid import TRUNCATED, box_indices, make_grid
 from equipoise.control.policy import LearningPoint, TabularPolicy, TaskPolicy, shipped_policy
 from equipoise.errors import EquipoiseError
 from equipoise.learning.train import TrainingObserver, train
@@ -149,7 +149,7 @@ class Playground:
         """Time from a measurement to the effect of the command that answers it [s]."""
         self._simulation = TwinSimulation(twin, setup, seed=0, stream=DEPLOYMENT)
         self._loop = self._simulation.loop()
-        self._boxes = partition(BoxSettings(), policy.pendulum.parameters().k)
+        self._boxes = make_grid(BoxSettings(), policy.pendulum.parameters().k)
         self.u_of_box = None
         if isinstance(policy, TabularPolicy) and policy.settings.boxes == BoxSettings():
             self.u_of_box = policy.u_of_box.reshape(-1)
