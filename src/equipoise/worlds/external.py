@@ -18,7 +18,14 @@ from equipoise.control.control_step import (
     start_controller,
 )
 from equipoise.control.controller import command_tick, new_controller_handle, observe_tick
-from equipoise.control.grid import ANGLE, JOINT_LIMIT, PHI_LIMIT, TRACK, TRUNCATED
+from equipoise.control.grid import (
+    ANGLE,
+    JOINT_LIMIT,
+    PHI_LIMIT,
+    TRACK,
+    TRUNCATED,
+    make_grid,
+)
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.user_code import guest_code
