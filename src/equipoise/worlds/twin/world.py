@@ -161,7 +161,7 @@ class TwinLoop(ClosedLoop):
             twin.advance(self.params.h / SETPOINTS_PER_TICK)
             measured, stamp = twin.measured()
             record.measure(stamp, measured)
-        chosen = choose_actuator(self._simulation.actuators, *record.values()).chosen
+        chosen = int(np.argmin(choose_actuator(self._simulation.actuators, *record.values())))
         self.params, self._trial = self._simulation.params[chosen], self._trials[chosen]
         self.chosen = chosen
 
