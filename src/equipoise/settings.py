@@ -30,8 +30,6 @@ from equipoise.errors import SettingsError
 
 GRAVITY = 9.80665
 """Standard acceleration of gravity [m/s^2]."""
-MAX_TOML_SIZE: Final = 64 * 1024
-"""Size limit of a TOML file [bytes]: all settings with a comment each need less than 20 kB."""
 LONGEST_TRIAL: Final = 86400.0
 """Limit on the length of a trial or an episode [s]: a day."""
 MOST_TRIALS: Final = 1_000_000
@@ -437,7 +435,8 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
     Raises:
         SettingsError: The file is missing, too large, or not TOML.
     """
-    data = read_bytes(path, MAX_TOML_SIZE, f"a TOML file with {kind}", SettingsError)
+    # [bytes]: all settings with a comment each need less than 20 kB.
+    data = read_bytes(path, 64 * 1024, f"a TOML file with {kind}", SettingsError)
     try:
         return tomllib.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:

@@ -180,14 +180,6 @@ def test_a_table_is_refused_for_another_task_and_other_policies_take_it(folder):
     assert load_policy("table.json", pendulum=shipped_pendulum(), arm=iiwa(7)) == shipped_policy()
 
 
-def test_random_actions_follow_the_tick_and_are_spread_over_all(folder):
-    policy = load_policy("random")
-    seen = [policy.act(OBSERVATION) for _ in range(400)]
-    shares = [seen.count(u) / 400 for u in policy.kernel.actions]
-    assert min(shares) > 0.07
-    assert max(shares) < 0.18
-
-
 # Networks
 
 

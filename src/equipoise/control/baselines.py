@@ -15,8 +15,6 @@ from equipoise.errors import InputError
 from equipoise.model.pendulum import PendulumParameters
 
 Array = npt.NDArray[np.float64]
-MAX_FALL_PER_STEP = 9.0
-"""Limit on h^2 w2: within a step of h the fall grows by a factor of e^3, past any balance."""
 
 
 def baselines(pendulum: PendulumParameters, h: float) -> dict[str, PolicyKernel]:
@@ -53,10 +51,12 @@ def lqr_gains(pendulum: PendulumParameters, h: float) -> tuple[float, float, flo
         InputError: The pendulum falls too fast for the step.
     """
     A, B = state_space(pendulum)
-    if not h**2 * pendulum.w2 < MAX_FALL_PER_STEP:
+    # Limit on h^2 w2: within a step of h the fall grows by a factor of e^3, past any balance.
+    most = 9.0 / h**2
+    if not pendulum.w2 < most:
         raise InputError(
             f"the pendulum falls too fast for a step of {h:g} s: w2 is {pendulum.w2:.3g} 1/s^2, "
-            f"expected less than {MAX_FALL_PER_STEP / h**2:.3g}; is its recording in seconds?"
+            f"expected less than {most:.3g}; is its recording in seconds?"
         )
     held = expm(h * np.block([[A, B], [np.zeros((1, 5))]]))
     A_h, B_h = held[:4, :4], held[:4, 4:]
