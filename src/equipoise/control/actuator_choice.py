@@ -104,13 +104,13 @@ def choose_actuator(actuators: Sequence[Actuator], sent: Array, measured: Array)
             f"least {1e3 * MIN_MOTION:g} mrad: a pause cut it short; run again"
         )
     stream, reply = np.ascontiguousarray(sent.T), np.ascontiguousarray(rows.T)
-    simulated, unloaded, residuals = np.empty(len(rows)), np.zeros(0), list[float]()
+    simulated, residuals = np.empty(len(rows)), list[float]()
     for actuator in actuators:
         squares, law, delay = 0.0, actuator.parameters, actuator.delay.value
         for j, lag in enumerate(actuator.lags, start=1):
             times = stream[0], stream[j], reply[0], reply[j]
             response = JointResponse(delay, lag.value, law)
-            track(*times, response, unloaded, unloaded, simulated)
+            track(*times, response, simulated)
             squares += float(np.var(reply[j] - simulated))
         residuals.append(sqrt(squares / FREE_JOINTS))
     return residuals
