@@ -16,12 +16,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from equipoise.artefacts import shortened
 from equipoise.errors import EquipoiseError, InputError
 from equipoise.printable import printable
 
 OTHERS: Final = (f"{Path(__file__).parent}{os.sep}", "<frozen ")
 """Begin of the files that are no guest's: this package, and Python's import."""
+MAX_ERROR_LENGTH: Final = 500
+"""Length limit of a guest's error in a message [characters]."""
 
 
 @contextmanager
@@ -109,4 +110,7 @@ def format_error(error: BaseException) -> str:
         text = str(error)
     except BaseException:  # a guest's own `__str__`
         text = "without a text"
-    return printable(f"{type(error).__name__}: {shortened(text, 500)}{where}")
+    text = " ".join(text.splitlines())
+    if len(text) > MAX_ERROR_LENGTH:
+        text = f"{text[:MAX_ERROR_LENGTH]}..."
+    return printable(f"{type(error).__name__}: {text}{where}")
