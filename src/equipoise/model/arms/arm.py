@@ -181,7 +181,7 @@ class Arm(_Described):
         free = n - (held is not None)
         if free != FREE_JOINTS:
             names = ", ".join(joint.name for joint in self.joints)
-            raise ValueError(f"{free} free joints, expected six; hold one of seven of {names}")
+            raise ValueError(f"{free} free joints, expected six; hold one of seven ({names})")
         if len(self.home) != n:
             raise ValueError(f"home has {len(self.home)} angles; give one for each of {n} joints")
         if held is not None and not isclose(self.home[held - 1], self.held_angle, abs_tol=1e-9):
