@@ -30,7 +30,7 @@ from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.rig.transports import memory_pipe
 from equipoise.robots.encoder.board import Board
 from equipoise.robots.encoder.sensor import LineEncoder
-from equipoise.robots.twin.robot import TwinRobot
+from equipoise.robots.twin import TwinRobot
 from equipoise.worlds.plant import scaled
 
 WORLD = "twin:nominal"
