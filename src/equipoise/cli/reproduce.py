@@ -46,7 +46,6 @@ def reproduce(
     from equipoise.identification.recording import read_swing
     from equipoise.progress import StageProgress
     from equipoise.reproduction.pipeline import reproduce
-    from equipoise.reproduction.results import verdict
 
     with output.progress() as show:
         found = reproduce(
@@ -63,7 +62,6 @@ def reproduce(
         page = build(out, lambda name, share: show(StageProgress("report", share, text=name)))
     trials = trial_fields(found.evaluation.results)
     output.result(
-        verdict=list(verdict(found)),
         **trials,
         duration_s=found.evaluation.duration,
         world=found.run.conditions.world,

@@ -13,7 +13,7 @@ from equipoise.apps.style import render, save
 from equipoise.errors import RecordingError
 from equipoise.identification.fitted import fitted_curve
 from equipoise.identification.swing import identify
-from equipoise.reproduction.synthetic_swing import SyntheticSwing, synthetic_swing
+from equipoise.reproduction.synthetic_swing import synthetic_swing
 from tests.apps.report import made_up
 
 LABELS = {
@@ -80,7 +80,7 @@ def test_the_fitted_curve_solves_the_pendulums_equation(results):
 
 
 def test_the_residual_is_that_of_the_fit_also_for_a_release_between_two_samples():
-    swing = synthetic_swing(SyntheticSwing())
+    swing = synthetic_swing()
     pendulum = identify(swing)
     residual = swing.values - fitted_curve(swing, pendulum)
     assert np.nanstd(residual) == pytest.approx(pendulum.fit.rms, rel=1e-3)

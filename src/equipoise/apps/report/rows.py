@@ -12,6 +12,7 @@ from equipoise.artefacts import Provenance, Value
 from equipoise.model.worlds import MODEL, TwinSettings
 from equipoise.outcomes import Outcome
 from equipoise.reproduction.results import Results, truth
+from equipoise.reproduction.synthetic_swing import SIMULATED_C
 from equipoise.settings import BoxSettings, Settings, closest_recipe, resolve
 from equipoise.worlds.evaluation import Evaluation
 from equipoise.worlds.formatting import (
@@ -44,7 +45,7 @@ def comparison(results: Results) -> Iterator[Row]:
     unknown = "no delay in simulation; not given for the robot"
     yield "Latency from command to motion", "4.2, 4.3", unknown, latency
     yield "Training episodes", "4.2", f"{paper.EPISODES:,}", f"{policy.episodes:,}"
-    wall = sum(stage.wall for stage in results.record.stages if stage.name == "train")
+    wall = results.record.stages.get("train", 0.0)
     yield "Training time", "4.4", "“few minutes”", f"{wall:.3g} s for {policy.steps:,} steps"
     seconds = f"{paper.SECONDS_BALANCED:g} s"
     runs = f"{len(trials.survival)} trials on the training plant and one recorded run"
@@ -66,9 +67,9 @@ def comparison(results: Results) -> Iterator[Row]:
 def estimates(results: Results) -> Iterator[Row]:
     """Yield each parameter of the pendulum: symbol, unit, estimate, and the simulated value."""
     pendulum, known = results.pendulum, dict[str, float]()
-    if simulated := results.record.simulated:
-        w2 = (2.0 * np.pi / simulated.period) ** 2
-        known = {"w2 = m g l / I": w2, "k = m l / I": w2 / pendulum.g, "c = b / I": simulated.c}
+    if results.record.simulated:
+        w2 = (2.0 * np.pi / paper.FREE_SWING_PERIOD) ** 2
+        known = {"w2 = m g l / I": w2, "k = m l / I": w2 / pendulum.g, "c = b / I": SIMULATED_C}
     parameters = {
         ("w2 = m g l / I", "1/s²"): pendulum.w2,
         ("k = m l / I", "1/m"): pendulum.k,
@@ -155,8 +156,8 @@ def provenance(results: Results, provenance: Provenance) -> Iterator[Row]:
     yield "recipe, arm", f"{results.policy.recipe}, {results.policy.arm.name}"
     yield "swing", "simulated" if record.simulated else f"{record.swing}, {record.swing_sha256}"
     yield from record.files.items()
-    for stage in record.stages:
-        yield f"time of {stage.name}", f"{stage.wall:.2f} s with {record.workers} threads"
+    for stage, duration in record.stages.items():
+        yield f"time of {stage}", f"{duration:.2f} s with {record.workers} threads"
     yield from sorted(provenance.software.items())
     yield "created", provenance.created
 
