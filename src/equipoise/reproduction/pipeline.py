@@ -28,15 +28,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.inertials import link_inertials
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import MODEL
-from equipoise.progress import (
-    Show,
-    StageProgress,
-    TrainingProgress,
-    compile_training,
-    compile_trials,
-    compiling,
-    counted,
-)
+from equipoise.progress import Show, TrainingProgress, counted
 from equipoise.reproduction.results import (
     EVALUATION,
     PENDULUM,
@@ -83,7 +75,7 @@ def reproduce(
     seed: int = 0,
     quick: bool = False,
     workers: int | None = None,
-    report: Show = lambda _: None,
+    report: Show = lambda *_: None,
 ) -> Results:
     """Reproduce the paper from the swing to a run on the digital twin, and save every value.
 
@@ -108,11 +100,11 @@ def reproduce(
     stages: list[PipelineStage] = []
 
     def stage(name: str, work: Callable[[], T]) -> T:
-        report(StageProgress(name))
+        report(name, None, "")
         begin = time.perf_counter()
         value = work()
         stages.append(PipelineStage(name=name, wall=round(time.perf_counter() - begin, 2)))
-        report(StageProgress(name, 1.0))
+        report(name, 1.0, "")
         return value
 
     def saved(name: str, file: str, work: Callable[[], S], **inputs: str) -> S:
@@ -131,8 +123,6 @@ def reproduce(
         lambda: identify(recorded, settings.identification),
         swing=recorded.sha256,
     )
-    with compiling(report):
-        compile_training(arm, settings)
     policy = saved(
         "train",
         POLICY,
@@ -164,8 +154,6 @@ def reproduce(
     )
     twin_evaluation = None
     if world == TWIN:
-        with compiling(report, "compile twin"):
-            compile_trials(policy, TWIN)
         twin_evaluation = saved(
             "evaluate twin",
             TWIN_EVALUATION,
@@ -212,11 +200,9 @@ def _trained(
     wanted: dict[str, Any] = {"target": 0.0, "learners": 1}
     if not quick and settings.selection.every > 0:
         wanted = {"target": TARGET, "learners": LEARNERS}
-    progress = TrainingProgress(settings, report, wanted["learners"])
+    progress = TrainingProgress(settings, report)
     given: dict[str, Any] = {"seed": seed, "workers": workers, "observer": progress}
-    trained = train_to_target(pendulum, arm, settings, **wanted, **given)
-    progress.ended()
-    return trained.policy
+    return train_to_target(pendulum, arm, settings, **wanted, **given).policy
 
 
 def _has_twin(arm: Arm) -> bool:

@@ -126,24 +126,14 @@ def stop_delay(page, log):
 
 
 @repeated_after_a_stall
-@pytest.mark.parametrize("by", ["button", "space bar"])
-@pytest.mark.parametrize(
-    "phase",
-    [
-        *(Phase.HOMING, Phase.AT_HOME, Phase.REFERENCING, Phase.SELF_TEST, Phase.LIFTING),
-        *(Phase.ARMED, Phase.BALANCING),
-    ],
-)
-def test_a_stop_in_each_phase_reaches_the_loop_within_100_ms(tmp_path, phase, by):
+@pytest.mark.parametrize("phase", [Phase.HOMING, Phase.LIFTING, Phase.ARMED, Phase.BALANCING])
+def test_a_stop_in_each_phase_reaches_the_loop_within_100_ms(tmp_path, phase):
     with console_of(tmp_path, 20.0) as (run, log, page):
         answer_until(run, page, lambda: state(page) == phase.value)
-        if by == "button":
-            page.find_element("id", "equipoise-stop").click()
-        else:
-            page.find_element("tag name", "body").send_keys(" ")
+        page.find_element("tag name", "body").send_keys(" ")
         run.process.wait(40.0)
         delay = stop_delay(page, log)
-        sys.stdout.write(f"{phase.value}, {by}: {1e3 * delay:.1f} ms\n")
+        sys.stdout.write(f"{phase.value}: {1e3 * delay:.1f} ms\n")
         assert delay < STOP_LIMIT
         assert RunLog.load(log, damaged=True).end.outcome == "operator"
 
