@@ -42,7 +42,7 @@ check(
 
 # %%
 policy = eq.shipped_policy()
-boxes = policy.partition
+boxes = policy.grid
 print(box_count(boxes), "boxes")
 for lean in (-8, -3, -0.5, 0.5, 3, 8):
     box = box_index(0.0, 0.0, np.radians(lean), 0.0, boxes)

@@ -195,6 +195,6 @@ for name, run in runs.items():
 runs["mine"]
 
 # %% [markdown]
-# Where to go from here: a reward of your own, another partition of the boxes, a network
+# Where to go from here: a reward of your own, other boxes, a network
 # ([bring a policy](../docs/how-to/bring-a-policy.md)), all of them in one comparison
 # (`experiments/compare.py`), or a real pendulum.

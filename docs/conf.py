@@ -69,7 +69,6 @@ CONTENTS = {
         "/docs/how-to/bring-an-arm",
         "/docs/how-to/bring-a-world",
         "/docs/how-to/sweep",
-        "/docs/how-to/cluster",
         "/docs/how-to/coppeliasim",
         "/firmware/README",
     ],

@@ -8,7 +8,7 @@ import argparse
 
 import numpy as np
 
-from equipoise.executors import ThreadExecutor, available_cores
+from equipoise.executors import available_cores, completed
 from equipoise.learning.train import train
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
@@ -83,8 +83,8 @@ def main() -> None:
             evaluation = evaluate(policy, test, actuator=actuator, seed=seed, with_baselines=False)
             return evaluation.results.summary()
 
-        threads = ThreadExecutor(available_cores())
-        summaries = [found for _, found in threads.completed(result, range(arguments.seeds))]
+        runs = completed(result, range(arguments.seeds), available_cores())
+        summaries = [found for _, found in runs]
         survived = sum(s.survived for s in summaries)
         trials = sum(s.trials for s in summaries)
         track = sum(s.outcomes.get("track", 0) for s in summaries)

@@ -1,4 +1,4 @@
-r"""Search for the best table over a partition: the bound of what a table of these boxes can do.
+r"""Search for the best table over a grid: the bound of what a table of these boxes can do.
 
 A box holds many states, so that the next box depends on more than box and action: value iteration
 over the boxes (`value_iteration.py`) solves another problem. The search needs no model. It
@@ -94,7 +94,7 @@ def search_table(
     tables: int = 128,
     workers: int = 1,
 ) -> eq.TabularPolicy:
-    """Search for the best table of a partition.
+    """Search for the best table of a grid.
 
     Args:
         policy: A policy of the same task, which gives pendulum, arm, actuators and settings.

@@ -24,7 +24,7 @@ from gymnasium.vector import AutoresetMode
 import equipoise as eq
 import equipoise.envs
 from equipoise import paper
-from equipoise.control.grid import box_indices, partition
+from equipoise.control.grid import box_indices, make_grid
 from equipoise.executors import available_cores
 from equipoise.learning.select import Candidate, race, trial_plants
 
@@ -83,7 +83,7 @@ def solve_table(
         workers: Number of threads of the race; the result does not depend on it.
     """
     settings, count = policy.settings, policy.settings.boxes.count
-    boxes = partition(settings.boxes, policy.pendulum.parameters().k)
+    boxes = make_grid(settings.boxes, policy.pendulum.parameters().k)
     envs = gym.make_vec(
         "equipoise/BalanceDiscrete-v0",
         num_envs=loops,

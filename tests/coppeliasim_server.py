@@ -10,13 +10,8 @@ with the line of its Lua code.
 Not modelled: physics, contacts, rendering, scripts, buttons (a pause is a call), the time that
 CoppeliaSim itself takes, and `step` while a simulation is stopped in its first step, which
 CoppeliaSim does not answer.
-
-    python -m tests.coppeliasim_server --port 23000
 """
 
-import argparse
-import math
-import sys
 import threading
 from dataclasses import dataclass, field
 from typing import Any
@@ -211,15 +206,6 @@ class Scene:
         self.levels[self.client] = max(before + (1 if enable else -1), 0)
         return before
 
-    def access(self, kind):
-        values = self.parameters[kind]
-
-        def put(parameter, value):
-            assert parameter in values
-            values[parameter] = value
-
-        return values.__getitem__, put
-
     def advance(self):
         """Advance by one step of the simulation."""
         self.time += self.parameters["Float"][1]
@@ -229,17 +215,14 @@ class Scene:
 class CoppeliaSimServer:
     """The server, on a thread of its own; a context manager."""
 
-    def __init__(self, port=0, busy_every=97):
-        """Bind a port; 0 takes any. Each `busy_every`th request has to be repeated."""
-        self.scene, self.busy_every, self.requests, self.errors = Scene(), busy_every, 0, []
+    def __init__(self):
+        """Bind any port."""
+        self.scene, self.requests, self.errors = Scene(), 0, []
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.REP)
         self._socket.setsockopt(zmq.LINGER, 0)
-        if port:
-            self._socket.bind(f"tcp://127.0.0.1:{port}")
-        else:
-            port = self._socket.bind_to_random_port("tcp://127.0.0.1")
-        self.port, self._open, self._stepping, self._repeated = port, True, set(), False
+        self.port = self._socket.bind_to_random_port("tcp://127.0.0.1")
+        self._open, self._stepping, self._repeated = True, set(), False
         self._thread = threading.Thread(target=self.serve, daemon=True)
 
     @property
@@ -273,7 +256,7 @@ class CoppeliaSimServer:
                 if scene.state == RUNNING:
                     scene.advance()
             return {"ret": []}
-        self._repeated = self.requests % self.busy_every == 0 and not self._repeated
+        self._repeated = self.requests % 97 == 0 and not self._repeated
         if self._repeated:
             return {"func": "_*repeat*_", "args": []}
         if scene.state == RUNNING and not any(scene.levels.values()):
@@ -299,42 +282,11 @@ class CoppeliaSimServer:
                 {function: {"func": {}} for function in functions}
                 | {constant: {"const": number} for constant, number in CONSTANTS.items()}
             ]
-        check_plain(arguments)
         short = name.removeprefix("sim.")
-        if short.endswith("Param") and short[3:-5] in PARAMETERS:
-            function = self.scene.access(short[3:-5])[short.startswith("set")]
+        values = self.scene.parameters.get(short[3:-5], {})
+        if values and short.endswith("Param"):
+            function = values.__setitem__ if short[:3] == "set" else values.__getitem__
         else:
-            function = getattr(self.scene, f"sim_{short}", None)
-        if function is None:
-            raise ValueError(f"No such function: {name}")
+            function = getattr(self.scene, f"sim_{short}")
         result = function(*arguments)
-        if result is None:
-            return []
-        several = isinstance(result, tuple)
-        return [as_list(value) for value in (result if several else (result,))]
-
-
-def as_list(value):
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-
-
-def check_plain(value):
-    """Reject what CoppeliaSim's Lua would not take."""
-    if isinstance(value, list):
-        for entry in value:
-            check_plain(entry)
-    elif isinstance(value, float) and not math.isfinite(value):
-        raise ValueError(f"a number is {value}")
-
-
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--port", type=int, default=23000)
-    with CoppeliaSimServer(parser.parse_args().port) as server:
-        sys.stdout.write(f"{server.address}\n")
-        sys.stdout.flush()
-        server._thread.join()
-
-
-if __name__ == "__main__":
-    main()
+        return [] if result is None else [result]

@@ -3,13 +3,14 @@
 import hashlib
 import json
 import os
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from equipoise.artefacts import (
     Artefact,
@@ -18,7 +19,7 @@ from equipoise.artefacts import (
     read_document,
     value_digest,
 )
-from equipoise.errors import ArtefactError, EquipoiseError, OutsideError
+from equipoise.errors import ArtefactError, OutsideError
 from equipoise.model.pendulum import Pendulum
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -118,13 +119,6 @@ def test_the_digest_is_the_sha256_of_the_canonical_json_of_the_body(saved):
     assert value_digest(GAUGE) == GAUGE.digest
 
 
-def test_the_digest_does_not_depend_on_the_order_of_keys_or_on_white_space(saved):
-    document = json.loads(saved.read_text())
-    document["body"] = dict(reversed(document["body"].items()))
-    saved.write_text(json.dumps(document, indent=7, sort_keys=False))
-    assert Gauge.load(saved) == GAUGE
-
-
 def test_a_file_says_what_it_is_and_where_it_comes_from(saved):
     document = read_document(saved)
     assert list(document) == ["format", "version", "digest", "provenance", "body"]
@@ -136,52 +130,26 @@ def test_a_file_says_what_it_is_and_where_it_comes_from(saved):
     assert {"equipoise", "python", "numpy", "numba"} <= set(provenance["software"])
 
 
-def test_a_file_can_be_read_by_a_person(saved):
-    lines = saved.read_text().splitlines()
-    assert '  "count": 3,' in lines
-    assert '  "row": [0.1, -0.0, 1e-300],' in lines  # a row of numbers stays on its line
-    assert any("Ä" in line for line in lines)
-
-
-def test_values_refuse_unknown_fields_changes_nan_and_infinity():
-    with pytest.raises(ValueError, match="size"):
-        Part(size=float("nan"))
-    with pytest.raises(ValueError, match="row"):
-        Gauge(label="a", row=(float("inf"),))
-    with pytest.raises(ValueError, match="width"):
-        Part(size=1.0, width=2.0)  # pyright: ignore[reportCallIssue]
-    with pytest.raises(ValueError, match="frozen"):
-        GAUGE.count = 4  # pyright: ignore[reportAttributeAccessIssue]
-
-
-@pytest.mark.parametrize(("low", "high"), [(1.5, 2.0), (-1.0, 0.5), (2.0, 0.0)])
-def test_an_estimate_outside_its_interval_is_refused(low, high):
-    with pytest.raises(ValueError, match="the value 1 is outside its interval"):
-        Estimate(value=1.0, low=low, high=high, source="given")
-
-
-def test_the_interval_of_a_normal_error_holds_95_percent_of_it():
-    estimate = Estimate.normal(10.0, 2.0, "given")
-    # The 97.5 % quantile of the normal distribution is 1.95996.
-    assert estimate.interval == pytest.approx((10 - 2 * 1.95996, 10 + 2 * 1.95996), abs=1e-3)
-    assert estimate.source == "given"
-
-
 # What is refused
 
 
-FOREIGN = (
-    b"",
-    b"hello",
-    b"\x89PNG\0",
-    b"{",
-    b"\xff{}",
-    b"null",
-    b"3",
-    b"[]",
-    b"{}",
-    b"[" * 100_000,
-)
+def test_values_refuse_unknown_fields_nan_infinity_and_changes():
+    for wrong in ({"size": float("nan")}, {"size": float("inf")}, {"size": 1.0, "width": 2.0}):
+        with pytest.raises(ValidationError):
+            Part(**wrong)
+    with pytest.raises(ValidationError):
+        GAUGE.count = 4  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_an_estimate_holds_95_percent_of_a_normal_error_and_its_value():
+    # The 97.5 % quantile of the normal distribution is 1.95996.
+    interval = Estimate.normal(10.0, 2.0, "given").interval
+    assert interval == pytest.approx((10 - 2 * 1.95996, 10 + 2 * 1.95996), abs=1e-3)
+    with pytest.raises(ValidationError):
+        Estimate(value=1.0, low=1.5, high=2.0, source="given")
+
+
+FOREIGN = (b"", b"hello", b"\x89PNG\0", b"{", b"\xff{}", b"null", b"3", b"{}", b"[" * 100_000)
 KINDS = [("format", 3), ("version", "3"), ("version", True), ("provenance", []), ("body", [])]
 
 
@@ -217,11 +185,6 @@ def test_an_edited_file_is_refused(saved, old, new):
     refusal(saved, text.replace(old, new))
 
 
-@pytest.mark.parametrize("version", [4, 1, -1])
-def test_another_version_is_refused(path, version):
-    assert ("upgrade" in refusal(path, signed({"label": "a"}, version=version))) is (version == 4)
-
-
 @pytest.mark.parametrize(
     ("change", "where"),
     [
@@ -237,15 +200,18 @@ def test_a_body_that_does_not_fit_is_refused_and_says_where(path, change, where)
     assert where in refusal(path, signed({"label": "a"} | change))
 
 
+def test_another_version_or_format_is_refused(path):
+    for version in (4, 1):
+        said = refusal(path, signed({"label": "a"}, version=version))
+        assert ("upgrade" in said) is (version == 4)
+    GAUGE.save(path, command="test")
+    assert "'test-gauge'" in refusal(path, path.read_text(), cls=Pendulum)
+
+
 def test_no_cut_of_a_file_is_read_as_a_file(saved):
     content = saved.read_bytes()
     for length in range(len(content) - 2):  # less than the last brace and the line's end
         refusal(saved, content[:length])
-
-
-def test_a_file_of_another_format_is_refused_by_name(saved):
-    message = refusal(saved, saved.read_text(), cls=Pendulum)
-    assert "holds 'test-gauge', expected 'equipoise-pendulum'" in message
 
 
 # IntArray or not at all
@@ -272,66 +238,16 @@ def test_a_disk_that_fails_leaves_what_was_there_and_nothing_else(
     assert not there or path.read_text() == "before"
 
 
-def test_an_interruption_leaves_what_was_there_and_nothing_else(saved, monkeypatch):
-    def interrupted(_):
-        raise KeyboardInterrupt
-
-    before = saved.read_bytes()
-    monkeypatch.setattr(os, "fsync", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        GAUGE.model_copy(update={"count": 9}).save(saved, command="test")
-    assert saved.read_bytes() == before
-    assert list(saved.parent.iterdir()) == [saved]
-
-
-def test_the_file_is_on_the_disk_before_it_gets_its_name(path, monkeypatch):
-    order = []
-    fsync, replace = os.fsync, Path.replace
-    monkeypatch.setattr(os, "fsync", lambda f: (order.append("fsync"), fsync(f)))
-    monkeypatch.setattr(Path, "replace", lambda a, b: (order.append("rename"), replace(a, b)))
-    GAUGE.save(path, command="test")
-    assert order == ["fsync", "rename"]
-
-
-@pytest.mark.parametrize("place", [".", "", "folder", "file/below.json", "a" * 300])
-def test_a_place_where_no_file_can_be_is_refused(tmp_path, monkeypatch, place):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "file").write_text("before")
-    with pytest.raises(EquipoiseError, match="cannot write"):
-        GAUGE.save(Path(place), command="test")
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["file", "folder"]
-
-
 def test_writers_at_the_same_time_leave_one_whole_file(tmp_path):
     path = tmp_path / "gauge.json"
     gauges = [Gauge(label=str(i), row=tuple(float(j * i) for j in range(2000))) for i in range(4)]
-    errors = []
-    reading = threading.Event()
     GAUGE.save(path, command="test")
 
     def write(gauge):
-        try:
-            for _ in range(10):
-                gauge.save(path, command="test")
-        except Exception as error:
-            errors.append(error)
+        for _ in range(10):
+            gauge.save(path, command="test")
+            assert Gauge.load(path) in gauges
 
-    def read():
-        try:
-            while not reading.is_set():
-                assert Gauge.load(path).label in {"0", "1", "2", "3", GAUGE.label}
-        except Exception as error:
-            errors.append(error)
-
-    reader = threading.Thread(target=read)
-    writers = [threading.Thread(target=write, args=(gauge,)) for gauge in gauges]
-    for thread in [reader, *writers]:
-        thread.start()
-    for thread in writers:
-        thread.join()
-    reading.set()
-    reader.join()
-    assert errors == []
-    assert Gauge.load(path) in gauges
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(write, gauges))
     assert list(tmp_path.iterdir()) == [path]

@@ -14,7 +14,7 @@ import pytest
 import equipoise as eq
 from equipoise import paper
 from equipoise.control.baselines import baselines
-from equipoise.control.grid import box_index, mirrored_box, partition
+from equipoise.control.grid import box_index, make_grid, mirrored_box
 from equipoise.control.policy import act
 from equipoise.model.worlds import TwinSettings, read_world
 from equipoise.worlds.twin.servo_model import equivalent_actuator
@@ -123,7 +123,7 @@ def test_the_first_table_is_the_snapped_lqr_at_the_centre_of_each_box(pendulum):
         eq.resolve().boxes,
         pendulum.parameters(),
     )
-    table, boxes = searched["lqr_table"](settings, parameters), partition(settings, parameters.k)
+    table, boxes = searched["lqr_table"](settings, parameters), make_grid(settings, parameters.k)
     snapped, seen = baselines(parameters, paper.STEP)["LQR, snapped"], set()
 
     def middles(ends, outer):

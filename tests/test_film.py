@@ -1,6 +1,7 @@
 """Pictures and films: everything is where arm and angle say, in the frame, and in the file."""
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from PIL import Image
 
 from equipoise import film, paper
 from equipoise.errors import InputError, MissingExtraError, OutsideError
-from equipoise.film import RigRenderer, build_scene, camera_axes, film_times, write_film
+from equipoise.film import RigRenderer, build_scene, camera_axes, write_film
 from equipoise.logs.motion import Motion
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x
@@ -76,27 +77,6 @@ def test_the_pendulum_is_seen_where_the_arm_carries_it(renderer, x, phi):
     assert np.mean(columns[rows < rows.min() + 4]) == pytest.approx(column, abs=2.0)
 
 
-def test_an_arrow_is_as_long_as_u_and_points_where_it_pushes(renderer):
-    q = at(0.0)
-    start = pivot_at(q) - [0.0, 0.0, film.ARROW_BELOW]
-    for push in (2.0, -2.0, 1.0):
-        columns = pixels(renderer.draw(q, 0.0, push), "green")[1]
-        end = start + np.array([film.ARROW_PER_U * push, 0.0, 0.0])
-        ends = [pixel(each)[0] for each in (start, end)]
-        assert [columns.min(), columns.max()] == pytest.approx(sorted(ends), abs=5.0)
-    assert not len(pixels(renderer.draw(q, 0.0), "green")[0])
-
-
-def test_the_posts_stand_where_the_track_ends_above_the_pendulum(renderer):
-    seen = set(zip(*pixels(renderer.draw(at(0.0), 0.0), "vermilion"), strict=True))
-    for x, top in zip((-paper.X_LIMIT, paper.X_LIMIT), build_scene(ARM).posts, strict=True):
-        pivot = pivot_at(at(x))
-        np.testing.assert_allclose(top[:2], pivot[:2], atol=1e-6)
-        assert top[2] > pivot[2] + SIZES.rod_length
-        column, row = pixel(top * [1.0, 1.0, 0.95])
-        assert {(int(row), int(column) + near) for near in (-1, 0, 1)} & seen
-
-
 @pytest.mark.parametrize(("width", "height"), [(320, 240), (200, 400)])
 @pytest.mark.parametrize("arm", [ARM, iiwa(14, media_flange=0.061)], ids=lambda arm: arm.name)
 def test_all_that_moves_stays_in_the_picture_and_fills_it(renderer, arm, width, height):
@@ -157,11 +137,14 @@ def test_an_mp4_has_the_frames_of_its_part_and_a_failed_one_leaves_no_file(
 
 def test_a_film_that_cannot_be_made_is_refused_before_it_is_drawn(run, monkeypatch):
     long = changed_table(run, "tick", time=np.linspace(1.0, 60.0, 901))
-    for suffix, begin, end in ((".gif", None, None), (".webp", -9.0, None), (".mp4", 1.0, 0.5)):
+    for log, suffix, begin, end in (
+        (run, ".gif", None, None),
+        (run, ".webp", -9.0, None),
+        (run, ".mp4", 1.0, 0.5),
+        (long, ".webp", -20.0, None),
+    ):
         with pytest.raises(InputError):
-            film_times(Motion.of(run), suffix, begin, end)
-    with pytest.raises(InputError, match="30 s"):
-        film_times(Motion.of(long), ".webp", -20.0, None)
+            write_film(log, Path(f"film{suffix}"), begin, end)
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(MissingExtraError):
-        film_times(Motion.of(run), ".mp4", None, None)
+        write_film(run, Path("film.mp4"))

@@ -1,6 +1,5 @@
 """Public values in an interactive session: one line, and paths as text."""
 
-import inspect
 import re
 from pathlib import Path
 
@@ -40,19 +39,6 @@ def test_a_value_is_one_line(values, name, expected):
     for text in (repr(values[name]), str(values[name])):
         assert re.fullmatch(expected, text)
         assert len(text) < 140
-
-
-def test_every_path_of_a_public_function_may_be_text():
-    for name in eq.__all__:
-        thing = getattr(eq, name)
-        functions = [thing] if inspect.isfunction(thing) else []
-        if inspect.isclass(thing):
-            functions = [getattr(thing, key) for key in ("save", "load") if hasattr(thing, key)]
-        for function in functions:
-            for parameter in inspect.signature(function).parameters.values():
-                kind = str(parameter.annotation)
-                if "Path" in kind and "Callable" not in kind:
-                    assert "str | os.PathLike" in kind, (name, parameter)
 
 
 def test_paths_as_text_are_taken_by_all_that_reads_and_writes(values, tmp_path, monkeypatch):

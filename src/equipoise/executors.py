@@ -1,90 +1,43 @@
-"""Execution of independent tasks: the one place where work is spread over threads or machines.
+"""Execution of independent tasks in threads.
 
-Populations of learners and pieces of an evaluation are tasks: a function, and a sequence of its
-arguments. A result does not depend on where its task ran. Compiled kernels release the interpreter,
-so that threads use all cores. `equipoise.cluster` spreads tasks over machines.
+A result does not depend on the number of threads. Compiled kernels release the interpreter, so that
+threads use all cores.
 """
 
 import os
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from typing import NamedTuple, Protocol, TypeVar
+from typing import TypeVar
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 
-class Executor(Protocol):
-    """Runner of independent tasks."""
+def completed(
+    function: Callable[[Task], Result], tasks: Sequence[Task], workers: int
+) -> Generator[tuple[int, Result]]:
+    """Call a function for each task, and yield the results as they complete.
 
-    @property
-    def workers(self) -> int:
-        """Number of tasks that run at the same time."""
-        ...
+    Args:
+        function: Function of one task, called in any thread.
+        tasks: Arguments.
+        workers: Number of threads; a single one is the caller's.
 
-    @property
-    def is_remote(self) -> bool:
-        """Whether tasks run in other processes.
-
-        Functions and tasks are pickled then, and callbacks of the caller are out of reach.
-        """
-        ...
-
-    def completed(
-        self, function: Callable[[Task], Result], tasks: Sequence[Task]
-    ) -> Generator[tuple[int, Result]]:
-        """Call a function for each task, and yield the results as they complete.
-
-        Args:
-            function: Function of one task, called in any thread or process.
-            tasks: Arguments.
-
-        Yields:
-            Index of the task, and its result. An error of a task is raised here. After it, or once
-            the iterator is closed, no further task begins.
-        """
-        ...
-
-
-class ThreadExecutor(NamedTuple):
-    """Runner of tasks in the threads of this process."""
-
-    workers: int
-    """Number of threads; a single one is the caller's."""
-    is_remote: bool = False
-    """Always false; see `Executor.is_remote`."""
-
-    def completed(
-        self, function: Callable[[Task], Result], tasks: Sequence[Task]
-    ) -> Generator[tuple[int, Result]]:
-        """Call a function for each task, and yield the results as they complete.
-
-        See `Executor.completed`.
-        """
-        if self.workers == 1:
-            for i in range(len(tasks)):
-                yield i, function(tasks[i])
-            return
-
-        def run(i: int) -> Result:
-            return function(tasks[i])
-
-        pool = ThreadPoolExecutor(self.workers)
-        try:
-            index_of = {pool.submit(run, i): i for i in range(len(tasks))}
-            for future in as_completed(list(index_of)):
-                yield index_of.pop(future), future.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-Workers = int | Executor
-"""Number of threads, or an executor."""
-
-
-def executor_of(workers: Workers) -> Executor:
-    """Return the executor of a number of threads, or the given one."""
-    return ThreadExecutor(workers) if isinstance(workers, int) else workers
+    Yields:
+        Index of the task, and its result. An error of a task is raised here. After it, or once the
+        generator is closed, no further task begins.
+    """
+    if workers == 1:
+        for i, task in enumerate(tasks):
+            yield i, function(task)
+        return
+    pool = ThreadPoolExecutor(workers)
+    try:
+        index_of = {pool.submit(function, task): i for i, task in enumerate(tasks)}
+        for future in as_completed(list(index_of)):
+            yield index_of.pop(future), future.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def available_cores() -> int:

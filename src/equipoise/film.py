@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from equipoise.artefacts import write_whole
 from equipoise.errors import InputError, MissingExtraError, OutsideError
-from equipoise.logs.motion import Motion, Pose
+from equipoise.logs.motion import Motion
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.scene import Sizes, scene, sizes_for
@@ -57,10 +57,6 @@ ARROW_PER_U: Final = 0.1
 """Length of the arrow for an acceleration of 1 m/s^2 [m]."""
 ARROW_BELOW: Final = 0.13
 """Distance of the arrow below the pivot [m]; the hand never covers it."""
-MARGIN: Final = 0.13
-"""Margin of the view around the joints [m]."""
-POST_HEIGHT: Final = 0.28
-"""Height of the posts above the pivot [m]; the pendulum is 0.21 m long."""
 MP4, WEBP = ".mp4", ".webp"
 FORMATS: Final = {MP4: (960, 720, 30.0), WEBP: (480, 480, 12.5)}
 """Width and height of a film [px], and frames per second, by its suffix."""
@@ -85,7 +81,7 @@ class RigScene(NamedTuple):
     def distance(self, aspect: float) -> float:
         """Return the distance of the camera from its target [m] for a picture's width / height."""
         tangent = np.tan(np.radians(0.5 * FOV_DEG))
-        right, up = np.abs(self.view[:, :2].T) + MARGIN
+        right, up = np.abs(self.view[:, :2].T) + 0.13  # margin around the joints [m]
         needed = np.maximum(right / aspect, up) / tangent - self.view[:, 2]
         return float(np.max(needed))
 
@@ -122,7 +118,7 @@ def build_scene(arm: Arm) -> RigScene:
     table.size = [*(0.5 * np.abs(pivot[:2]) + [0.42, 0.27]), 0.35]
     table.pos = [*(0.5 * pivot[:2]), -0.35]
     feet = np.array([[pivot[0] + x, pivot[1], 0.0] for x in (-X_LIMIT, X_LIMIT)])
-    tops = feet + np.array([0.0, 0.0, pivot[2] + POST_HEIGHT])
+    tops = feet + np.array([0.0, 0.0, pivot[2] + 0.28])  # the pendulum is 0.21 m long
     for side, foot, top in zip(("left", "right"), feet, tops, strict=True):
         cylinder(world, f"post {side}", foot, top, 0.005)
     cylinder(world, "post rail", feet[0], feet[1], 0.003)
@@ -224,30 +220,6 @@ def check_format(suffix: str) -> None:
             raise MissingExtraError(package.replace("_", "-"), "video") from None
 
 
-def film_times(motion: Motion, suffix: str, begin: float | None, end: float | None) -> Floats:
-    """Return the times of the frames of a film since the release [s], shape (n,).
-
-    Args:
-        motion: Motion of the run.
-        suffix: Format of the film, one of `FORMATS`.
-        begin: Start [s]; by default the release, on a rig shortly before it.
-        end: End [s]; by default that of the run.
-
-    Raises:
-        InputError: The suffix is unknown, the part is outside the run, or too long for a WebP.
-        MissingExtraError: A package that encodes an MP4 is not installed.
-    """
-    check_format(suffix)
-    begin, end = motion.part(begin, end)
-    if suffix == WEBP and end - begin > MAX_WEBP:
-        raise InputError(
-            f"an animated WebP of {end - begin:g} s is too large, expected {MAX_WEBP:g} s or less; "
-            "choose a shorter part, or an MP4"
-        )
-    rate = FORMATS[suffix][2]
-    return begin + np.arange(max(1, round((end - begin) * rate))) / rate
-
-
 def write_film(
     run: RunLog,
     path: Path,
@@ -265,26 +237,38 @@ def write_film(
         report: Progress callback; receives the fraction of the frames that are done.
 
     Raises:
-        InputError: The part or the suffix of the file is invalid.
+        InputError: The suffix is unknown, the part is outside the run, or too long for a WebP.
         MissingExtraError: An MP4 needs imageio-ffmpeg, which is not installed.
         RecordingError: The run has nothing to show.
         OutsideError: OpenGL is not available, or encoding or writing fails.
     """
     suffix, motion = path.suffix.lower(), Motion.of(run)
-    times = film_times(motion, suffix, begin, end)
-    frames = _frames(run, motion, times, *FORMATS[suffix][:2], report)
+    check_format(suffix)
+    begin, end = motion.part(begin, end)
+    if suffix == WEBP and end - begin > MAX_WEBP:
+        raise InputError(
+            f"an animated WebP of {end - begin:g} s is too large, expected {MAX_WEBP:g} s or less; "
+            "choose a shorter part, or an MP4"
+        )
+    rate = FORMATS[suffix][2]
+    times = begin + np.arange(max(1, round((end - begin) * rate))) / rate
+    frames = _frames(run, motion, times, suffix, report)
     if suffix == WEBP:
-        write_whole(path, _encode_webp(frames, FORMATS[WEBP][2]))
+        first, *others = frames
+        stream = io.BytesIO()
+        options: Any = {"append_images": others, "duration": round(1e3 / rate), "loop": 0}
+        first.save(stream, "webp", save_all=True, quality=60, method=2, **options)
+        write_whole(path, stream.getvalue())
         return
     import imageio
 
     try:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder, "film.mp4")
-            writer: Any = imageio.get_writer(file, fps=FORMATS[MP4][2], quality=7)
+            writer: Any = imageio.get_writer(file, fps=rate, quality=7)
             with writer:
                 for frame in frames:
-                    writer.append_data(frame)
+                    writer.append_data(np.asarray(frame))
             write_whole(path, file.read_bytes())
     except OutsideError:  # an OSError whose message is complete
         raise
@@ -292,51 +276,30 @@ def write_film(
         raise OutsideError(f"cannot write {path}, the encoder failed: {error}") from None
 
 
-def _encode_webp(frames: Iterator[Picture], rate: float) -> bytes:
-    from PIL import Image
-
-    first, *others = map(Image.fromarray, frames)
-    stream, duration = io.BytesIO(), round(1e3 / rate)
-    options: Any = {"save_all": True, "append_images": others, "duration": duration, "loop": 0}
-    first.save(stream, "webp", quality=60, method=2, **options)
-    return stream.getvalue()
-
-
 def _frames(
-    run: RunLog,
-    motion: Motion,
-    times: Floats,
-    width: int,
-    height: int,
-    report: Callable[[float], None],
-) -> Iterator[Picture]:
-    """Yield the pictures of a run at times [s], with two lines of numbers below."""
+    run: RunLog, motion: Motion, times: Floats, suffix: str, report: Callable[[float], None]
+) -> Iterator[Any]:
+    """Yield the pictures of a run at times [s], with two lines of numbers below, as PIL images."""
     from matplotlib import get_data_path
     from PIL import Image, ImageDraw, ImageFont
 
-    conditions, bar = run.conditions, height // 10
+    conditions, (width, height, _) = run.conditions, FORMATS[suffix]
+    bar = height // 10
     renderer = RigRenderer(conditions.arm, width, height - bar)
-    fonts = Path(get_data_path(), "fonts", "ttf")
-    large, small = (
-        ImageFont.truetype(fonts / "DejaVuSans.ttf", share * bar) for share in (0.3, 0.27)
-    )
+    font = Path(get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
+    large, small = (ImageFont.truetype(font, share * bar) for share in (0.3, 0.27))
     try:
         for done, time in enumerate(times.tolist(), 1):
             pose = motion.at(time)
             image = Image.new("RGB", (width, height), "white")
             image.paste(Image.fromarray(renderer.draw(pose.q, pose.phi, pose.u)))
             pen = ImageDraw.Draw(image)
-            pen.text((0.03 * width, height - 0.72 * bar), caption(pose), "#222222", large, "lm")
+            phi = f"{np.degrees(pose.phi):+.1f}°" if np.isfinite(pose.phi) else "unknown"
+            text = f"t = {time:.2f} s   x = {pose.x:+.3f} m   φ = {phi}   u = {pose.u:+.1f} m/s²"
+            pen.text((0.03 * width, height - 0.72 * bar), text, "#222222", large, "lm")
             note = " · ".join(filter(None, (conditions.arm.name, conditions.world, pose.phase)))
             pen.text((0.03 * width, height - 0.27 * bar), note, "#767676", small, "lm")
-            yield np.asarray(image)
+            yield image
             report(done / len(times))
     finally:
         renderer.close()
-
-
-def caption(pose: Pose) -> str:
-    """Return time, displacement, angle and command as text."""
-    phi = f"{np.degrees(pose.phi):+.1f}°" if np.isfinite(pose.phi) else "unknown"
-    text = f"t = {pose.time:.2f} s   x = {pose.x:+.3f} m   φ = {phi}   u = {pose.u:+.1f} m/s²"
-    return text.replace("-", "\N{MINUS SIGN}")

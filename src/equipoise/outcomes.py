@@ -69,8 +69,6 @@ class Outcome(StrEnum):
     """A setpoint asks for more than the joint's velocity."""
     ACCELERATION = "joint acceleration"
     """A setpoint asks for more than the joint's acceleration."""
-    LEAD = "setpoint lead"
-    """A setpoint is too far from its reference: the arm goes there if nothing follows."""
     SINGULAR = "near singularity"
     """The arm is close to a singular posture."""
     TRACK = "track"
@@ -175,8 +173,6 @@ SENTENCES: Final = {
     "most {limit:.3f} rad/s",
     Outcome.ACCELERATION: "the setpoint of joint {joint:g} asks for {value:.2f} rad/s^2, expected "
     "at most {limit:.2f} rad/s^2",
-    Outcome.LEAD: "the setpoint of joint {joint:g} leads its reference by {value:.4f} rad, "
-    "expected at most {limit:.4f} rad",
     Outcome.SINGULAR: "the arm is near a singularity: |det J| is {value:.2g} m^3, expected at "
     "least {limit:.2g} m^3",
     Outcome.TRACK: "the flange is at {x:.3f} m with {x_dot:.3f} m/s and could be stopped at "
@@ -201,17 +197,11 @@ SENTENCES: Final = {
     "deg",
     Outcome.OPERATOR: "stopped by the operator ({typed})",
     Outcome.DRY_RUN: "all steps before the motion passed; nothing has moved",
-    Outcome.SELF_TEST: "{text}",
     Outcome.UNIDENTIFIED: "the arm is not identified: {text}",
     Outcome.POLICY: "the policy failed: {text}",
-    Outcome.ENCODER_LOST: "{text}",
-    Outcome.LINK_LOST: "{text}",
-    Outcome.FAULT: "{text}",
-    Outcome.ERROR: "{text}",
-    Outcome.BROKEN_OFF: "{text}",
 }
-"""Sentence of each end with its evidence: the value, the expected one, a remedy. `_ms` stands for
-thousandths (ms or mm) of a value, `_deg` for degrees."""
+"""Sentence of an end with its evidence: the value, the expected one, a remedy; its text otherwise.
+`_ms` stands for thousandths (ms or mm) of a value, `_deg` for degrees."""
 
 
 def describe(end: End) -> str:
@@ -224,7 +214,7 @@ def describe(end: End) -> str:
     for name, value in numbers.items():
         values |= {f"{name}_ms": 1e3 * value, f"{name}_deg": degrees(value)}
     try:
-        return SENTENCES[end.outcome].format_map(values)
+        return SENTENCES.get(end.outcome, "{text}").format_map(values)
     except (LookupError, ValueError):
         shown = {name: f"{value:.4g}" for name, value in numbers.items()}
         known = (f"{name} {value}" for name, value in (dict(end.evidence) | shown).items())

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from threading import Lock
 
 from equipoise.control.policy import LearningPoint
-from equipoise.learning.target import TargetObserver
+from equipoise.learning.train import TrainingObserver
 from equipoise.settings import Settings
 
 Show = Callable[[str, float | None, str], None]
@@ -31,7 +31,7 @@ def counted(stage: str, total: int, show: Show) -> Callable[[int], None]:
     return done
 
 
-class TrainingProgress(TargetObserver):
+class TrainingProgress(TrainingObserver):
     """Progress of a training: each learner has stages for its episodes, its race and its test."""
 
     def __init__(self, settings: Settings, show: Show) -> None:

@@ -116,9 +116,6 @@ class ControllerSettings(Value):
     """Whether the policy observes the predicted state at the time when its command takes effect,
     instead of the present state. The pendulum keeps falling during the delay, and pending commands
     move it."""
-    lead: bool = False
-    """Whether setpoints lead their reference by the inverse of the servo's law, so that the arm of
-    the model is at the reference after the transport delay alone. For slow servos."""
     estimate_bias: bool = True
     """Whether the zero error of the encoder is estimated while balancing."""
     margin: float = Field(default=0.005, ge=0.0, le=0.2)

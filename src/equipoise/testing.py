@@ -1,4 +1,4 @@
-"""Conformance suites of robots, angle sensors and simulated worlds, for tests of external drivers.
+"""Conformance suites of robots and simulated worlds, for tests of external ones.
 
 A driver's test implements `make`; pytest collects the tests by name::
 
@@ -14,26 +14,18 @@ hold for hardware as well: the first joint moves by 0.02 rad.
 """
 
 from collections.abc import Callable, Iterable
-from itertools import pairwise
 from math import nan, pi
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
-from equipoise import paper
 from equipoise.control.grid import ANGLE, TRUNCATED
 from equipoise.errors import EquipoiseError, InputError, LinkError
-from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Array, Clock, Reply, Robot
+from equipoise.rig.interfaces import SETPOINT_PERIOD, Array, Clock, Reply, Robot
 from equipoise.worlds import ClosedLoop, Setup, Simulation, predicted
 
-MOVE: Final = 0.02
-"""Motion of the first joint [rad]."""
 CLOSE: Final = 2e-3
 """Error of position that a servo with a soft dead band leaves after a second [rad]."""
-PUSH: Final = 1.0
-"""Acceleration that a world is asked for [m/s^2]."""
-PUSH_TIME: Final = 0.2
-"""Duration of that push [s]; the response of an arm is a tenth of it to a half."""
 
 
 def expect_error(kind: type[Exception], call: Callable[..., Any], *arguments: Any) -> None:
@@ -95,7 +87,7 @@ class RobotSession:
         """Return a smooth motion of the first joint, and a second of rest at its end [rad]."""
         s = np.clip(np.arange(SETPOINT_PERIOD, 1.5, SETPOINT_PERIOD) / 0.5, 0.0, 1.0)
         path = np.tile(self.home, (len(s), 1))
-        path[:, 0] += MOVE * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        path[:, 0] += 0.02 * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
         return path
 
     def joints(self) -> Array:
@@ -109,10 +101,6 @@ class RobotConformance:
     def make(self) -> tuple[Robot, Clock]:
         """Return a new robot at rest, not connected, and the clock of its rig."""
         raise NotImplementedError
-
-    def session(self) -> RobotSession:
-        """Return a session with a new robot."""
-        return RobotSession(*self.make())
 
     def test_it_is_a_robot_with_a_clock(self) -> None:
         robot, clock = self.make()
@@ -133,7 +121,7 @@ class RobotConformance:
         robot.close()
 
     def test_setpoints_are_followed_without_a_way_back(self) -> None:
-        with self.session() as session:
+        with RobotSession(*self.make()) as session:
             session.stream([session.home] * 40)
             _near(session.joints(), session.home)
             session.stream(session.path())
@@ -142,7 +130,7 @@ class RobotConformance:
             assert np.diff(q[40:, 0]).min() > -5e-4, "the joint went back on its way"
 
     def test_each_setpoint_has_its_reply_in_order_with_its_times(self) -> None:
-        with self.session() as session:
+        with RobotSession(*self.make()) as session:
             assert session.robot.replies() == []
             session.stream(session.path())
             session.wait(0.5)
@@ -161,7 +149,7 @@ class RobotConformance:
                 assert reply.sent <= reply.received
 
     def test_stop_leaves_the_arm_where_it_is_and_another_start_holds_it_there(self) -> None:
-        with self.session() as session:
+        with RobotSession(*self.make()) as session:
             robot = session.robot
             session.stream(session.path())
             there = session.joints()[-1]
@@ -175,7 +163,7 @@ class RobotConformance:
             _near(session.joints()[-1], there)
 
     def test_a_wrong_setpoint_is_refused_and_not_sent(self) -> None:
-        with self.session() as session:
+        with RobotSession(*self.make()) as session:
             robot, n = session.robot, session.robot.joints
             for i in range(n):
                 expect_error(InputError, robot.send, np.where(np.arange(n) == i, nan, 0.0))
@@ -187,117 +175,13 @@ class RobotConformance:
             _near(session.joints()[-1], session.home)
 
     def test_close_may_be_called_again_and_nothing_works_after_it(self) -> None:
-        with self.session() as session:
+        with RobotSession(*self.make()) as session:
             robot = session.robot
             robot.close()
             robot.close()
             expect_error(LinkError, robot.send, session.home)
             for call in (robot.measured, robot.start):
                 expect_error(EquipoiseError, call)
-
-
-class Spindle(NamedTuple):
-    """Unconnected angle sensor with controls of its spindle, button and link."""
-
-    sensor: AngleSensor
-    """The sensor."""
-    clock: Clock
-    """Clock of its rig."""
-    turn: Callable[[Callable[[float], float]], None]
-    """Sets theta [rad] as a function of time from now on; theta is zero before."""
-    press: Callable[[], None] | None
-    """Presses and releases the button; None without a button."""
-    unplug: Callable[[], None] | None
-    """Cuts the link; None without a link."""
-    age: float
-    """Maximum age of a sample when read, in addition to the read interval [s]."""
-
-    def watch(self, seconds: float, every: float = 0.005) -> tuple[list[Any], list[float]]:
-        """Wait [s]; return the samples, and when each was read [s]."""
-        samples: list[Any] = []
-        read: list[float] = []
-        until = self.clock.now() + seconds
-        while self.clock.now() < until - 1e-9:
-            self.clock.wait_until(self.clock.now() + every)
-            new = self.sensor.samples()
-            samples += new
-            read += [self.clock.now()] * len(new)
-        return samples, read
-
-
-class SensorConformance:
-    """Tests of an `AngleSensor`."""
-
-    def make(self) -> Spindle:
-        """Return a new sensor at rest, not connected, with its controls."""
-        raise NotImplementedError
-
-    def connected(self) -> Spindle:
-        """Return a new connected sensor."""
-        spindle = self.make()
-        spindle.sensor.connect()
-        return spindle
-
-    def test_it_is_an_angle_sensor_that_gives_nothing_unless_connected(self) -> None:
-        sensor = self.make().sensor
-        assert isinstance(sensor, AngleSensor)
-        expect_error(LinkError, sensor.samples)
-        sensor.connect()
-        assert sensor.samples(), "a connected sensor has no sample at once"
-        assert sensor.counts_per_rev > 0
-        assert sensor.description
-        sensor.close()
-        sensor.close()
-        expect_error(LinkError, sensor.samples)
-
-    def test_times_are_the_clocks_and_increase(self) -> None:
-        spindle = self.connected()
-        samples, read = spindle.watch(1.0)
-        assert len(samples) > 100
-        assert all(b.time > a.time for a, b in pairwise(samples))
-        ages = [now - sample.time for sample, now in zip(samples, read, strict=True)]
-        assert min(ages) >= -0.001
-        assert max(ages) <= spindle.age + 0.005
-        assert not any(s.missing or s.illegal or s.pressed for s in samples)
-        assert spindle.sensor.rejected == 0
-        before = spindle.clock.now()
-        assert spindle.sensor.samples() == [], "a sample was given twice"
-        assert spindle.clock.now() - before < 1e-3, "reading takes time"
-
-    def test_counts_grow_with_theta_by_their_number_per_revolution(self) -> None:
-        spindle = self.connected()
-        start, quarter = spindle.watch(0.1)[0][-1].counts, spindle.sensor.counts_per_rev / 4
-        began = spindle.clock.now()
-        spindle.turn(lambda time: min(5.0 * (time - began), pi / 2.0))
-        counts = [sample.counts - start for sample in spindle.watch(0.5)[0]]
-        assert counts == sorted(counts)
-        assert abs(counts[-1] - quarter) <= 1
-        spindle.turn(lambda time: max(pi / 2.0 - 5.0 * (time - began - 0.5), -pi / 2.0))
-        assert abs(spindle.watch(0.8)[0][-1].counts - start + quarter) <= 1
-
-    def test_each_count_is_that_of_its_time(self) -> None:
-        spindle = self.connected()
-        start = spindle.watch(0.1)[0][-1].counts
-        began = spindle.clock.now()
-        spindle.turn(lambda time: 10.0 * (time - began))
-        step = 2.0 * pi / spindle.sensor.counts_per_rev
-        for sample in spindle.watch(0.5)[0][20:]:
-            error = abs((sample.counts - start) * step - 10.0 * (sample.time - began))
-            assert error < 10.0 * spindle.age + step
-
-    def test_a_press_is_reported_once(self) -> None:
-        spindle = self.connected()
-        spindle.watch(0.05)
-        if spindle.press is not None:
-            spindle.press()
-            assert sum(sample.pressed for sample in spindle.watch(0.2)[0]) == 1
-
-    def test_a_cut_link_is_an_error_that_stays(self) -> None:
-        spindle = self.connected()
-        if spindle.unplug is not None:
-            spindle.unplug()
-            expect_error(LinkError, spindle.watch, 1.0)
-            expect_error(LinkError, spindle.sensor.samples)
 
 
 class WorldConformance:
@@ -346,13 +230,14 @@ class WorldConformance:
     def test_the_flange_accelerates_as_commanded_and_the_pendulum_falls_the_other_way(self) -> None:
         loop, simulation, _ = self.released()
         states: list[Any] = []
-        for u in (0.0, PUSH):
+        ticks, push = 10, 1.0  # [m/s^2]
+        for u in (0.0, push):
             loop.reset(simulation.draw(1, first=3).trial(0))
-            for _ in range(round(PUSH_TIME / paper.STEP) // 2):
+            for _ in range(ticks):
                 loop.step(u)
             states.append(loop.state())
         alone, pushed = states
-        speed = 0.5 * PUSH * PUSH_TIME
+        speed = push * ticks * loop.params.h  # that of an arm without a delay
         assert abs(alone[0]) < 1e-3
         assert 0.2 * speed < pushed[1] < 1.05 * speed
         assert pushed[2] < alone[2], "the pendulum does not fall against the acceleration"

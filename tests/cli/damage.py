@@ -2,7 +2,6 @@
 
 import json
 import random
-import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -41,53 +40,6 @@ UTF-8, a surrogate, a long string."""
 
 def cut(path):
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-
-
-def emptied(path):
-    path.write_text("")
-
-
-def flipped(path):
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 0x80
-    path.write_bytes(bytes(data))
-
-
-def edited(path):
-    """Change a number by hand, as somebody would who wants another one."""
-    text = path.read_text()
-    at = text.index('"value": ') if '"value": ' in text else text.index('"seed": ')
-    digit = next(i for i in range(at, len(text)) if text[i].isdigit())
-    path.write_text(text[:digit] + str((int(text[digit]) + 1) % 10) + text[digit + 1 :])
-
-
-def newer(path):
-    _rewrite(path, lambda document: document.update(version=document["version"] + 1))
-
-
-def foreign(path):
-    _rewrite(path, lambda document: document.update(format="somebody-elses"))
-
-
-def other_json(path):
-    path.write_text('{"w2": 70.2}')
-
-
-def not_a_number(path):
-    path.write_text(re.sub(r'"version": \d+', '"version": NaN', path.read_text(), count=1))
-
-
-DAMAGE = {
-    cut: "cut short",
-    emptied: "not a file of Equipoise",
-    flipped: "",
-    edited: "does not match its digest",
-    newer: "upgrade",
-    foreign: "somebody-elses",
-    other_json: "not a file of Equipoise",
-    not_a_number: "not a file of Equipoise",
-}
-"""Ways to damage a file, and what the refusal has to say."""
 
 
 def rebuilt(path, change):

@@ -102,7 +102,7 @@ def test_robot_and_board_answer_and_ctrl_c_ends_it_well(tmp_path):
 
 
 def test_it_survives_a_client_that_vanishes_and_does_what_is_typed():
-    with emulator("--no-operator") as it:
+    with emulator() as it:
         with it.connect() as robot:
             assert ask(robot, b"startDirectServoJoints\n") == "done\n"
         time.sleep(0.2)

@@ -23,7 +23,6 @@ REFUSED = {
     ("train", "--set", "learning.gama=1"): "learning.gama",
     ("train", "--arm", "ur5"): "iiwa7",
     ("evaluate", "--duration", "nan"): "--duration",
-    ("evaluate", "--workers", "2", "--ray", "localhost:1"): "--ray",
     ("evaluate", "--claim", "1"): "probability",
     ("evaluate", "--claim", "0.99", "--trials", "10"): "299",
     ("evaluate", "--claim", "0.99", "--seed", "1"): "--seed",
@@ -45,7 +44,6 @@ REFUSED = {
     ("deploy", "small.json", *TWIN[1:], "--anyway"): "iiwa14",
     ("rig", "doctor", "--robot", "twin:nominal"): "twin:nominal",
     ("rig", "record", "--out", "new.csv"): "--encoder",
-    ("rig", "emulate", "--inject", "drop=2"): "drop",
 }
 
 

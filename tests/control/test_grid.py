@@ -12,14 +12,14 @@ from equipoise.control.grid import (
     box_count,
     box_index,
     greedy_actions,
+    make_grid,
     mirrored_box,
-    partition,
 )
 from equipoise.errors import SettingsError
 from equipoise.settings import BoxSettings, resolve
 from tests.reference import intervals as printed
 
-BOXES = partition(BoxSettings(look_ahead=0.0), 1.0)
+BOXES = make_grid(BoxSettings(look_ahead=0.0), 1.0)
 CENTRE = {"phi": 0.01, "phi_dot": 0.0, "x": 0.0, "x_dot": 0.0}
 INNER_EDGES = [
     (axis, interval.low * unit)
@@ -107,7 +107,7 @@ def ends_of(count):
 )
 def test_any_ends_give_the_box_that_numpy_gives_and_its_mirror_image(ends, state):
     given = BoxSettings(**ends, look_ahead=0.0)
-    boxes = partition(given, 1.0)
+    boxes = make_grid(given, 1.0)
     state = np.array(state) * (0.19, 8.0, 0.22, 2.5)
     unit = (np.pi / 180, np.pi / 180, 1.0, 1.0)
     places = [
@@ -170,7 +170,7 @@ def test_a_symmetric_table_gives_a_symmetric_policy_whatever_its_ties(box, row, 
 @pytest.mark.parametrize("phi_dot", [-1.0, 0.0, 0.3])
 def test_x_is_continued_at_the_velocity_of_the_centre_of_percussion(x_dot, phi_dot):
     state = {"x_dot": x_dot, "phi": 0.0, "phi_dot": phi_dot}
-    plain, ahead = (partition(BoxSettings(look_ahead=time), 8.0) for time in (0.0, 0.5))
+    plain, ahead = (make_grid(BoxSettings(look_ahead=time), 8.0) for time in (0.0, 0.5))
     for x in (-0.2, -0.05, 0.0, 0.1, 0.2):
         assert box_index(x, **state, boxes=plain) == box_index(x, **state, boxes=BOXES)
         # I / (m l) = 1 / k = 0.125 m from the pivot.

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise import paper
-from equipoise.control.grid import partition
+from equipoise.control.grid import make_grid
 from equipoise.control.policy import (
     LINEAR,
     RANDOM,
@@ -23,7 +23,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import BoxSettings, Settings
 from tests.reference.intervals import place
 
-BOXES = partition(BoxSettings(look_ahead=0.0), 1.0)
+BOXES = make_grid(BoxSettings(look_ahead=0.0), 1.0)
 STATE = (0.0, 0.0, 0.01, 0.0)
 states = st.tuples(
     st.floats(-0.219, 0.219), st.floats(-2, 2), st.floats(-0.19, 0.19), st.floats(-9, 9)

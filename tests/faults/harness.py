@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from math import inf
-from operator import add
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -195,8 +194,6 @@ class FaultHarness:
         """Time of the message that the arm stops [s]."""
         self.change_inputs: Callable[[TickInputs], TickInputs] = lambda inputs: inputs
         """Changes the inputs of the controller."""
-        self.lead = 0.0
-        """Lead of all joints that a fault adds to setpoints [rad]."""
         self.change_setpoint: Callable[[Setpoint, float], Setpoint] = lambda q, _: q
         """Changes a setpoint, given the time since the fault [s], which ends at the stop."""
         self.undo: list[Callable[[], Any]] = []
@@ -318,9 +315,4 @@ class FaultyTickHandler:
             harness.change_setpoint(tuple(q), time - harness.injected_at)
             for q, time in zip(output.setpoints, times, strict=True)
         )
-        changed = output._replace(setpoints=tuple(setpoints))
-        if harness.lead == 0.0 or harness.stopped_at < now:
-            return changed
-        ahead = (harness.lead,) * len(output.q)
-        led = (tuple(map(add, q, ahead)) for q in changed.setpoints)
-        return changed._replace(setpoints=tuple(led), leads=(ahead,) * len(changed.setpoints))
+        return output._replace(setpoints=tuple(setpoints))

@@ -14,6 +14,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections import deque
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -79,10 +80,16 @@ def live_run() -> Generator[LiveRun]:
     with tempfile.TemporaryDirectory(prefix="equipoise-") as folder:
         pendulum = pendulum_on(shipped_pendulum(), world)
         emulation = Emulation(settings.described_arm, pendulum, world, SystemClock())
+        acts: deque[str] = deque()
+
+        def stop() -> bool:
+            while acts:
+                emulation.acts[acts.popleft()]()
+            return over.is_set()
 
         def serve() -> None:
             _raise_priority()
-            emulation.run(HOST, 0, over.is_set, listening=ports.append)
+            emulation.run(HOST, 0, stop, listening=ports.append)
 
         rig = threading.Thread(target=serve, daemon=True)
         _raise_priority()
@@ -102,7 +109,7 @@ def live_run() -> Generator[LiveRun]:
             command, stderr=subprocess.STDOUT, env=environment, start_new_session=True, **pipes
         )
         lines: list[tuple[float, str]] = []
-        threading.Thread(target=_answer_prompts, args=(process, lines), daemon=True).start()
+        threading.Thread(target=_answer_prompts, args=(process, lines, acts), daemon=True).start()
         try:
             yield LiveRun(process, emulation, ports[0], log, lines)
         finally:
@@ -127,13 +134,28 @@ def _raise_priority() -> None:
 
 ANSWERS: Final = ((re.compile(r"Type (\w+)\."), None), (re.compile(r"y or n"), "y"))
 """Pattern of each prompt, and its answer; None if the first group of the match is the answer."""
+ACTS: Final = {
+    "steady it with a finger": ("steady",),
+    "hangs still": ("release", "press"),
+    "Lift the pendulum": ("lift",),
+    "Armed. Let go": ("release",),
+    "Hold the pendulum upright again": ("lift",),
+    "nudge it": ("release", "push"),
+}
+"""Acts of the operator's hand, by the prompt that asks for them."""
 
 
-def _answer_prompts(process: subprocess.Popen[str], lines: list[tuple[float, str]]) -> None:
-    """Record the output of the run, and answer its prompts."""
+def _answer_prompts(
+    process: subprocess.Popen[str], lines: list[tuple[float, str]], acts: deque[str]
+) -> None:
+    """Record the output of the run, answer its prompts, and do with the hand what they ask for."""
     _raise_priority()
     for line in process.stdout:
         lines.append((time.monotonic(), line.rstrip()))
+        for prompt, words in ACTS.items():
+            if prompt in line:
+                time.sleep(0.5)  # the reaction time
+                acts.extend(words)
         for pattern, answer in ANSWERS:
             if (prompt := pattern.search(line)) is not None:
                 with suppress(OSError):

@@ -486,9 +486,6 @@ ROBOT: Final = (
             _ends("stale joints", "arm not identified"), _stop_behind_slow_link, trigger,
             _with(identify=identify), within=0.135, says="link")
       for phase, (trigger, identify) in MOVES.items()),
-    _held_back("setpoint lead", "setpoints lead their references by 4 deg, while balancing",
-               "setpoint lead",
-               lambda harness: setattr(harness, "lead", radians(4.0)), "leads its reference"),
 )
 # fmt: on
 

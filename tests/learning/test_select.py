@@ -121,9 +121,11 @@ def pairs(monkeypatch):
     """Spread, table and number of each trial that runs."""
     ran, original = [], PlantSimulation.run_piece
 
-    def spy(self, policy, trials, rows, duration):
-        ran.extend((self.spread, int(trials.table[i]), int(trials.number[i])) for i in rows)
-        original(self, policy, trials, rows, duration)
+    def spy(self, policy, duration, trials):
+        ran.extend(
+            zip([self.setup.spread] * len(trials.table), trials.table, trials.number, strict=True)
+        )
+        return original(self, policy, duration, trials)
 
     monkeypatch.setattr(PlantSimulation, "run_piece", spy)
     return ran
@@ -252,8 +254,9 @@ def test_a_test_ends_when_the_target_is_decided(make_plant):
 def test_a_test_ends_when_failures_put_the_target_out_of_reach(make_plant, monkeypatch):
     failing = {5, 60, 100, 130}
 
-    def fall(self, policy, trials, rows, duration):
-        trials.cause[rows] = [TRACK * (int(trials.number[i]) in failing) for i in rows]
+    def fall(self, policy, duration, trials):
+        cause = [TRACK * (number in failing) for number in trials.number.tolist()]
+        return trials.steps, np.array(cause), trials.sum_x2
 
     monkeypatch.setattr(PlantSimulation, "run_piece", fall)
     plant, table = make_plant("selection.test_trials=500"), np.zeros(270)

@@ -17,7 +17,6 @@ from equipoise.learning.episodes import (
     train_episodes,
 )
 from equipoise.learning.target import (
-    TargetObserver,
     compare_policies,
     measure_policy,
     train_to_target,
@@ -29,8 +28,7 @@ from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
 from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.settings import resolve
-from equipoise.worlds import ideal as plant
-from equipoise.worlds import setup_of, simulate
+from equipoise.worlds import interface, setup_of, simulate
 from equipoise.worlds.plant import make_loop_params
 
 # Thousands of episodes' worth of steps: minutes without compilation.
@@ -232,13 +230,13 @@ def test_only_the_latest_candidates_race(pendulum):
 
 def test_race_and_test_have_trials_of_their_own(monkeypatch, pendulum):
     seen = set()
-    original = plant.draw_trials
+    original = interface.draw_trials
 
     def spy(count, settings, seed, stream, spread, first):
         seen.add((seed, stream, spread))
         return original(count, settings, seed, stream, spread, first)
 
-    monkeypatch.setattr(plant, "draw_trials", spy)
+    monkeypatch.setattr(interface, "draw_trials", spy)
     train_to_target(pendulum, ARM, settings(), target=0.9, learners=2, seed=5)
     assert seen == {(5, SELECTION, settings().selection.spread), (5, TARGET_TEST, 1.0)}
     assert TEST not in (SELECTION, TARGET_TEST)
@@ -305,11 +303,11 @@ def test_the_learning_curve_is_told_as_it_grows(pendulum):
     assert np.all(ended <= np.array(steps) * (1.0 + 1e-12))
 
 
-class Told(TargetObserver):
+class Told(TrainingObserver):
     """Everything that a training reports, by learner."""
 
     def __init__(self):
-        self.points, self.raced, self.tested, self.results = [], [], [], []
+        self.points, self.raced, self.tested = [], [], []
 
     def report(self, learner, point):
         self.points.append((learner, point))
@@ -319,9 +317,6 @@ class Told(TargetObserver):
 
     def testing(self, learner, done, of):
         self.tested.append((learner, done, of))
-
-    def finished(self, result):
-        self.results.append(result)
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -337,7 +332,6 @@ def test_several_learners_tell_whose_progress_it_is(pendulum, workers):
     )
     points = tuple(point for n, point in told.points if n == found.policy.learner)
     assert points == found.policy.learning_curve
-    assert sorted(told.results, key=lambda each: each.learner) == list(found.learners)
     for result in found.learners:
         tested = [(done, of) for n, done, of in told.tested if n == result.learner]
         assert tested[-1] == (result.test.trials, result.test.trials)

@@ -1,6 +1,6 @@
 """The actuator's kernels: against the server's own table, closed forms and a slow loop."""
 
-from math import copysign, cos, exp, expm1, sin, sqrt
+from math import expm1, sqrt
 
 import numpy as np
 import pytest
@@ -15,7 +15,6 @@ from equipoise.model.actuator import (
     INTERVAL_WIDTH,
     KST,
     LAG,
-    MAX_LEAD,
     NEAR,
     UNSHAPED,
     Actuator,
@@ -23,7 +22,6 @@ from equipoise.model.actuator import (
     JointResponse,
     follow,
     lag_share,
-    leading_setpoint,
     shaped_step,
     steady_error,
     track,
@@ -267,50 +265,3 @@ def test_the_response_time_is_the_lag_and_the_slope_of_the_shaping_law():
     assert Actuator.assumed("lag", lag=lag).response_time(0) == lag
     assert Actuator.assumed("ideal").response_time(0) == 0.0
     assert actuator.response_time(0, 0.0) == float("inf")
-
-
-# Setpoints that lead.
-
-
-@pytest.mark.parametrize(
-    ("kind", "cycle", "lag", "tolerance"),
-    [
-        (KST, 0.001, 0.008, 2e-4),
-        (KST, 0.016, 0.004, 2e-4),
-        (KST, 0.040, 0.008, 4e-4),
-        (UNSHAPED, 0.016, 0.016, 2e-4),
-        (LAG, 0.001, 0.016, 1e-12),
-    ],
-)
-def test_a_joint_whose_setpoints_lead_is_at_its_reference(kind, cycle, lag, tolerance):
-    """A swing by 0.1 rad with 0.3 rad/s; the law as in the docstring, written down once more."""
-    actuator, share = ActuatorParameters(kind, cycle=cycle), 1.0 - exp(-0.001 / lag)
-    q, dq, w, errors, leads = 0.0, 0.0, 3.0, [], []
-    for i in range(400):
-        t = 0.005 * (i + 1)
-        reference, velocity = 0.1 * (1.0 - cos(w * t)), 0.1 * w * sin(w * t)
-        setpoint = leading_setpoint(q, dq, reference, velocity, share, actuator, 5)
-        for _ in range(5):
-            e = setpoint - q
-            if kind == LAG:
-                q += e * share
-                continue
-            wanted = e / cycle
-            if kind == KST:
-                wanted = copysign(0.07 / cycle * (1.0 - exp(-((e / 0.0525) ** 2))), e)
-            dq += (wanted - dq) * share
-            q += 0.001 * dq
-        errors.append(q - reference)
-        leads.append(setpoint - reference)
-    assert np.abs(errors[40:]).max() < tolerance
-    # Without a lead it would be behind by more than ten times as much.
-    assert np.abs(leads).max() > 10.0 * np.abs(errors[40:]).max()
-    assert np.abs(leads).max() < MAX_LEAD
-
-
-@pytest.mark.parametrize("speed", [-5.0, 5.0])
-def test_a_lead_is_bounded(speed):
-    actuator = ActuatorParameters(KST, cycle=0.04)
-    for reference in (-1.0, 0.0, 1.0):
-        setpoint = leading_setpoint(0.0, 0.0, reference, speed, 0.1, actuator, 5)
-        assert abs(setpoint - reference) <= MAX_LEAD + 1e-15

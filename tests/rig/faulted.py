@@ -128,7 +128,7 @@ def run_with(fault, seed, path):
     period = request.policy.h / 2.0
     robot = GuardedRobot(stage.robot, guard.limits, period)
     stage.sensor.connect()
-    robot.connect()
+    stage.robot.connect()
     stage.sensor.samples()
     robot.start()
     policy = KernelPolicy(fault.policy or request.policy.kernel)

@@ -133,7 +133,7 @@ def test_a_policy_that_fails_ends_in_the_latched_stop_with_the_arm_at_rest(tmp_p
     first = int(np.flatnonzero(tick["state"] == last)[0])
     assert (tick["state"][first:] == last).all()
     assert tick["u"][first] == 0.0
-    found = explain(log).causes[0]
+    found = explain(log)[0]
     assert found.cause is Outcome.POLICY
     assert result.reason[:40] in found.evidence
 

@@ -90,7 +90,6 @@ def test_a_rig_that_is_not_there_is_refused(tmp_path):
         ("kst://host?port=3", "serial:///dev/ttyACM0"),
         ("kst://[::1", "serial:///dev/ttyACM0"),
         ("kst://host", "serial://"),
-        ("kst://host", "socket://host"),
         ("http://host", "serial:///dev/ttyACM0"),
         ("kst://host", None),
         ("kst://host", "/dev/ttyACM0"),
@@ -113,7 +112,7 @@ def test_an_address_that_is_none_is_refused(robot, encoder):
     ],
 )
 def test_addresses_of_a_robot(robot, where, monkeypatch):
-    check_addresses(robot, "socket://localhost:4")
+    check_addresses(robot, "serial:///dev/ttyACM0")
     dialled = []
     monkeypatch.setattr(plugin, "dial", lambda *to: dialled.append(to))
     open_robot(robot, VirtualClock())

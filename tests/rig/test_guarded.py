@@ -57,7 +57,6 @@ class Tape:
 def guarded(q=HOME):
     tape = Tape(q)
     robot = GuardedRobot(tape, limits_of(ARM), PERIOD)
-    robot.connect()
     robot.start()
     return robot, tape
 
@@ -101,7 +100,7 @@ def test_a_way_to_rest_that_ends_at_a_limit_is_not_taken_over():
     def sent_on(**how):
         robot, tape = guarded((*HOME[:6], begin))
         robot.last = (*HOME[:6], begin)
-        robot._references = (*HOME[:6], begin - v * PERIOD), robot.last
+        robot._before = (*HOME[:6], begin - v * PERIOD)
         way = ramp(robot.last, (*(0.0,) * 6, v), 1.0, limits)
         assert way.duration < v / 4.0  # the limit is near
         n = int(way.duration / PERIOD) + 3
@@ -147,7 +146,7 @@ def test_nothing_leaves_before_a_first_setpoint_where_the_arm_is(away):
 def test_each_start_asks_where_the_arm_is_now():
     robot, tape = guarded()
     robot.send(HOME)
-    robot.stop()
+    robot.robot.stop()
     tape.q = HOME + 0.1
     robot.start()
     assert robot.started_at == tuple(tape.q)
@@ -266,31 +265,6 @@ def test_whatever_goes_in_what_leaves_keeps_all_limits(start, shares, late, bad)
         robot.send(setpoint)
     check_sent(tape.sent)
     assert robot.held_back is None or robot.at_rest
-
-
-LEAD = np.array([0.034, -0.03, 0.0, 0.02, -0.01, 0.0, 0.025])
-
-
-def test_a_setpoint_that_leads_is_judged_by_its_reference():
-    robot, tape = guarded()
-    robot.send(HOME)
-    # As a jump of the reference the same setpoint would not be sent.
-    robot.send(HOME + LEAD, lead=LEAD)
-    reference = HOME
-    for reference in map(np.array, along(HOME, np.full(7, 0.2), 20)):
-        robot.send(reference + LEAD, lead=LEAD)
-    assert robot.held_back is None
-    assert tape.sent[-1] == pytest.approx(reference + LEAD, abs=1e-15)
-    far = np.array(next(along(reference, np.full(7, 0.2), 1)))
-    robot.send(far + LEAD, lead=LEAD - 0.002)
-    assert robot.held_back is not None
-    # The ramp goes on from the setpoint with the reference's velocity.
-    assert np.abs(np.array(tape.sent[-1]) - tape.sent[-2]).max() <= 0.2 * PERIOD * 1.001
-    robot, tape = guarded()
-    robot.send(HOME)
-    robot.send(HOME + LEAD, lead=LEAD)
-    robot.send(HOME - LEAD, lead=-LEAD)
-    assert robot.held_back.outcome is Outcome.JUMP
 
 
 def test_a_stream_that_stood_still_begins_anew_from_rest():

@@ -16,7 +16,6 @@ from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig
 from equipoise.rig.plugins import ignore
-from equipoise.rig.preflight import rehearse_t1
 from equipoise.rig.request import RunRequest, describe_fit
 from equipoise.rig.run import OperatorChannel, run_virtually
 from equipoise.rig.run_controller import PHASES
@@ -234,32 +233,6 @@ def test_a_policy_for_another_arm_is_refused():
 
 
 # The speed of the flange.
-
-
-def limited(max_speed):
-    """Return the shipped policy, as if it had been trained for a speed of the flange."""
-    policy = shipped_policy()
-    plant = policy.settings.plant.model_copy(update={"max_speed": max_speed})
-    return policy.model_copy(
-        update={"settings": policy.settings.model_copy(update={"plant": plant})}
-    )
-
-
-def test_a_policy_that_lives_with_t1_on_the_twin_may_run_there():
-    rehearse_t1(request(t1=True), trials=4, duration=2.0)
-
-
-def test_a_policy_that_is_too_fast_on_the_twin_is_refused():
-    # No run of this policy stays below 50 mm/s.
-    with pytest.raises(
-        InputError, match=r"lasts 2 s in 0 of 4 trials, expected 4 .*flange speed 4.*max_speed"
-    ):
-        rehearse_t1(request(policy=limited(0.05), t1=True), trials=4, duration=2.0)
-
-
-def test_a_policy_for_another_rig_is_refused_before_it_is_tried_in_t1():
-    with pytest.raises(InputError, match="policy and arm"):
-        rehearse_t1(request(settings=RigSettings(arm="iiwa14"), t1=True))
 
 
 class Pusher(Spy):

@@ -21,7 +21,6 @@ from equipoise.safety.rules import (
     ANGLE_RULE_LIMIT,
     MAX_MEASUREMENT_AGE,
     MAX_STALL,
-    check_setpoint,
     make_safety_params,
 )
 
@@ -89,7 +88,6 @@ class Course:
         self.samples_lost = frozenset()
         self.torques = TORQUES
         self.sent = [(-1.0, tuple(q))]
-        self.leads = [(0.0,) * 7]
         self.told, self.texts = [], []
         self.answers, self.result, self.verdicts = [], None, []
         self.link_dead = self.encoder_dead = False
@@ -150,7 +148,6 @@ class Course:
         output = self.pilot.tick(self.now, given._replace(**inputs))
         for place, setpoint in enumerate(output.setpoints):
             self.sent.append((max(self.now, due + 0.5 * H * place), setpoint))
-            self.leads.append(output.leads[place] if output.leads else (0.0,) * 7)
         self.told += [event.name for event in output.events]
         self.texts += [event.text for event in output.events]
         if output.job is not None:
@@ -407,38 +404,6 @@ def test_a_stall_on_the_way_back_from_the_self_test_leaves_the_arm_at_home():
     course.until(Phase.LIFTING)
     assert away > 0.01
     assert course.sent[-1][1] == pytest.approx(ARM.home, abs=2e-5)
-
-
-@pytest.mark.parametrize("stalled", [False, True])
-def test_a_stop_keeps_the_lead_and_goes_on_from_the_setpoint(stalled):
-    settings = POLICY.settings
-    control = settings.controller.model_copy(update={"lead": True})
-    course = Course(settings=settings.model_copy(update={"controller": control}))
-    moves(course.until(Phase.SELF_TEST))
-    for _ in range(10):
-        course.tick()
-    moving = len(course.sent)
-    if stalled:
-        course.tick(0.04, lines=["stop"])
-        rested = np.array(course.sent[moving - 1][1])
-    else:
-        course.tick(lines=["stop"])
-    for _ in range(100):
-        course.tick()
-    q, leads = np.array([q for _, q in course.sent]), np.array(course.leads)
-    assert 1e-3 < np.abs(leads[:moving]).max() < 0.02
-    references = q - leads
-    for i in range(2, moving if stalled else len(q)):
-        assert check_setpoint(course.guard.limits, references[i], references[i - 1],
-                              references[i - 2], 0.005, i >= moving,
-                              (q[i], q[i - 1])) is None  # fmt: skip
-    if stalled:  # the arm rests at its last setpoint, which is the reference from now on
-        assert not leads[moving:].any()
-        assert q[moving] == pytest.approx(rested, abs=1e-4)
-    else:
-        assert np.abs(leads[moving - 1]).max() > 5e-4
-        assert (leads[moving:] == leads[moving - 1]).all()
-    assert (q[-1] == q[-9]).all()
 
 
 def test_a_stop_after_a_stall_holds_the_arm_where_it_rests():

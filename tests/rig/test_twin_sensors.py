@@ -11,7 +11,6 @@ from equipoise.worlds.twin.sensors import (
     encoder,
     encoder_zero,
     make_sensors,
-    new_sensor_history,
     reply,
 )
 
@@ -34,14 +33,14 @@ def test_the_zero_error_differs_between_trials_within_its_bounds():
 @pytest.mark.parametrize(("age", "ticks"), [(0.0, 0), (0.001, 1), (0.0042, 5), (0.05, 50)])
 def test_a_sample_is_known_when_it_is_old_enough(age, ticks):
     settings = EXACT.model_copy(update={"encoder_age": age, "reply_age": age})
-    sensors, past = make_sensors(settings, 0, 0), new_sensor_history()
+    sensors = make_sensors(settings, 0, 0)
     now = 1000
     for tick in range(now - HISTORY_MS + 1, now + 1):
-        past.phi[tick % HISTORY_MS] = pi - (tick - 900) * 2 * pi / 8192
-        past.q[tick % HISTORY_MS] = tick + 0.1 * np.arange(6)
-    counts, counted = encoder(sensors, past, now, 0, 0)
+        sensors.phi[tick % HISTORY_MS] = pi - (tick - 900) * 2 * pi / 8192
+        sensors.q[tick % HISTORY_MS] = tick + 0.1 * np.arange(6)
+    counts, counted = encoder(sensors, now, 0, 0)
     q = np.zeros(6)
-    measured = reply(sensors, past, now, 0, 0, q)
+    measured = reply(sensors, now, 0, 0, q)
     assert counts == now - ticks - 900
     assert counted == measured == pytest.approx(1e-3 * (now - ticks))
     assert q == pytest.approx(now - ticks + 0.1 * np.arange(6))
@@ -49,16 +48,16 @@ def test_a_sample_is_known_when_it_is_old_enough(age, ticks):
 
 def test_measured_joints_carry_white_noise_of_the_stated_size():
     settings = EXACT.model_copy(update={"joint_noise": 1e-4})
-    sensors, past = make_sensors(settings, 0, 0), new_sensor_history()
-    past.q[:] = np.arange(6)
+    sensors = make_sensors(settings, 0, 0)
+    sensors.q[:] = np.arange(6)
     rows = np.zeros((2000, 6))
     for tick, q in enumerate(rows):
-        reply(sensors, past, tick, 3, 4, q)
+        reply(sensors, tick, 3, 4, q)
     noise = (rows - np.arange(6)) / 1e-4
     assert np.mean(noise, axis=0) == pytest.approx(np.zeros(6), abs=5 / np.sqrt(2000))
     assert np.std(noise, axis=0) == pytest.approx(np.ones(6), abs=5 / np.sqrt(4000))
     together = np.corrcoef(np.vstack([noise[1:].T, noise[:-1].T]))
     assert np.max(np.abs(together - np.eye(12))) < 5 / np.sqrt(2000)
     again = np.zeros(6)
-    reply(sensors, past, 77, 3, 4, again)
+    reply(sensors, 77, 3, 4, again)
     assert np.array_equal(again, rows[77])

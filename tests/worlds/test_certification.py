@@ -32,9 +32,6 @@ CLAIMS = [
     (0.999, 0.95, 10_000),
     (0.985, 0.95, 200),
     (0.95, 0.95, 59),  # no failure is allowed, and with one trial less nothing is granted
-    (0.9, 0.99, 100),
-    (0.98, 0.9, 500),
-    (0.995, 0.6, 777),
     (0.8, 0.999, 37),
     (0.5, 0.75, 2),  # a tie: two of two happen in exactly a quarter of all cases
     (0.5, 0.5, 101),  # another: more than half of an odd number in exactly half of all cases
@@ -62,14 +59,6 @@ def test_at_exactly_the_claimed_rate_it_is_granted_as_seldom_as_the_confidence_s
     assert chance(least, trials, probability) <= wrongly
     # It is not stricter than it has to be: with one success fewer it would be granted too often.
     assert chance(least - 1, trials, probability) > wrongly
-
-
-def test_a_true_999_in_a_thousand_is_granted_99_percent():
-    least = least_successes(1000, 0.99, 0.95)
-    # From tables of acceptance sampling: 913 trials allow 4 failures, 1049 allow 5.
-    assert least == 996
-    assert chance(least, 1000, 0.999) >= 0.95
-    assert chance(least, 1000, 0.99) <= 0.05
 
 
 @pytest.mark.parametrize(
@@ -100,17 +89,12 @@ def test_granted_means_that_the_lower_bound_reaches_the_claim(probability, confi
         assert lower_bound(k, trials, confidence) == pytest.approx(bounds[k], abs=1e-12)
 
 
-def test_the_bound_where_none_failed_is_the_root_of_what_is_left_to_chance():
-    assert lower_bound(1000, 1000, 0.95) == pytest.approx(0.05**0.001, abs=1e-12)
-    assert lower_bound(0, 1000, 0.95) == 0.0
-
-
 # The number of trials
 
 
 @pytest.mark.parametrize(
     ("probability", "confidence", "trials"),
-    [(0.99, 0.95, 1000), (0.999, 0.95, 10_000), (0.95, 0.95, 200), (0.9, 0.99, 100)],
+    [(0.99, 0.95, 1000), (0.9, 0.99, 100)],
 )
 def test_a_policy_ten_times_better_is_granted_its_claim_and_fewer_trials_would_not_do(
     probability, confidence, trials
@@ -124,18 +108,6 @@ def test_a_policy_ten_times_better_is_granted_its_claim_and_fewer_trials_would_n
     assert granted[trials] >= 0.95 > granted[fewer]
 
 
-def test_a_claim_gets_its_trials_from_its_numbers_alone():
-    assert make_claim(0.99, 0.95, 60.0).trials == 1000
-    assert make_claim(0.99, 0.95, 600.0, world="twin:harsh").trials == 1000
-    assert make_claim(0.99, 0.95, 60.0, trials=500).trials == 500
-
-
-def test_one_trial_fewer_than_the_least_is_refused():
-    assert make_claim(0.99, 0.95, trials=299).allowed == 0
-    with pytest.raises(InputError):
-        make_claim(0.99, 0.95, trials=298)
-
-
 @hypothesis.settings(max_examples=60)
 @given(probability=st.floats(0.01, 0.999), confidence=st.floats(0.5, 0.999))
 def test_the_refusal_names_the_least_number_that_will_do(probability, confidence):
@@ -147,27 +119,19 @@ def test_the_refusal_names_the_least_number_that_will_do(probability, confidence
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    ("name", "values"),
     [
-        {"probability": 1.0},
-        {"probability": 0.0},
-        {"probability": math.nan},
-        {"probability": 0.999999},
-        {"confidence": 0.3},
-        {"confidence": 1.0},
-        {"duration": 0.0},
-        {"duration": 1e5},
-        {"duration": 60.005},
-        {"trials": 0},
-        {"trials": 10**7},
-        {"world": "twin:mars"},
-        {"world": ""},
+        ("probability", (1.0, 0.0, math.nan, 0.999999)),
+        ("confidence", (0.3, 1.0)),
+        ("duration", (0.0, 1e5, 60.005)),
+        ("trials", (0, 10**7)),
+        ("world", ("twin:mars", "")),
     ],
-    ids=str,
 )
-def test_an_impossible_claim_is_refused(wrong):
-    with pytest.raises(InputError):
-        make_claim(**wrong)
+def test_an_impossible_claim_is_refused(name, values):
+    for value in values:
+        with pytest.raises(InputError):
+            make_claim(**{name: value})
 
 
 def test_the_seed_is_the_beginning_of_the_sha_256_of_policy_and_claim():

@@ -12,15 +12,13 @@ import pytest
 
 pytest.importorskip("coppeliasim_zmqremoteapi_client", reason="the extra coppeliasim is missing")
 
-from equipoise.apps.coppeliasim.connection import Connection, as_plain
+from equipoise.apps.coppeliasim.connection import Connection
 from equipoise.cli import main
 from equipoise.control.grid import TRUNCATED
 from equipoise.control.policy import KernelPolicy, TabularPolicy, shipped_policy
 from equipoise.errors import InputError, LinkError, MissingExtraError, OutsideError, SettingsError
-from equipoise.settings import resolve
 from equipoise.testing import WorldConformance
 from equipoise.worlds import Recorder, find_world, predicted, run_trial, setup_of, simulate
-from equipoise.worlds.evaluation import Evaluation, evaluate
 from tests.coppeliasim_server import PARAMETERS, RUNNING, STOPPED, CoppeliaSimServer
 
 pytestmark = pytest.mark.compiled_only
@@ -133,26 +131,6 @@ def test_errors_of_the_connection_are_one_message(server, monkeypatch):
         Connection("127.0.0.1", 9)
 
 
-def test_numbers_of_numpy_are_sent_as_numbers_of_python(server):
-    sim = Connection("127.0.0.1", server.port)
-    dummy = sim.call("createDummy", np.float32(0.5))
-    pose = np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0])
-    sim.call("setObjectPose", np.int64(dummy), pose, np.int32(-1))
-    assert sim.call("getObjectPose", np.uint32(dummy)) == pytest.approx(pose.tolist())
-    sim.call("removeObjects", [np.int64(dummy)])
-    sim.close()
-    assert type(as_plain((np.bool_(True), np.arange(2)))[0]) is bool
-
-
-def test_the_main_module_is_left_as_it_was(server, monkeypatch):
-    main_module = sys.modules["__main__"]
-    Connection("127.0.0.1", server.port).close()
-    assert not hasattr(main_module, "require")
-    monkeypatch.setattr(main_module, "require", 5, raising=False)
-    Connection("127.0.0.1", server.port).close()
-    assert main_module.require == 5
-
-
 # The simulation
 
 
@@ -200,7 +178,7 @@ def restart(scene):
         lambda scene: scene.sim_pauseSimulation(),
         restart,
         lambda scene: scene.sim_removeObjects(list(scene.things)),
-        lambda scene: scene.access("Float")[1](1, 0.02),
+        lambda scene: scene.parameters["Float"].update({1: 0.02}),
     ],
     ids=["pause", "restart", "remove", "another step"],
 )
@@ -248,23 +226,6 @@ def test_a_wrong_address_is_refused(rest):
 
 
 # The verbs
-
-
-def test_evaluate_runs_there_and_its_file_names_the_world(server, tmp_path, capsys):
-    out = tmp_path / "evaluation.json"
-    short = ["--trials", "2", "--duration", "0.5", "--no-baselines", "--json", "--out", str(out)]
-    main(["evaluate", "--world", server.address, *short])
-    assert json.loads(capsys.readouterr().out)["world"] == server.address
-    found = Evaluation.load(out)
-    assert found.results.survival == (0.5, 0.5)
-    assert found.world_settings is None
-
-
-def test_python_policies_and_tables_run_the_same_trials_there(server):
-    settings = resolve(overrides=["evaluation.trials=2", "evaluation.duration=0.3"])
-    first = evaluate(POLICY, settings, world=server.address, with_baselines=False, workers=2)
-    again = evaluate(POLICY, settings, world=server.address, with_baselines=False)
-    assert first.results == again.results
 
 
 def test_train_runs_there_and_its_policy_says_so(server, tmp_path, capsys):

@@ -7,17 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from equipoise import paper
 from equipoise.control.baselines import baselines
 from equipoise.control.bound_policy import bind_policy
-from equipoise.control.policy import act
-from equipoise.errors import ArtefactError
 from equipoise.learning.train import train
-from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
+from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.outcomes import Outcome
 from equipoise.settings import resolve
-from equipoise.worlds.evaluation import Evaluation, TrialResults, evaluate
+from equipoise.worlds.evaluation import TrialResults, evaluate
 
 SHORT = ["evaluation.trials=20", "evaluation.duration=1.5"]
 
@@ -35,16 +32,6 @@ class Plain:
     def act(self, state):
         self.asked.append(state)
         return self.policy.act(state)
-
-
-class Yardstick:
-    """A compiled yardstick as a plain object."""
-
-    def __init__(self, kernel):
-        self._kernel = kernel
-
-    def act(self, state):
-        return act(self._kernel, *(float(value) for value in state), 0.0)
 
 
 class Constant:
@@ -171,14 +158,6 @@ def test_every_finished_trial_is_told_of_once(small_policy, settings):
 
 
 @pytest.mark.compiled_only
-def test_the_yardsticks_stand_as_they_should(evaluation):
-    beside = {results.name: results.summary() for results in evaluation.baselines}
-    assert beside["LQR"].rate == beside["LQR, snapped"].rate == 1.0
-    assert beside["random"].rate == 0.0
-    assert beside["random"].median < 0.5
-
-
-@pytest.mark.compiled_only
 def test_the_table_as_a_plain_object_runs_the_same_trials(small_policy, settings, evaluation):
     plain = Plain(small_policy)
     told = []
@@ -200,32 +179,6 @@ def test_the_table_as_a_plain_object_runs_the_same_trials(small_policy, settings
     assert all(state.shape == (4,) for state in plain.asked)
 
 
-@pytest.mark.compiled_only
-@pytest.mark.parametrize("world", ["ideal", "model", "twin:nominal"])
-def test_yardsticks_as_plain_objects_run_the_same_trials(small_policy, world):
-    overrides = ["evaluation.trials=6", "evaluation.duration=1.5", "plant.linearised=true"]
-    settings = resolve(overrides=overrides)
-    there = {"world": world, "actuator": KST, "seed": 3}
-    evaluated = evaluate(small_policy, settings, **there)
-    compiled = {results.name: results for results in evaluated.baselines}
-    kernels = baselines(small_policy.pendulum.parameters(linearised=True), 0.01)
-    for name in ("LQR", "LQR, snapped", "PD"):
-        plain = evaluate(
-            bind_policy(
-                Yardstick(kernels[name]),
-                name=name,
-                pendulum=small_policy.pendulum,
-                arm=small_policy.arm,
-            ),
-            settings,
-            **there,
-            with_baselines=False,
-        )
-        assert plain.results == compiled[name]
-    ideal = evaluated.actuators == (IDEAL_ACTUATOR.digest,)
-    assert ideal == (world == "ideal")
-
-
 def test_a_policy_in_python_cannot_change_the_plant(pendulum, settings):
     class Meddles(Constant):
         def act(self, state):
@@ -242,39 +195,7 @@ def test_a_policy_in_python_cannot_change_the_plant(pendulum, settings):
     assert honest.results.survival == meddling.results.survival
 
 
-def test_a_constant_push_fails_at_once(pendulum, settings):
-    few = settings.model_copy(
-        update={"evaluation": settings.evaluation.model_copy(update={"trials": 6})}
-    )
-    evaluation = evaluate(
-        bind_policy(Constant(max(paper.ACTIONS)), pendulum=pendulum), few, world="ideal"
-    )
-    summary = evaluation.results.summary()
-    assert summary.outcomes == {"angle": 6}
-    assert summary.survived == 0
-    assert max(evaluation.results.survival) < 0.5
-
-
 # Behind an actuator
-
-KST = Actuator.assumed("kst", delay=0.01, lag=0.008)
-
-
-@pytest.fixture(scope="module")
-def policy_behind(pendulum, quick_settings):
-    """A policy that has hardly been trained, behind an actuator."""
-    return train(pendulum, iiwa(14), quick_settings, actuator=KST, seed=7)
-
-
-@pytest.mark.compiled_only
-def test_a_policy_is_evaluated_behind_the_actuator_of_its_training(policy_behind, settings):
-    evaluation = evaluate(policy_behind, settings, seed=3)
-    assert evaluation.actuators == (KST.digest,)
-    same = evaluate(policy_behind, settings, seed=3, actuator=KST, workers=2)
-    assert same.digest == evaluation.digest
-    # The yardsticks stand on what the controller shows them.
-    beside = {results.name: results.summary() for results in evaluation.baselines}
-    assert beside["LQR"].rate == 1.0
 
 
 @pytest.mark.compiled_only
@@ -296,26 +217,6 @@ def test_delay_without_prediction_is_what_makes_a_policy_fall(pendulum, settings
 
 
 # The file
-
-
-@pytest.mark.compiled_only
-def test_an_evaluation_comes_back_from_its_file(evaluation, tmp_path):
-    path = tmp_path / "evaluation.json"
-    evaluation.save(path, command="test")
-    read = Evaluation.load(path)
-    assert read == evaluation
-    assert read.results.summary() == evaluation.results.summary()
-
-
-@pytest.mark.compiled_only
-def test_a_trial_that_was_turned_into_a_success_is_found(evaluation, tmp_path):
-    path = tmp_path / "evaluation.json"
-    evaluation.save(path, command="test")
-    text = path.read_text()
-    assert '"angle"' in text
-    path.write_text(text.replace('"angle"', '"lasted"', 1))
-    with pytest.raises(ArtefactError, match="does not match its digest"):
-        Evaluation.load(path)
 
 
 def test_survival_is_told_in_seconds_without_rounding_errors(small_policy):

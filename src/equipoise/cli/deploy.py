@@ -43,7 +43,7 @@ class OnRig(Options):
     identify: bool = False
     """Identify the arm before the lift, and use its response."""
     anyway: bool = False
-    """Run a policy that lasts too seldom, or does not fit the identified arm."""
+    """Run a policy that does not fit the identified arm."""
     console: bool = False
     """Show the run in the browser, with a button for each answer and a STOP."""
 
@@ -112,13 +112,12 @@ def _request(
     """Return the request for a run on a rig.
 
     Raises:
-        InputError: No robot is named, or the policy lasted too seldom in its training.
+        InputError: No robot is named.
     """
     from equipoise.control.bound_policy import BoundPolicy
     from equipoise.identification.actuator import identify_motion
     from equipoise.rig.config import read_rig
     from equipoise.rig.connection import world_of
-    from equipoise.rig.preflight import require_survival
     from equipoise.rig.request import RunRequest
 
     if run.world != Run().world:
@@ -132,8 +131,6 @@ def _request(
     if task.arm is None and isinstance(chosen, BoundPolicy):
         chosen = replace(chosen, arm=described.described_arm)
     output.warn(opt.shortfall(chosen))
-    if not on_rig.anyway:
-        require_survival(chosen)
     response = opt.read_actuator(task.actuator)
     carried = chosen.actuators if response is None else (response,)
     return RunRequest(
@@ -156,7 +153,7 @@ def _run_on_rig(output: Output, request: "RunRequest", out: Path, console: bool)
     """Run on an emulated or a real rig, write the log, and print the result."""
     from equipoise.cli.terminal_operator import TerminalOperator, single_keys
     from equipoise.rig.connection import world_of
-    from equipoise.rig.preflight import check_request, rehearse_t1
+    from equipoise.rig.preflight import check_request
     from equipoise.rig.processes import run_in_processes
     from equipoise.rig.run import run_virtually
 
@@ -167,9 +164,6 @@ def _run_on_rig(output: Output, request: "RunRequest", out: Path, console: bool)
             f"--console shows a run in real time, and {request.robot} runs in virtual time; start "
             "equipoise rig emulate, and give the --robot and --encoder that it prints"
         )
-    if request.t1:
-        with output.busy("testing the policy in T1 on the twin"):
-            rehearse_t1(request)
     if in_virtual_time:
         with signals() as stopped, guest_code(f"the driver of {request.robot}"):
             end = run_virtually(request, out, TerminalOperator(output, stopped))

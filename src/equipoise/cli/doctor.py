@@ -29,27 +29,26 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
     from equipoise.rig.clocks import SystemClock
     from equipoise.rig.config import read_rig
     from equipoise.rig.connection import open_encoder, open_robot, restart_instruction, world_of
-    from equipoise.rig.findings import fitness
 
     robot, encoder = rig.robot, rig.encoder
     if robot is not None and world_of(robot):
         raise InputError(f"{robot} has no link to time; give kst://HOST:30001")
     clock = SystemClock()
-    findings = examine(
-        None if robot is None else open_robot(robot, clock, tell=output.tell),
-        None if encoder is None else open_encoder(encoder, clock),
-        None if rig.rig is None else read_rig(rig.rig),
-        seconds=measurement.seconds,
-        logs=Path(),
-        busy=output.busy,
-    )
-    verdict = fitness(findings)
+    with output.busy("measuring"):
+        findings = examine(
+            None if robot is None else open_robot(robot, clock, tell=output.tell),
+            None if encoder is None else open_encoder(encoder, clock),
+            None if rig.rig is None else read_rig(rig.rig),
+            seconds=measurement.seconds,
+            logs=Path(),
+        )
+    fit = all(one.status != "bad" for one in findings)
     output.result(
-        verdict=verdict,
+        verdict="fit" if fit else "not fit",
         findings={
-            one.name: {"status": one.status, "found": one.text, "remedy": one.remedy}
+            one.name: {"status": one.status, "found": one.found, "remedy": one.remedy}
             for one in findings
         },
         restart=robot and restart_instruction(robot),
-        code=int(verdict == "not fit"),
+        code=int(not fit),
     )

@@ -9,7 +9,6 @@ from pathlib import Path
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output, signals
 from equipoise.cli.verb import Options, verb
-from equipoise.user_code import guest_code
 
 
 class Emulated(Options):
@@ -17,8 +16,6 @@ class Emulated(Options):
 
     world: str = "twin:nominal"
     """twin:nominal, twin:harsh, or twin:FILE."""
-    robot: str = "kst"
-    """Robot, by the scheme of its addresses."""
     arm: str = "iiwa7"
     """iiwa7, iiwa14, another registered arm, a URDF or a rig.toml."""
     pendulum: Path | None = None
@@ -27,22 +24,17 @@ class Emulated(Options):
     """Port of the robot; 0 selects a free one."""
     encoder_link: Path | None = None
     """Further name of the encoder's terminal."""
-    inject: str = ""
-    """Faults of the robot's answers; kst: delay=S,jitter=S,drop=SHARE,refuse=SHARE."""
     seed: opt.Seed = 0
     """Seed of all random numbers."""
-    operator: bool = True
-    """An operator acts by sight; otherwise type the operator's actions."""
 
 
 @verb
 def emulate(output: Output, *, emulated: Emulated) -> None:
-    """Emulate robot, pendulum, encoder and operator, until Ctrl-C.
+    """Emulate robot, pendulum and encoder, until Ctrl-C; type what the hand does.
 
-    The robot answers on a port of this machine, an encoder board on a
-    pseudo-terminal. The arm begins beside its home. The operator does not see
-    your screen: the operator presses the button when the arm rests at home and
-    the pendulum hangs, and lifts the pendulum after the arm has moved there.
+    A KST server answers on a port of this machine, an encoder board on a
+    pseudo-terminal. The arm begins beside its home. Type lift where a run asks
+    for it, and release once it is armed.
     """
     from equipoise.model.worlds import pendulum_on, read_world
     from equipoise.rig import realtime
@@ -61,9 +53,6 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
         pendulum_on(opt.read_pendulum(emulated.pendulum), settings),
         settings,
         SystemClock(),
-        clumsy=0.0 if emulated.operator else None,
-        robot=emulated.robot,
-        faults=emulated.inject,
         seed=emulated.seed,
         say=say,
     )
@@ -75,16 +64,15 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     def ready(number: int) -> None:
         # The emulated cabinet takes the first core: the loop of the run stays on the last one.
         realtime.prepare(core=0)
-        address = f"{emulated.robot}://{host}:{number}"
-        actions = None if emulated.operator else sorted(emulation.acts)
+        address = f"kst://{host}:{number}"
         then = f"deploy --robot {address} --encoder {encoder}"
-        output.result(robot=address, encoder=encoder, actions=actions, then=then)
+        output.result(robot=address, encoder=encoder, actions=sorted(emulation.acts), then=then)
         output.stream.flush()
 
-    with signals() as stopped, guest_code(f"the emulator of {emulated.robot}"):
+    with signals() as stopped:
 
         def stop() -> bool:
-            if not emulated.operator and select.select([sys.stdin], [], [], 0.0)[0]:
+            if select.select([sys.stdin], [], [], 0.0)[0]:
                 for word in os.read(sys.stdin.fileno(), 1024).decode(errors="replace").split():
                     emulation.acts.get(word, lambda word=word: say(f"unknown action {word!r}"))()
             return stopped.is_set()

@@ -37,7 +37,7 @@ def evaluate(
     *,
     trials: Trials,
     task: opt.Task,
-    cluster: opt.Cluster,
+    random: opt.Random,
     files: opt.Files,
 ) -> None:
     """Evaluate a policy: how long it stands, and why it falls.
@@ -52,7 +52,7 @@ def evaluate(
     attempt is the same. Exit code 1: refused.
     """
     if trials.claim is not None:
-        certify(output, policy, trials.claim, trials, task, cluster, files)
+        certify(output, policy, trials.claim, trials, task, random, files)
         return
     out = files.file("evaluation.json", policy, task.pendulum)
 
@@ -72,9 +72,9 @@ def evaluate(
             settings.model_copy(update={"evaluation": changed}),
             world=trials.world,
             actuator=opt.read_actuator(task.actuator),
-            seed=cluster.seed,
+            seed=random.seed,
             with_baselines=trials.baselines,
-            workers=cluster.executor(),
+            workers=random.threads,
             done=counted("evaluate", total, show),
         )
     inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
@@ -107,11 +107,11 @@ def certify(
     probability: float,
     trials: Trials,
     task: opt.Task,
-    cluster: opt.Cluster,
+    random: opt.Random,
     files: opt.Files,
 ) -> None:
     """Grant or refuse a claim about a policy, and write the certificate."""
-    if cluster.seed or task.actuator is not None:
+    if random.seed or task.actuator is not None:
         raise InputError("a claim fixes seed and actuator; leave out --seed and --actuator")
     out = files.file("certificate.json", policy, task.pendulum)
 
@@ -124,7 +124,7 @@ def certify(
     )
     with output.progress() as show:
         done = counted("evaluate", claim.trials, show)
-        certificate = certification.certify(chosen, claim, workers=cluster.executor(), done=done)
+        certificate = certification.certify(chosen, claim, workers=random.threads, done=done)
     certificate.save(out, command="evaluate", inputs={"policy": chosen.digest})
     output.result(
         claim=str(claim),

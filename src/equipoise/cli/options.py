@@ -12,7 +12,6 @@ from equipoise.errors import InputError
 
 if TYPE_CHECKING:
     from equipoise.control.policy import TaskPolicy
-    from equipoise.executors import Executor
     from equipoise.model.actuator import Actuator
     from equipoise.model.arms.arm import Arm
     from equipoise.model.pendulum import Pendulum
@@ -87,31 +86,6 @@ class Random(Options):
         return available_cores() if self.workers is None else self.workers
 
 
-class Cluster(Random):
-    """Random numbers, threads and clusters."""
-
-    ray: str | None = None
-    """Run on the Ray cluster with this head, HOST:PORT, instead of in threads."""
-
-    def executor(self) -> "Executor":
-        """Return the executor of the tasks: threads, or a Ray cluster.
-
-        Raises:
-            InputError: Threads and a cluster are given, or the cluster has other versions.
-            LinkError: No cluster answers.
-            MissingExtraError: Ray is not installed.
-        """
-        if self.ray is None:
-            from equipoise.executors import ThreadExecutor
-
-            return ThreadExecutor(self.threads)
-        if self.workers is not None:
-            raise InputError("both --workers and --ray are given; give one of them")
-        from equipoise.cluster import RayExecutor
-
-        return RayExecutor(self.ray)
-
-
 class Page(Options):
     """The page."""
 
@@ -127,7 +101,7 @@ class Rig(Options):
     robot: str | None = None
     """kst://HOST:30001; or twin:nominal, an emulated rig."""
     encoder: str | None = None
-    """serial:///dev/ttyACM0 or socket://HOST:PORT."""
+    """serial:///dev/ttyACM0."""
     rig: Path | None = None
     """Description of the rig as TOML."""
 

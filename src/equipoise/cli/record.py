@@ -16,7 +16,7 @@ class Recording(Options):
     """The recording."""
 
     encoder: str
-    """serial:///dev/ttyACM0, or socket://HOST:PORT."""
+    """serial:///dev/ttyACM0."""
     duration: Annotated[float, Field(ge=1.0, le=600.0)] = 30.0
     """Maximum duration from the release [s]."""
     counts_per_rev: int | None = None
@@ -35,18 +35,17 @@ def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
     from equipoise.identification.recording import write_swing
     from equipoise.rig.clocks import SystemClock
     from equipoise.rig.connection import open_encoder
-    from equipoise.robots.encoder.swing import SwingRecorder, record_swing
+    from equipoise.robots.encoder.swing import RecordingStage, SwingRecorder, record_swing
 
-    prompted = ""
+    prompted: RecordingStage | None = None
 
     def prompt(recorder: SwingRecorder) -> None:
         """Print the next action of the operator once, and show the angle on the display."""
         nonlocal prompted
-        hint = f"{recorder.hint}; " if recorder.hint else ""
-        if (text := f"  {hint}{recorder.stage.value}") != prompted:
-            prompted = text
-            output.tell(text)
-        rename(f"{degrees(recorder.theta):+7.1f} deg, {recorder.elapsed:4.1f} s")
+        if recorder.stage is not prompted:
+            prompted = recorder.stage
+            output.tell(f"  {prompted.value}")
+        rename(f"{degrees(recorder.theta):+7.1f} deg")
 
     clock = SystemClock()
     sensor = open_encoder(recording.encoder, clock, counts_per_rev=recording.counts_per_rev)
@@ -59,8 +58,6 @@ def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
     output.result(
         samples=len(swing.time),
         duration_s=float(swing.time[-1]),
-        periods=recorder.periods,
-        amplitude_deg=degrees(recorder.first_amplitude),
         missing=recorder.missing,
         rejected=sensor.rejected,
         counts_per_rev=sensor.counts_per_rev,

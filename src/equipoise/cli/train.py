@@ -45,7 +45,7 @@ def train(
     plant: Plant,
     learning: Learning,
     changes: opt.Changes,
-    cluster: opt.Cluster,
+    random: opt.Random,
     files: opt.Files,
 ) -> None:
     """Train a policy by Q-learning, or by another learner.
@@ -81,8 +81,8 @@ def train(
             learners=learning.learners,
             actuator=given,
             world=plant.world,
-            seed=cluster.seed,
-            workers=cluster.executor(),
+            seed=random.seed,
+            workers=random.threads,
             observer=TrainingProgress(settings, show),
         )
     best = trained.policy

@@ -49,7 +49,6 @@ from equipoise.model.actuator import (
     DelayedSetpoint,
     follow_setpoint,
     lag_share,
-    leading_setpoint,
     steady_error,
 )
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
@@ -129,8 +128,6 @@ class ControllerParams(NamedTuple):
     """Time constant of each free joint [s], shape (6,)."""
     share: Array
     """`lag_share` of each, a block of 6 rows."""
-    lead: bool
-    """Whether setpoints lead their reference by the inverse of the servo's law."""
     delay: float
     """d, from sending a setpoint to its effect [s]."""
     horizon: float
@@ -166,8 +163,6 @@ class ControllerState(NamedTuple):
     """Acceleration for the next command [m/s^2], 1 row."""
     setpoints: Array
     """Joints to send at the tick and h / 2 later [rad], 12 rows."""
-    leads: Array
-    """Their distances from the reference, the commanded joints then [rad], 12 rows."""
     limit_exceeded: npt.NDArray[np.int64]
     """Whether the last command left the limits of a joint, 1 row."""
     damped: npt.NDArray[np.int64]
@@ -258,9 +253,8 @@ def make_controller_params(
         actuator=actuator.parameters,
         lags=lags,
         share=np.repeat([float(lag_share(lag)) for lag in lags.tolist()], BATCH_SIZE),
-        lead=own.lead,
         delay=actuator.delay.value,
-        horizon=horizon(arm, actuator, own.margin, lead=own.lead) if own.predict else 0.0,
+        horizon=horizon(arm, actuator, own.margin) if own.predict else 0.0,
         pendulum=pendulum,
         gains=observer_gains(pendulum, counts_per_rev, h, estimate_bias=own.estimate_bias),
         resolution=2.0 * pi / counts_per_rev,
@@ -268,26 +262,22 @@ def make_controller_params(
     )
 
 
-def horizon(arm: Arm, actuator: Actuator, margin: float, *, lead: bool = False) -> float:
+def horizon(arm: Arm, actuator: Actuator, margin: float) -> float:
     """Return the prediction horizon of the policy [s].
 
     The sum of the transport delay, of its uncertainty upwards (`margin` at least: too long a
     horizon costs little, too short a one the balance), and of the response time of the flange along
-    x: that of the joints, weighted by their part in the motion at home. Setpoints that lead make up
-    for the response.
+    x: that of the joints, weighted by their part in the motion at home.
 
     Args:
         arm: The arm with its home posture.
         actuator: Model of the arm's response.
         margin: Minimum margin beyond the delay [s].
-        lead: Whether setpoints lead their reference.
     """
     if actuator.kind == "ideal":
         return 0.0
     delay = actuator.delay
     effect = delay.value + max(delay.high - delay.value, margin)
-    if lead:
-        return effect
     J = arm.kinematics(arm.home_free).jacobian
     part = J[0] * np.linalg.solve(J, np.eye(FREE_JOINTS)[0])
     follows = [actuator.response_time(joint) for joint in range(FREE_JOINTS)]
@@ -301,7 +291,6 @@ def new_controller_state() -> ControllerState:
         "reference": REFERENCE_SIZE,
         "u": 1,
         "setpoints": 6 * SETPOINTS_PER_TICK,
-        "leads": 6 * SETPOINTS_PER_TICK,
         "counts": 1,
         "model_frame": FRAME_SIZE,
         "scratch": 2 * FREE_JOINTS,
@@ -393,9 +382,7 @@ def start_controller(
     h = controller.h
     for i in range(6):
         dq = at(state.dq, i, n)
-        q = at(state.q, i, n)
-        if not controller.lead:
-            q -= steady_error(dq, controller.lags[i], controller.actuator)
+        q = at(state.q, i, n) - steady_error(dq, controller.lags[i], controller.actuator)
         put(state.model_q, i, n, q)
         put(state.model_dq, i, n, dq)
         put(state.offset, i, n, 0.0)
@@ -563,7 +550,7 @@ def command(controller: ControllerParams, state: ControllerState, lanes: int) ->
         beyond[n] = 0 if within else 1
     controller.kinematics(q, dq, frame, lanes)
     if controller.has_sensor:
-        advance_arm_model(controller, state, controller.lead, lanes)
+        advance_arm_model(controller, state, lanes)
 
 
 @inlined
@@ -590,15 +577,12 @@ def _advance_joints(q: Array, dq: Array, ddq: Array, setpoints: Array, h: float,
 
 
 @inlined
-def advance_arm_model(
-    controller: ControllerParams, state: ControllerState, lead: bool, lanes: int
-) -> None:
+def advance_arm_model(controller: ControllerParams, state: ControllerState, lanes: int) -> None:
     """Advance the model of the arm to the end of the tick, and record its motion.
 
     Args:
         controller: Constants.
         state: Changed in place.
-        lead: Whether `state.setpoints` holds references, which become setpoints that lead.
         lanes: Number of lanes.
     """
     scratch, past, frame = state.scratch, state.history, state.model_frame
@@ -606,23 +590,6 @@ def advance_arm_model(
     cycles = round(controller.h / SETPOINTS_PER_TICK / CYCLE)
     for s in range(SETPOINTS_PER_TICK):
         target = state.setpoints[6 * s * BATCH_SIZE : 6 * (s + 1) * BATCH_SIZE]
-        if lead:
-            left = (SETPOINTS_PER_TICK - 1 - s) * controller.h / SETPOINTS_PER_TICK
-            for i in range(6):
-                for n in range(lanes):
-                    velocity = at(state.dq, i, n) - left * at(state.ddq, i, n)
-                    reference = at(target, i, n)
-                    leading = leading_setpoint(
-                        at(q, i, n),
-                        at(dq, i, n),
-                        reference,
-                        velocity,
-                        at(share, i, 0),
-                        controller.actuator,
-                        cycles,
-                    )
-                    put(target, i, n, leading)
-                    put(state.leads, 6 * s + i, n, leading - reference)
         setpoint = DelayedSetpoint(target, target, share, False)
         follow_setpoint(q, dq, setpoint, share, controller.actuator, cycles, scratch, lanes)
     state.newest[0] = (state.newest[0] + 1) % HISTORY_TICKS

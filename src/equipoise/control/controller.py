@@ -23,7 +23,7 @@ from equipoise.control.control_step import (
     observe,
     start_controller,
 )
-from equipoise.control.grid import Grid, box_index, partition
+from equipoise.control.grid import Grid, box_index, make_grid
 from equipoise.control.policy import Policy
 from equipoise.jit import kernel, struct_ref
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
@@ -86,7 +86,7 @@ def command_tick(controller: Any) -> None:
 @kernel
 def hold_tick(controller: Any) -> None:
     """Advance the model of the arm towards the last setpoints."""
-    advance_arm_model(controller.params, controller.state, False, 1)
+    advance_arm_model(controller.params, controller.state, 1)
 
 
 @kernel
@@ -104,7 +104,7 @@ class Controller:
     def __init__(self, arm: Arm, controller: ControllerParams, boxes: BoxSettings) -> None:
         """Begin at home, at rest."""
         self._arm, self._controller = arm, controller
-        self._state, edges = new_controller_state(), partition(boxes, controller.pendulum.k)
+        self._state, edges = new_controller_state(), make_grid(boxes, controller.pendulum.k)
         # By whether there are counts and measured joints: without, the model is not corrected.
         self._handles = {
             (counts, joints): new_controller_handle(
@@ -245,14 +245,6 @@ class Controller:
         command_tick(self._handle)
         setpoints = state.setpoints.reshape(SETPOINTS_PER_TICK, -1)
         return tuple(self._all_joints(self._arm.home, setpoint) for setpoint in setpoints)
-
-    @property
-    def leads(self) -> tuple[tuple[float, ...], ...]:
-        """Distances of these setpoints from their references [rad]; empty without a lead."""
-        if not self._controller.lead:
-            return ()
-        leads = self._state.leads.reshape(SETPOINTS_PER_TICK, -1)
-        return tuple(self._all_joints((0.0,) * len(self._arm.joints), lead) for lead in leads)
 
     @property
     def limit_exceeded(self) -> bool:

@@ -54,7 +54,7 @@ class Grid(NamedTuple):
     """The same, times the distance from the pivot to the centre of percussion [m s]."""
 
 
-def partition(settings: BoxSettings, k: float) -> Grid:
+def make_grid(settings: BoxSettings, k: float) -> Grid:
     """Return the boxes in SI units, for kernels.
 
     Args:
@@ -105,7 +105,7 @@ def box_index(x: float, x_dot: float, phi: float, phi_dot: float, boxes: Grid) -
         x_dot: Its velocity [m/s].
         phi: Angle of the pendulum from upright [rad].
         phi_dot: Its angular velocity [rad/s].
-        boxes: From `partition`.
+        boxes: From `make_grid`.
     """
     i = interval_index(phi, boxes.phi)
     j = interval_index(phi_dot, boxes.phi_dot)
@@ -122,7 +122,7 @@ def box_indices(states: npt.NDArray[np.float64], boxes: Grid) -> npt.NDArray[Any
 
     Args:
         states: x, x_dot, phi, phi_dot in SI units, shape (n, 4).
-        boxes: From `partition`.
+        boxes: From `make_grid`.
 
     Returns:
         Index of each box, shape (n,).

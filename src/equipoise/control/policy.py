@@ -68,7 +68,7 @@ class PolicyKernel(NamedTuple):
     """Gains of u = gains . (x, x_dot, phi, phi_dot); for LINEAR and SNAPPED."""
     actions: tuple[float, ...] = paper.ACTIONS
     """The eight accelerations [m/s^2]."""
-    boxes: Grid = grid.partition(BoxSettings(), 1.0)
+    boxes: Grid = grid.make_grid(BoxSettings(), 1.0)
     """Edges of the boxes."""
 
 
@@ -114,15 +114,15 @@ def act(
     return nearest
 
 
-def table_kernel(u_of_box: Array, partition: Grid) -> PolicyKernel:
+def table_kernel(u_of_box: Array, boxes: Grid) -> PolicyKernel:
     """Return the kernel of m tables.
 
     Args:
         u_of_box: Acceleration of each box [m/s^2], one table after the other;
             copied.
-        partition: The boxes.
+        boxes: The boxes.
     """
-    return PolicyKernel(TABLE, np.array(u_of_box), boxes=partition)
+    return PolicyKernel(TABLE, np.array(u_of_box), boxes=boxes)
 
 
 PolicyHandle: Any = struct_ref("PolicyHandle", __name__, ("kernel",))
@@ -327,15 +327,6 @@ class TabularPolicy(Artefact):
         return min(self.tests, key=lambda test: test.interval[0], default=None)
 
     @property
-    def final_round(self) -> tuple[int, int] | None:
-        """Trials that lasted and all trials of the test, else of the race's last round.
-
-        None if the last table was taken without any trial.
-        """
-        last = self.test or next(iter(self.checkpoints), None)
-        return None if last is None else (last.survived, last.trials)
-
-    @property
     def shortfall(self) -> str:
         """One line where the policy misses the target of its training; else empty."""
         if self.test is None or self.test.met:
@@ -365,12 +356,12 @@ class TabularPolicy(Artefact):
     @property
     def kernel(self) -> PolicyKernel:
         """Greedy policy for compiled loops."""
-        return table_kernel(self.u_of_box, self.partition)
+        return table_kernel(self.u_of_box, self.grid)
 
     @property
-    def partition(self) -> Grid:
+    def grid(self) -> Grid:
         """The boxes for kernels."""
-        return grid.partition(self.settings.boxes, self.pendulum.parameters().k)
+        return grid.make_grid(self.settings.boxes, self.pendulum.parameters().k)
 
     def reset(self) -> None:
         """Do nothing: a table has no state."""
@@ -378,7 +369,7 @@ class TabularPolicy(Artefact):
     def act(self, observation: Array) -> float:
         """Return u [m/s^2] for the observation (x, x_dot, phi, phi_dot), shape (4,)."""
         x, x_dot, phi, phi_dot = (float(value) for value in observation)
-        return _greedy(self.Q)[box_index(x, x_dot, phi, phi_dot, self.partition)]
+        return _greedy(self.Q)[box_index(x, x_dot, phi, phi_dot, self.grid)]
 
 
 @dataclass(frozen=True, eq=False)

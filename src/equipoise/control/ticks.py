@@ -91,8 +91,6 @@ class TickOutput(NamedTuple):
     """Messages for the operator and the log."""
     job: Job | None = None
     """Work that takes longer than a tick, for another process; None without any."""
-    leads: tuple[Sequence[float], ...] = ()
-    """Distance of each setpoint from its reference [rad]; empty where setpoints do not lead."""
     to_rest: bool = False
     """Whether the setpoints lead to rest, so that the arm need not be stopped."""
     done: bool = False

@@ -24,7 +24,6 @@ import numpy.typing as npt
 from equipoise.artefacts import Estimate, Value
 from equipoise.control.policy import Checkpoint, TabularPolicy
 from equipoise.errors import ArtefactError, RecordingError
-from equipoise.executors import Workers
 from equipoise.identification.actuator import LEAST_SPEED, identify_actuator, speed_ranges
 from equipoise.identification.regression import ROUGH_FIT, ClosedLoopFit, regress
 from equipoise.learning.select import Running
@@ -170,7 +169,7 @@ def retrain(
     *,
     episodes: int = EPISODES,
     seed: int = 0,
-    workers: Workers = 1,
+    workers: int = 1,
     comparing: Running = lambda _, __: None,
     testing: Running = lambda _, __: None,
     observer: TrainingObserver | None = None,
@@ -185,7 +184,7 @@ def retrain(
         actuator: The actuator.
         episodes: Number of episodes.
         seed: Master seed.
-        workers: Threads, or an executor; the result does not depend on it.
+        workers: Number of threads; the result does not depend on it.
         comparing: Called as trials of the comparison finish.
         testing: Called as trials of the test finish.
         observer: Callbacks of `train`.

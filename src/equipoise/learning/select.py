@@ -26,9 +26,8 @@ from scipy.special import betaln, xlog1py, xlogy
 from scipy.stats import binom
 
 from equipoise import paper
-from equipoise.control.grid import TRUNCATED, partition
+from equipoise.control.grid import TRUNCATED, make_grid
 from equipoise.control.policy import Checkpoint, PolicyKernel, TargetTest, table_kernel
-from equipoise.executors import Workers
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
@@ -91,11 +90,12 @@ class TrialPlant(NamedTuple):
 
     def simulation(self, stream: int, spread: float = 1.0) -> PlantSimulation:
         """Return the simulation of trials for one purpose."""
-        return PlantSimulation(MODEL, self.setup, seed=self.seed, stream=stream, spread=spread)
+        setup = self.setup._replace(spread=spread)
+        return PlantSimulation(MODEL, setup, seed=self.seed, stream=stream)
 
     def tables(self, u_of_box: Array) -> PolicyKernel:
         """Return the policy of several tables, from their accelerations one after the other."""
-        return table_kernel(u_of_box, partition(self.settings.boxes, self.pendulum.k))
+        return table_kernel(u_of_box, make_grid(self.settings.boxes, self.pendulum.k))
 
 
 def trial_plants(
@@ -127,7 +127,7 @@ def race(
     plants: Sequence[TrialPlant],
     candidates: Sequence[Candidate],
     *,
-    workers: Workers = 1,
+    workers: int = 1,
     running: Running = lambda _, __: None,
 ) -> list[tuple[int, Checkpoint]]:
     """Race candidates on common trials; return their indices and results, the best first.
@@ -138,7 +138,7 @@ def race(
     Args:
         plants: Inputs of the trials, on each plant.
         candidates: At least one.
-        workers: Threads, or an executor; the result does not depend on it.
+        workers: Number of threads; the result does not depend on it.
         running: Called as trials finish.
     """
     rule, count = plants[0].settings.selection, len(candidates)
@@ -233,7 +233,7 @@ def measure_share(
     *,
     target: float,
     error: float = ERROR,
-    workers: Workers = 1,
+    workers: int = 1,
     running: Running = lambda _, __: None,
 ) -> TargetTest:
     """Measure the share of trials that a selected policy lasts, until the target is decided.
@@ -247,7 +247,7 @@ def measure_share(
         u_of_box: Acceleration of each box [m/s^2], shape (boxes,).
         target: Required share [-].
         error: Probability that the interval does not contain the share.
-        workers: Threads, or an executor; the result does not depend on it.
+        workers: Number of threads; the result does not depend on it.
         running: Called as trials finish, with the number after which the target would be met.
     """
     rule = plant.settings.selection

@@ -8,13 +8,13 @@ any number of workers. `equipoise.learning.target` trains learners until one mee
 
 from collections.abc import Sequence
 from math import inf
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
-from equipoise.control.grid import ACTIONS, partition
+from equipoise.control.grid import ACTIONS, make_grid
 from equipoise.control.policy import (
     MAX_ACTUATORS,
     Checkpoint,
@@ -23,7 +23,6 @@ from equipoise.control.policy import (
     greedy_accelerations,
 )
 from equipoise.errors import InputError
-from equipoise.executors import Workers
 from equipoise.learning.choice import (
     compile_learner,
     load_learner,
@@ -61,7 +60,7 @@ MAX_REPORTS: Final = 200
 
 
 class TrainingObserver:
-    """Callbacks of a training, each with the number of the learner; for any thread."""
+    """Callbacks of a training, each with the number of the learner."""
 
     def report(self, learner: int, point: LearningPoint) -> None:
         """Receive a point of a learning curve."""
@@ -71,23 +70,6 @@ class TrainingObserver:
 
     def testing(self, learner: int, done: int, of: int) -> None:
         """Receive the number of finished trials of a test, and the one that meets the target."""
-
-
-class TrainingTask(NamedTuple):
-    """Inputs that determine the result of a training, except the number of the learner."""
-
-    pendulum: Pendulum
-    """Identified pendulum."""
-    arm: Arm
-    """Arm with its home posture."""
-    settings: Settings
-    """Resolved settings; a guest's learner or reward has its digest."""
-    actuators: tuple[Actuator, ...]
-    """Actuators, the controller's default first."""
-    world: str
-    """World of the episodes."""
-    seed: int
-    """Master seed."""
 
 
 def train(
@@ -100,7 +82,7 @@ def train(
     seed: int = 0,
     learner: int = 0,
     init_policy: TabularPolicy | None = None,
-    workers: Workers = 1,
+    workers: int = 1,
     observer: TrainingObserver | None = None,
 ) -> TabularPolicy:
     """Train one learner, and select its best policy; `train_to_target` tests it, too.
@@ -119,7 +101,7 @@ def train(
         seed: Master seed.
         learner: Index of the learner, each with its own random numbers.
         init_policy: Policy with the initial table and visits; by default zeros.
-        workers: Threads, or an executor, of the trials; the result does not depend on it.
+        workers: Number of threads of the trials; the result does not depend on it.
         observer: Callbacks.
 
     Returns:
@@ -131,22 +113,47 @@ def train(
         SettingsError: No controller saves any of the releases, or the world is unknown.
     """
     check_task(pendulum, arm, settings, actuator, world=world)
-    task = make_task(pendulum, arm, settings, actuator, world, seed)
-    return train_learner(task, learner, workers, observer or TrainingObserver(), init_policy)
-
-
-def make_task(
-    pendulum: Pendulum, arm: Arm, settings: Settings, actuator: Actuators, world: str, seed: int
-) -> TrainingTask:
-    """Return the inputs of a training, resolved; the arguments are those of `train`.
-
-    Raises:
-        InputError: The world takes no such actuators, or a guest's object cannot be loaded.
-        SettingsError: A name is unknown.
-    """
     actuators = actuators_in(world, settings, actuator)
     settings = settings.model_copy(update={"learning": with_digests(settings.learning)})
-    return TrainingTask(pendulum, arm, settings, actuators, world, seed)
+    selection, observer = settings.selection, observer or TrainingObserver()
+    setup = Setup(pendulum, arm, settings, actuators, paper.STEP)
+    training = _Training(setup, world, seed, learner, init_policy)
+    candidates = _Candidates(selection, settings.learning.episodes, settings.boxes.count)
+    every = selection.every or max(1, settings.learning.episodes // MAX_REPORTS)
+    curve: list[LearningPoint] = []
+    while (ended := training.totals[ENDED]) < settings.learning.episodes:
+        point = training.run(min(ended + every, settings.learning.episodes))
+        if selection.every > 0:
+            candidates.add(training.tables.Q, point.episodes)
+        curve.append(point)
+        observer.report(learner, point)
+    chosen, results = training.tables.Q, tuple[Checkpoint, ...]()
+    if candidates.found:
+        taken = list(candidates.found.values())
+        order = race(
+            training.plants,
+            [Candidate(n, greedy_accelerations(Q)) for n, Q in taken],
+            workers=workers,
+            running=lambda done, of: observer.selecting(learner, done, of),
+        )
+        chosen = taken[order[0][0]][1]
+        results = tuple(result for _, result in order)
+    return TabularPolicy(
+        actions=paper.ACTIONS,
+        Q=tuple(tuple(row) for row in chosen.tolist()),
+        visits=tuple(tuple(row) for row in training.tables.visits.tolist()),
+        h=paper.STEP,
+        pendulum=pendulum,
+        arm=arm,
+        actuators=actuators,
+        settings=settings,
+        seed=seed,
+        learner=learner,
+        episodes=training.totals[ENDED],
+        steps=training.totals[STEPS],
+        learning_curve=tuple(curve),
+        checkpoints=results,
+    )
 
 
 def check_task(
@@ -214,62 +221,16 @@ def actuators_in(world: str, settings: Settings, given: Actuators) -> tuple[Actu
     return actuators
 
 
-def train_learner(
-    task: TrainingTask,
-    learner: int,
-    workers: Workers,
-    observer: TrainingObserver,
-    init_policy: TabularPolicy | None = None,
-) -> TabularPolicy:
-    """Train one learner of a task, and select its policy; see `train`."""
-    settings, selection = task.settings, task.settings.selection
-    training = _Training(task, learner, init_policy)
-    candidates = _Candidates(selection, settings.learning.episodes, settings.boxes.count)
-    every = selection.every or max(1, settings.learning.episodes // MAX_REPORTS)
-    curve: list[LearningPoint] = []
-    while (ended := training.totals[ENDED]) < settings.learning.episodes:
-        point = training.run(min(ended + every, settings.learning.episodes))
-        if selection.every > 0:
-            candidates.add(training.tables.Q, point.episodes)
-        curve.append(point)
-        observer.report(learner, point)
-    chosen, results = training.tables.Q, tuple[Checkpoint, ...]()
-    if candidates.found:
-        taken = list(candidates.found.values())
-        order = race(
-            training.plants,
-            [Candidate(n, greedy_accelerations(Q)) for n, Q in taken],
-            workers=workers,
-            running=lambda done, of: observer.selecting(learner, done, of),
-        )
-        chosen = taken[order[0][0]][1]
-        results = tuple(result for _, result in order)
-    return TabularPolicy(
-        actions=paper.ACTIONS,
-        Q=tuple(tuple(row) for row in chosen.tolist()),
-        visits=tuple(tuple(row) for row in training.tables.visits.tolist()),
-        h=paper.STEP,
-        pendulum=task.pendulum,
-        arm=task.arm,
-        actuators=task.actuators,
-        settings=settings,
-        seed=task.seed,
-        learner=learner,
-        episodes=training.totals[ENDED],
-        steps=training.totals[STEPS],
-        learning_curve=tuple(curve),
-        checkpoints=results,
-    )
-
-
 class _Training:
-    """Episodes of one learner behind each actuator of a task, which share its tables."""
+    """Episodes of one learner behind each actuator, which share its tables."""
 
-    def __init__(self, task: TrainingTask, learner: int, init_policy: TabularPolicy | None) -> None:
-        settings = task.settings
+    def __init__(
+        self, setup: Setup, world: str, seed: int, learner: int, init_policy: TabularPolicy | None
+    ) -> None:
+        settings = setup.settings
         self._learning = settings.learning
-        self.plants = trial_plants(task.pendulum, task.arm, settings, task.actuators, task.seed)
-        config = training_config(settings, task.pendulum.parameters().k)
+        self.plants = trial_plants(setup.pendulum, setup.arm, settings, setup.actuators, seed)
+        config = training_config(settings, setup.pendulum.parameters().k)
         kernel = compile_learner(settings.learning)
         first = new_training_state(settings.boxes.count, load_learner(settings.learning).tables)
         self.tables = first.tables
@@ -288,12 +249,11 @@ class _Training:
             # it.
             params = plant.simulation(TRAINING_NOISE).params._replace(speed_limit=inf)
             episodes = (config.episodes + len(self.plants) - 1 - i) // len(self.plants)
-            share, key = config._replace(episodes=episodes), np.array((task.seed, learner))
+            share, key = config._replace(episodes=episodes), np.array((seed, learner))
             self._loops.append(new_training_loop(params, plant.pendulum, share, kernel, state, key))
         self._elsewhere: ClosedLoop | None = None
-        if task.world != MODEL:
-            setup = Setup(task.pendulum, task.arm, settings, task.actuators, paper.STEP)
-            simulation = simulate(task.world, setup, seed=task.seed, stream=TRAINING_NOISE)
+        if world != MODEL:
+            simulation = simulate(world, setup, seed=seed, stream=TRAINING_NOISE)
             self._elsewhere = simulation.loop()
 
     @property
@@ -390,5 +350,5 @@ def training_config(settings: Settings, k: float) -> TrainingConfig:
         lag_spread=plant.lag_spread,
         zero_error=plant.zero_error,
         actions=np.array(paper.ACTIONS),
-        boxes=partition(settings.boxes, k),
+        boxes=make_grid(settings.boxes, k),
     )

@@ -48,12 +48,6 @@ AMPLITUDE: Final = 0.07
 """a of the shaping law [rad], from the server's source."""
 INTERVAL_WIDTH: Final = 0.0525
 """b of the shaping law [rad], from the server's source."""
-MAX_LEAD: Final = 0.05
-"""Maximum distance of a setpoint from its reference [rad]: the steady error at 1 rad/s of the
-slowest servo among the named worlds (t_c = 40 ms)."""
-LEAD_TIME: Final = 0.015
-"""Time constant at which a lead corrects the distance of the modelled joint from its reference [s]:
-three setpoints, since the inverse of one setpoint alone rings."""
 MAX_RESPONSE_TIME: Final = 10.0
 """Limit on delay, lag and cycle [s]: a pendulum of a metre falls within one."""
 MIN_CYCLE: Final = 1e-6
@@ -394,49 +388,6 @@ def track(
             q += (1.0 - memory**2) * surprise
             before += (1.0 - memory**2) * surprise
             dq += (1.0 - memory) ** 2 * surprise / (reply_time[j] - reply_time[j - 1])
-
-
-@inlined
-def leading_setpoint(
-    q: float,
-    dq: float,
-    reference: float,
-    velocity: float,
-    share: float,
-    actuator: ActuatorParameters,
-    cycles: int,
-) -> float:
-    r"""Return the setpoint that moves a joint to its reference: the inverse of the servo's law.
-
-    The velocity command that gives the joint the velocity v after the n cycles of the setpoint is
-
-    .. math:: \dot q_c = \frac{v - (1 - s)^n \dot q}{1 - (1 - s)^n}
-
-    with the share s of the lag. v is the reference's velocity, plus the distance that would remain
-    over `LEAD_TIME`. The setpoint is ahead of the joint's mean position over the cycles by the
-    error with this command, and at most `MAX_LEAD` from the reference.
-
-    Args:
-        q: Position when the setpoint takes effect [rad].
-        dq: Velocity then [rad/s].
-        reference: Position n cycles later [rad].
-        velocity: Velocity of the reference then [rad/s].
-        share: Gain of the lag per cycle, from `lag_share`.
-        actuator: Constants.
-        cycles: n.
-    """
-    if actuator.kind == IDEAL:
-        return reference
-    kept = (1.0 - share) ** cycles
-    distance = reference - q
-    if actuator.kind == LAG:
-        setpoint = q + distance / (1.0 - kept)
-    else:
-        time = cycles * CYCLE
-        v = velocity + (distance - 0.5 * time * (dq + velocity)) / LEAD_TIME
-        error = steady_error((v - kept * dq) / (1.0 - kept), 0.0, actuator)
-        setpoint = q + 0.5 * (cycles - 1) / cycles * distance + error
-    return min(max(setpoint, reference - MAX_LEAD), reference + MAX_LEAD)
 
 
 @kernel

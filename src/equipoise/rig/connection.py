@@ -5,7 +5,7 @@ No other module opens devices. The plugin for the scheme of an address makes its
 """
 
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,9 +37,6 @@ from equipoise.rig.plugins import (
 )
 from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.user_code import guest_code
-
-START_OFFSET: Final = 0.1
-"""Maximum initial distance of each emulated joint from home [rad]."""
 
 
 class Rig(NamedTuple):
@@ -94,10 +91,11 @@ def check_addresses(robot: str, encoder: str | None) -> None:
         if encoder is None:
             raise InputError("a robot alone does not balance; give --encoder serial:///dev/ttyACM0")
         open_encoder(encoder, clock)
-    elif encoder is not None:
-        raise InputError(f"{robot} has an encoder of its own; leave --encoder out")
-    elif robot_plugin(robot).emulate is None:
-        raise InputError(f"the robot of {robot} has no emulator; give the address of a real one")
+    elif encoder is not None or robot_plugin(robot).emulate is None:
+        raise InputError(
+            f"{robot} with --encoder {encoder} is no rig: a twin has an encoder of its own, and "
+            "needs a robot with an emulator"
+        )
     else:
         read_world(world)
 
@@ -120,20 +118,11 @@ def open_robot(
     Raises:
         InputError: The address is invalid.
     """
-    plugin = robot_plugin(robot)
-    if plugin.open is None:
+    make = robot_plugin(robot).open
+    if make is None:
         raise InputError(f"{robot} exists in virtual time only; give a robot such as kst://HOST")
     with guest_code(f"the plugin of {robot}"):
-        return plugin.open(robot, Session(clock, tell, attend))
-
-
-def restart_instruction(robot: str) -> str:
-    """Return the instruction to the operator before the next connection to a robot.
-
-    Raises:
-        InputError: The address is invalid.
-    """
-    return robot_plugin(robot).restart
+        return make(robot, Session(clock, tell, attend))
 
 
 def open_encoder(
@@ -150,11 +139,20 @@ def open_encoder(
     Raises:
         InputError: The address is invalid.
     """
-    plugin = sensor_plugin(encoder)
-    if plugin.open is None:
+    make = sensor_plugin(encoder).open
+    if make is None:
         raise InputError(f"{encoder} exists in virtual time only; give one such as /dev/ttyACM0")
     with guest_code(f"the plugin of {encoder}"):
-        return plugin.open(encoder, Session(clock), counts_per_rev, sign)
+        return make(encoder, Session(clock), counts_per_rev, sign)
+
+
+def restart_instruction(robot: str) -> str:
+    """Return the instruction to the operator before the next connection to a robot.
+
+    Raises:
+        InputError: The address is invalid.
+    """
+    return robot_plugin(robot).restart
 
 
 def connect(
@@ -196,18 +194,23 @@ def connect(
     sensor = open_encoder(encoder, clock, counts_per_rev=counts, sign=settings.encoder_sign)
     draining = DrainingClock(clock, sensor)
     opened = open_robot(robot, draining, tell=tell, attend=attend)
-    served, clock = _streamed(opened, clock, period, draining)
-    return Rig(served, sensor, clock, None, robot_plugin(robot))
+    return _rig(opened, sensor, clock, draining, period, None, robot_plugin(robot))
 
 
-def _streamed(
-    robot: Robot | PacedRobot, clock: Clock, period: float, draining: DrainingClock
-) -> tuple[Robot, Clock]:
-    """Return a robot and the clock of its rig, which serves a robot that sets the pace."""
+def _rig(
+    robot: Robot | PacedRobot,
+    sensor: AngleSensor,
+    clock: Clock,
+    draining: DrainingClock,
+    period: float,
+    operator: Operator | None,
+    plugin: RobotPlugin,
+) -> Rig:
+    """Return a rig; a stream stands between it and a robot that sets the pace, as its clock too."""
     if not isinstance(robot, PacedRobot):
-        return robot, clock
+        return Rig(robot, sensor, clock, operator, plugin)
     stream = PacedStream(robot, clock, period, draining)
-    return stream, stream
+    return Rig(stream, sensor, stream, operator, plugin)
 
 
 def emulated_rig(
@@ -250,7 +253,8 @@ def emulated_rig(
     delay = plugin.link_share * numbers.reply_age
     numbers = numbers.model_copy(update={"transport": max(numbers.transport - delay, 0.0)})
     clock, arm = VirtualClock(), settings.described_arm
-    offset = START_OFFSET * np.random.default_rng(seed).uniform(-1.0, 1.0, FREE_JOINTS)
+    # The joints begin up to 0.1 rad beside home.
+    offset = 0.1 * np.random.default_rng(seed).uniform(-1.0, 1.0, FREE_JOINTS)
     bench = SimulatedRig(arm, pendulum, numbers, seed=seed, q=arm.home_free + offset)
     clock.attach(bench.advance)
     sensor = sensors.emulate(bench, clock, settings.counts_per_rev, settings.encoder_sign, seed)
@@ -261,6 +265,5 @@ def emulated_rig(
     clock.attach(emulated.advance)
     clock.attach(sensor.advance)
     operator = EmulatedOperator(bench, clock, seed=seed)
-    served = _streamed(emulated.device, clock, period, draining)
-    rig = Rig(served[0], sensor.device, served[1], operator, plugin)
+    rig = _rig(emulated.device, sensor.device, clock, draining, period, operator, plugin)
     return EmulatedRig(rig, bench, emulated, sensor)

@@ -2,20 +2,20 @@
 
 The guard checks each setpoint by the rules of `equipoise.safety.rules`. It holds back an invalid
 setpoint and all later ones, and sends its own ramp to rest instead, which starts at the last
-setpoint sent with the velocity of its reference. It never clips a setpoint.
+setpoint sent with its velocity. It never clips a setpoint.
 """
 
 from collections.abc import Iterator, Sequence
 
 from equipoise.errors import LinkError
 from equipoise.outcomes import End, describe
-from equipoise.rig.interfaces import Array, Reply, Robot
+from equipoise.rig.interfaces import Array, Robot
 from equipoise.safety.rules import Limits, check_first, check_setpoint
 from equipoise.safety.stop import Ramp, ramp
 
 
 class GuardedRobot:
-    """`Robot` that sends valid setpoints only, and otherwise stops the arm."""
+    """Robot that is sent valid setpoints only, and otherwise stopped."""
 
     def __init__(self, robot: Robot, limits: Limits, period: float) -> None:
         """Guard a robot.
@@ -25,43 +25,24 @@ class GuardedRobot:
             limits: Limits of setpoints.
             period: Time between two setpoints [s].
         """
-        self._robot, self._limits, self._period = robot, limits, period
+        self._limits, self._period = limits, period
+        self.robot = robot
+        """The robot, for all but its start and its setpoints."""
         self.started_at: tuple[float, ...] = ()
         """Measured joints at the start of the servo [rad], equal to the first setpoint."""
         self.last: tuple[float, ...] | None = None
         """Last setpoint sent [rad]; None before the first."""
-        self._references: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
-        """References of the last two setpoints [rad], the older one first."""
+        self._before: tuple[float, ...] = ()
+        """Setpoint before the last one [rad]; the same where the arm rests."""
         self._ramp: Ramp | None = None
         self._sent = 0  # setpoints of the ramp
         self.held_back: End | None = None
         """Broken rule of a setpoint that was held back; None without one."""
 
     @property
-    def joints(self) -> int:
-        """Number of joints."""
-        return self._robot.joints
-
-    @property
     def at_rest(self) -> bool:
         """Whether the guard's ramp has ended or was never started."""
         return self._ramp is None or self._sent * self._period >= self._ramp.duration
-
-    def connect(self) -> None:
-        """Connect.
-
-        Raises:
-            LinkError: A reply is missing or invalid.
-        """
-        self._robot.connect()
-
-    def measured(self) -> Array:
-        """Return the measured joints [rad], shape (joints,).
-
-        Raises:
-            LinkError: The reply is late or invalid.
-        """
-        return self._robot.measured()
 
     def start(self) -> None:
         """Start the servo; the first setpoint has to equal the joints measured now.
@@ -71,15 +52,14 @@ class GuardedRobot:
         """
         if self.held_back is not None:
             raise LinkError(f"the guard has stopped ({describe(self.held_back)}); begin a new run")
-        self.started_at = tuple(self._robot.measured().tolist())
+        self.started_at = tuple(self.robot.measured().tolist())
         self.last = None
-        self._robot.start()
+        self.robot.start()
 
     def send(
         self,
         q: Sequence[float] | Array,
         *,
-        lead: Sequence[float] | Array = (),
         to_rest: bool = False,
         from_rest: bool = False,
     ) -> None:
@@ -87,8 +67,6 @@ class GuardedRobot:
 
         Args:
             q: The joints [rad], shape (joints,).
-            lead: Their distances from the setpoint's reference [rad], shape (joints,); empty for
-                none.
             to_rest: Whether the setpoint belongs to a ramp to rest inside the limits, so that the
                 stopping distance is not checked.
             from_rest: Whether the arm has come to rest at the last setpoint, because the stream
@@ -99,50 +77,26 @@ class GuardedRobot:
                 measured joints.
         """
         if self._ramp is None:
-            setpoint, ahead = tuple(map(float, q)), tuple(map(float, lead))
-            reference = setpoint
-            if ahead:
-                reference = tuple(a - b for a, b in zip(setpoint, ahead, strict=True))
-            if from_rest and self.last is not None:
-                self._references = self.last, self.last
-            before, last = self._references
-            if self.last is None:
-                last = reference
+            setpoint, last = tuple(map(float, q)), self.last
+            if last is None:
+                last = setpoint
                 if broken := check_first(self._limits, setpoint, self.started_at):
                     self.held_back = broken
                     raise LinkError(f"nothing was sent: {describe(broken)}")
             else:
-                path, sent = (reference, last, before), (setpoint, self.last)
-                if broken := check_setpoint(self._limits, *path, self._period, to_rest, sent):
+                if from_rest:
+                    self._before = last
+                path = setpoint, last, self._before
+                if broken := check_setpoint(self._limits, *path, self._period, to_rest):
                     self.held_back = broken
-                    self._begin_ramp(self.last)
+                    self._begin_ramp(last)
             if self._ramp is None:
-                self._robot.send(setpoint)
-                self._references, self.last = (last, reference), setpoint
+                self.robot.send(setpoint)
+                self._before, self.last = last, setpoint
                 return
         self.last = self._upcoming
         self._sent += 1
-        self._robot.send(self.last)
-
-    def replies(self) -> list[Reply]:
-        """Return the replies since the last call, the oldest first.
-
-        Raises:
-            LinkError: The link is down, or a reply is overdue or invalid.
-        """
-        return self._robot.replies()
-
-    def stop(self) -> None:
-        """Stop the servo, the arm at rest.
-
-        Raises:
-            LinkError: A reply is late or invalid.
-        """
-        self._robot.stop()
-
-    def close(self) -> None:
-        """Disconnect."""
-        self._robot.close()
+        self.robot.send(self.last)
 
     def rest(self) -> Iterator[tuple[float, ...]]:
         """Yield the setpoints of a ramp to rest from the last one sent, one for each period."""
@@ -156,7 +110,7 @@ class GuardedRobot:
             yield self._upcoming  # repeated, so that the arm no longer moves
 
     def _begin_ramp(self, last: tuple[float, ...]) -> None:
-        dq = [(b - a) / self._period for a, b in zip(*self._references, strict=True)]
+        dq = [(b - a) / self._period for a, b in zip(self._before, last, strict=True)]
         # The flange speed is not known here: the joints alone determine the ramp.
         self._ramp, self._sent = ramp(last, dq, 0.0, self._limits), 0
 

@@ -108,7 +108,7 @@ def run_loop(
                 except LinkError as error:
                     sensor_lost = True
                     faults.append(End(Outcome.ENCODER_LOST, {"text": str(error)}))
-            replies, words = robot.replies(), operator.read_input()
+            replies, words = robot.robot.replies(), operator.read_input()
             result = None
             if pending is not None and pending.done():
                 result, pending = pending.exception() or pending.result(), None
@@ -116,9 +116,8 @@ def run_loop(
             output, faults = controller.tick(now, inputs), []
             first, rest = output.setpoints[:1], output.setpoints[1:]
             still = still or inputs.paused(h)
-            leads = output.leads or ((),) * len(output.setpoints)
             for setpoint in first:
-                robot.send(setpoint, lead=leads[0], to_rest=output.to_rest, from_rest=still)
+                robot.send(setpoint, to_rest=output.to_rest, from_rest=still)
             still = not first
             sent, took = clock.now(), perf_counter() - begin
             if ticks < len(late):
@@ -137,7 +136,7 @@ def run_loop(
                 if moment > deadline + (place + 1) * period:
                     unsent = len(rest) + 1 - place
                     break
-                robot.send(setpoint, lead=leads[place], to_rest=output.to_rest)
+                robot.send(setpoint, to_rest=output.to_rest)
                 recorder.stream.push(moment, robot.last)
             if output.job is not None:
                 pending = submit(output.job)
@@ -184,7 +183,7 @@ def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) 
         for setpoint in robot.rest():
             moment += period
             clock.wait_until(moment)
-            robot.replies()
+            robot.robot.replies()
             now = clock.now()
             robot.send(setpoint)
             recorder.stream.push(now, robot.last)

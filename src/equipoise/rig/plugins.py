@@ -12,9 +12,9 @@ time. Sensors register under `equipoise.sensors`. The robots and sensors of this
 in the same way. `equipoise.rig.connection` is the only module that opens devices.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from importlib.metadata import entry_points
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from equipoise.errors import InputError
 from equipoise.model.arms.arm import Arm
@@ -56,32 +56,6 @@ class Emulated(NamedTuple, Generic[Device]):
     """Makes another driver on a transport, for tests that damage bytes."""
 
 
-class Emulator(Protocol):
-    """An emulated robot on a port of this machine: bytes and times in, bytes out."""
-
-    @property
-    def closed(self) -> bool:
-        """Whether the connection is closed from this side."""
-        ...
-
-    @property
-    def busy(self) -> bool:
-        """Whether the emulator still moves the arm."""
-        ...
-
-    def feed(self, data: bytes, now: float) -> None:
-        """Receive bytes from the client at a time [s]."""
-        ...
-
-    def advance(self, now: float) -> Sequence[bytes]:
-        """Advance to a time [s], and return the segments sent to the client by then."""
-        ...
-
-    def vanished(self, now: float) -> None:
-        """Record that the client has left without a farewell."""
-        ...
-
-
 class RobotPlugin(NamedTuple):
     """A kind of robot, by the scheme of its addresses."""
 
@@ -92,9 +66,6 @@ class RobotPlugin(NamedTuple):
     """Returns the driver in front of an emulator. Arguments: the simulated rig whose `body` the
     emulator moves and measures, the arm, the driver's session, the delay of the link each way [s],
     and a seed. None without an emulator."""
-    serve: Callable[[SimulatedRig, Arm, str, int], Emulator] | None = None
-    """Returns an emulator for `equipoise rig emulate`, which serves one client. Arguments: the
-    simulated rig, the arm, faults as typed by the user, and a seed. None without one."""
     link_share: float = 0.5
     """Share of the twin's reply age that the emulated link takes each way [-]. The rest of the
     twin's transport time stays in the servo."""

@@ -3,21 +3,16 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import inf, radians
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.control.control_step import ControllerParams, horizon, make_controller_params
-from equipoise.control.policy import (
-    Policy,
-    TaskPolicy,
-    shipped_policy,
-)
+from equipoise.control.policy import Policy, TaskPolicy, shipped_policy
 from equipoise.errors import InputError
 from equipoise.logs.conditions import RunConditions, named
 from equipoise.model.actuator import Actuator
-from equipoise.model.worlds import PivotFriction, pivot_friction, read_world
+from equipoise.model.worlds import pivot_friction, read_world
 from equipoise.rig.checks import fitting_actuators
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import Rig, connect, world_of
@@ -27,10 +22,6 @@ from equipoise.safety.rules import SafetyParams, make_safety_params
 from equipoise.worlds.twin.excitation import excitation
 
 Array = npt.NDArray[np.float64]
-
-EXCITATION_SHARE: Final = 0.5
-"""Share of the excitation of `deploy --excite` that a run uses [-]: behind a servo that is 30 ms
-slower than assumed, its joints follow within the limit of the following error."""
 
 
 @dataclass(frozen=True)
@@ -100,42 +91,11 @@ class RunRequest:
             torque_share=self.settings.torque_share,
         )
 
-    def responses(self, counts_per_rev: int, max_speed: float = inf) -> tuple[ArmResponse, ...]:
-        """Return the responses of the arm of which the run selects one; empty without alternatives.
-
-        Args:
-            counts_per_rev: Counts per revolution that the rig's encoder reports.
-            max_speed: Flange speed limit from the pre-flight [m/s].
-        """
-        carried = (self.actuator, *self.alternatives) if self.alternatives else ()
-        return tuple(self.response(each, counts_per_rev, max_speed) for each in carried)
-
     def response(self, actuator: Actuator, counts_per_rev: int, max_speed: float) -> ArmResponse:
-        """Return the response of the arm with an actuator; further arguments as of `responses`."""
+        """Return the response of the arm with an actuator; further arguments as of `guard`."""
         one = replace(self, actuator=actuator)
         parts = one.controller(counts_per_rev), one.guard(counts_per_rev, max_speed)
         return ArmResponse(actuator, *parts)
-
-    def excitation(self, counts_per_rev: int, max_speed: float = inf) -> Excitation | None:
-        """Return the excitation before the lift; None without one. Arguments as of `responses`.
-
-        Raises:
-            ArmError: Home is too close to a limit of a joint.
-        """
-        if self.identify is None:
-            return None
-        arm = self.settings.described_arm
-        free = excitation(arm, period=self.policy.h / 2.0)
-        free = arm.home_free + EXCITATION_SHARE * (free - arm.home_free)
-
-        def respond(actuator: Actuator) -> tuple[ArmResponse, str]:
-            text = describe_fit(self.policy, actuator)
-            if not (fitting_actuators(self.policy, actuator) or self.anyway):
-                raise InputError(text)
-            return self.response(actuator, counts_per_rev, max_speed), text
-
-        setpoints = np.array([arm.with_held(q) for q in free])
-        return Excitation(setpoints, self.identify, respond)
 
     def parts(
         self,
@@ -151,15 +111,35 @@ class RunRequest:
             clock: Clock for its computing time [s].
             counts_per_rev: Counts per revolution that the rig's encoder reports.
             max_speed: Flange speed limit from the pre-flight [m/s].
+
+        Raises:
+            ArmError: Home is too close to a limit of a joint for the excitation.
         """
+        arm = self.settings.described_arm
+        excited: Excitation | None = None
+        carried = (self.actuator, *self.alternatives) if self.alternatives else ()
+        if self.identify is not None:
+            free = excitation(arm, period=self.policy.h / 2.0)
+            # A half: behind a servo that is 30 ms slower than assumed, the joints follow within
+            # the limit of the following error.
+            free = arm.home_free + 0.5 * (free - arm.home_free)
+
+            def respond(actuator: Actuator) -> tuple[ArmResponse, str]:
+                text = describe_fit(self.policy, actuator)
+                if not (fitting_actuators(self.policy, actuator) or self.anyway):
+                    raise InputError(text)
+                return self.response(actuator, counts_per_rev, max_speed), text
+
+            setpoints = np.array([arm.with_held(q) for q in free])
+            excited = Excitation(setpoints, self.identify, respond)
         return RunParts(
-            self.settings.described_arm,
+            arm,
             self.policy.settings.boxes,
             policy,
             self.duration,
             clock,
-            self.responses(counts_per_rev, max_speed),
-            self.excitation(counts_per_rev, max_speed),
+            tuple(self.response(each, counts_per_rev, max_speed) for each in carried),
+            excited,
         )
 
     def conditions(self) -> RunConditions:
@@ -168,8 +148,11 @@ class RunRequest:
         Raises:
             SettingsError: The twin is unknown.
         """
-        policy, friction = self.policy, self.friction
+        policy, world = self.policy, world_of(self.robot)
         plant = policy.settings.plant
+        friction = None
+        if world is not None:
+            friction = pivot_friction(policy.pendulum, read_world(world).settings)
         return RunConditions(
             policy=policy.digest,
             policy_name=policy.name,
@@ -214,18 +197,6 @@ class RunRequest:
             period=self.policy.h / 2.0,
             **callbacks,
         )
-
-    @property
-    def friction(self) -> PivotFriction | None:
-        """Dry friction and drag of a twin's pendulum; None on a robot.
-
-        Raises:
-            SettingsError: The twin is unknown.
-        """
-        world = world_of(self.robot)
-        if world is None:
-            return None
-        return pivot_friction(self.policy.pendulum, read_world(world).settings)
 
 
 def describe_fit(policy: TaskPolicy, actuator: Actuator) -> str:

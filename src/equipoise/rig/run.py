@@ -22,10 +22,9 @@ from equipoise.logs.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
 from equipoise.logs.writer import RunWriter
 from equipoise.outcomes import End, Outcome
 from equipoise.printable import printable
-from equipoise.rig.checks import check_fit
+from equipoise.rig.checks import check_fit, require
 from equipoise.rig.clocks import DrainingClock
 from equipoise.rig.connection import Rig
-from equipoise.rig.findings import Finding, require
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import Clock, Operator
 from equipoise.rig.loop import LoopResult, run_inline, run_loop
@@ -117,7 +116,7 @@ def run_on_rig(
     operators: Sequence[Operator],
     recorder: Recorder,
     *,
-    measures: Callable[[], Sequence[Finding]] = tuple,
+    measures: Callable[[], dict[str, str]] = dict,
     submit: Callable[[Job], "Future[Any]"] = run_inline,
     idle: Callable[[], None] = lambda: None,
     wrap: Callable[[RunController], RunController] = lambda controller: controller,
@@ -145,7 +144,7 @@ def run_on_rig(
 
     def check_links() -> None:
         """Request the joints, and drop the encoder's samples; each raises where its link failed."""
-        robot.measured()
+        rig.robot.measured()
         rig.sensor.samples()
 
     waiting = DrainingClock(rig.clock, rig.sensor)
@@ -154,11 +153,11 @@ def run_on_rig(
     try:
         tell(OperatorMessage(CONNECTING, f"Connecting to {request.robot}."))
         rig.sensor.connect()
-        robot.connect()
+        rig.robot.connect()
         results, max_speed = preflight(request, rig, measures())
         fit = check_fit(request.policy, request.actuator, request.settings)
         for result in (*fit, *results):
-            text = f"{result.name}: {result.status}, {result.text}"
+            text = f"{result.name}: {result.status}, {result.found}"
             text += f"; {result.remedy}" if result.remedy else ""
             tell(OperatorMessage(f"finding {result.status}", printable(text)))
         require(fit)
@@ -208,13 +207,13 @@ def run_on_rig(
         )
         if ending.stoppable:
             try:
-                robot.stop()
+                rig.robot.stop()
             except LinkError as error:
                 fault = End(Outcome.LINK_LOST, {"text": str(error)})
                 ending = ending._replace(fault=fault, stoppable=False)
         return run_end(controller, ending, max_speed)
     finally:
-        robot.close()
+        rig.robot.close()
         rig.sensor.close()
 
 

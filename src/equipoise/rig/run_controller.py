@@ -110,24 +110,20 @@ class RunController:
         for fault in inputs.faults:
             run.stop(fault)
         self._check_rules(now, inputs.lateness)
-        run.record, run.leads = TickRecord(estimated_phi=run.encoder.phi()), ()
+        run.record = TickRecord(estimated_phi=run.encoder.phi())
         stalls = self._overdue > MAX_UNANSWERED and run.phase.moves
         setpoints = run.phase.wait(now) if stalls else run.phase.tick(now)
         stops = run.phase is self._stopping
-        if run.leads:
-            run.lead = run.leads[-1]
-        elif setpoints and not stops:
-            run.lead = (0.0,) * len(run.lead)
         for place, setpoint in enumerate(setpoints):
             sent = now - late + place * 0.5 * h
-            run.sent.store(sent, setpoint, run.leads[place] if run.leads else ())
+            run.sent.store(sent, setpoint)
             run.phase.note_sent(sent, setpoint)
         run.phase.ticks += 1
         events, run.events = run.events, []
         output = TickOutput(
             setpoints, run.q, run.dq, PHASES.index(self.phase), run.record, events, run.job
         )
-        return output._replace(leads=run.leads, to_rest=stops, done=self._stopping.done)
+        return output._replace(to_rest=stops, done=self._stopping.done)
 
     def _take_measurements(self, inputs: TickInputs) -> None:
         run = self._run

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.control.control_step import SETPOINTS_PER_TICK
-from equipoise.control.grid import TRUNCATED, box_indices, partition
+from equipoise.control.grid import TRUNCATED, box_indices, make_grid
 from equipoise.control.policy import TaskPolicy
 from equipoise.logs.conditions import RunConditions, RunEnd, named
 from equipoise.logs.run_log import RunLog
@@ -68,7 +68,7 @@ def simulate_run(
         SettingsError: The world is unknown.
     """
     setup = setup_of(policy, world, settings, actuator)
-    pendulum, arm, settings, _, h = setup
+    pendulum, arm, settings, h = setup.pendulum, setup.arm, setup.settings, setup.h
     duration = settings.evaluation.duration if duration is None else duration
     name, twin = find_world(world)
     simulation = simulate(world, setup, seed=seed, stream=DEPLOYMENT)
@@ -91,7 +91,7 @@ def simulate_run(
             "replies": {"time": rows.measured[:, -1], "q": _all_joints(arm, rows.measured[:, :-1])},
             "encoder": {"time": rows.encoder[:, 1], "counts": rows.encoder[:, 0]},
         }
-    boxes = partition(settings.boxes, pendulum.parameters().k)
+    boxes = make_grid(settings.boxes, pendulum.parameters().k)
     return RunLog.simulated(
         RunConditions(
             arm=arm,

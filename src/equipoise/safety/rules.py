@@ -21,11 +21,6 @@ happen.
 The joints' limits are those of the rig's arm; all other limits stand here with their reasons. These
 rules are no safety functions in the sense of a standard: they run on a PC that may fail, and a KST
 server then moves on to its last target. The rules keep that target near.
-
-A setpoint is a reference plus a lead, which is zero unless the policy's settings ask for it
-(`equipoise.model.actuator.leading_setpoint`). The arm follows the reference, whose jumps, velocity
-and acceleration are judged. The setpoint is where the arm goes if nothing follows: its lead, its
-jumps and its position of rest are judged.
 """
 
 from collections.abc import Iterator, Sequence
@@ -38,7 +33,6 @@ import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.jit import compilable
-from equipoise.model.actuator import MAX_LEAD
 from equipoise.model.arms.arm import Arm
 from equipoise.outcomes import SAFETY_RULES, End, Outcome
 
@@ -117,7 +111,6 @@ POSITION_CODE: Final = SAFETY_RULES.index(Outcome.POSITION)
 JUMP_CODE: Final = SAFETY_RULES.index(Outcome.JUMP)
 VELOCITY_CODE: Final = SAFETY_RULES.index(Outcome.VELOCITY)
 ACCELERATION_CODE: Final = SAFETY_RULES.index(Outcome.ACCELERATION)
-LEAD_CODE: Final = SAFETY_RULES.index(Outcome.LEAD)
 SINGULAR_CODE: Final = SAFETY_RULES.index(Outcome.SINGULAR)
 TRACK_CODE: Final = SAFETY_RULES.index(Outcome.TRACK)
 SPEED_CODE: Final = SAFETY_RULES.index(Outcome.SPEED)
@@ -241,26 +234,21 @@ def check_setpoint(
     before: Sequence[float],
     dt: float,
     to_rest: bool = False,
-    setpoints: tuple[Sequence[float], Sequence[float]] | None = None,
 ) -> End | None:
     """Return the rule that forbids a setpoint, or None.
 
     Args:
         limits: Limits of setpoints.
-        q: The setpoint's reference [rad], shape (n,).
-        last: The reference before [rad], shape (n,).
+        q: The setpoint [rad], shape (n,).
+        last: The one sent before [rad], shape (n,).
         before: The one before that [rad], shape (n,); the same as `last` where the arm is at rest.
         dt: Time between setpoints in the stream [s].
         to_rest: Whether it belongs to a way to rest that ends inside the limits; the stopping
             position is not checked then.
-        setpoints: The setpoint and the one sent before [rad], shape (n,) each; None where they
-            equal their references.
     """
     if invalid := _invalid_numbers(limits, q, "a setpoint"):
         return invalid
     code, joint, value, limit = broken_setpoint(limits, q, last, before, dt, to_rest)
-    if code == NO_VIOLATION and setpoints is not None:
-        code, joint, value, limit = broken_lead(limits, *setpoints, q, last, dt, to_rest)
     if code == NO_VIOLATION:
         return None
     more = {"joint": joint, "lower": limits.lower[joint - 1], "upper": limits.upper[joint - 1]}
@@ -346,35 +334,6 @@ def broken_setpoint(
         if acceleration > limits.acceleration[i] * (1.0 + ROUNDING):
             return ACCELERATION_CODE, i + 1, acceleration, limits.acceleration[i]
     return NO_VIOLATION, 0, 0.0, 0.0
-
-
-@compilable
-def broken_lead(
-    limits: Limits, q: Row, sent: Row, reference: Row, last: Row, dt: float, to_rest: bool = False
-) -> tuple[int, int, float, float]:
-    """Return the first rule that a setpoint ahead of its reference breaks, as `broken_setpoint`.
-
-    Args:
-        limits: Limits of setpoints.
-        q: The setpoint [rad], shape (n,).
-        sent: The setpoint before [rad], shape (n,).
-        reference: The setpoint's reference [rad], shape (n,), which breaks no rule.
-        last: The reference before [rad], shape (n,).
-        dt: Time between setpoints in the stream [s].
-        to_rest: Whether it belongs to a way to rest that ends inside the limits.
-    """
-    for i in range(len(q)):
-        lower, upper = limits.lower[i], limits.upper[i]
-        rest = rest_position(limits, i, q[i], (reference[i] - last[i]) / dt)
-        for end in (q[i], q[i] if to_rest else rest):
-            if q[i] != reference[i] and not lower <= end <= upper:
-                return POSITION_CODE, i + 1, end, lower if end < lower else upper
-    for i in range(len(q)):
-        lead = abs(q[i] - reference[i])
-        # Written so that NaN breaks the rule.
-        if not lead <= MAX_LEAD * (1.0 + ROUNDING):
-            return LEAD_CODE, i + 1, lead, MAX_LEAD
-    return broken_jump(q, sent)
 
 
 # The run.

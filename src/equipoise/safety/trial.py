@@ -52,11 +52,6 @@ class TrialSafetyMonitor(NamedTuple):
     """Times of the last setpoints [s], each at its number modulo `SETPOINT_HISTORY`."""
     setpoints: Array
     """Their free joints [rad], shape (SETPOINT_HISTORY, 6)."""
-    references: Array
-    """References of the last two and of the next one [rad], each at its number modulo 3, shape
-    (3, 6)."""
-    lead: Array
-    """Lead of the next one [rad], shape (6,); zero without leads."""
     number: npt.NDArray[np.int64]
     """Number of setpoints sent, shape (1,)."""
     error_time: Array
@@ -104,10 +99,7 @@ def new_trial_monitor(arm: Arm, params: SafetyParams | None) -> TrialSafetyMonit
     size, number, error_time = SETPOINT_HISTORY, np.zeros(1, np.int64), np.zeros(1)
     sent, setpoints = np.zeros(size), np.zeros((size, FREE_JOINTS))
     still, frame = np.zeros(FREE_JOINTS * BATCH_SIZE), np.zeros(FRAME_SIZE * BATCH_SIZE)
-    references, lead = np.zeros((3, FREE_JOINTS)), np.zeros(FREE_JOINTS)
-    return TrialSafetyMonitor(
-        active, rules, sent, setpoints, references, lead, number, error_time, still, frame
-    )
+    return TrialSafetyMonitor(active, rules, sent, setpoints, number, error_time, still, frame)
 
 
 @kernel
@@ -118,7 +110,6 @@ def reset_trial_monitor(monitor: TrialSafetyMonitor, q: Array) -> None:
         monitor.sent[row] = -inf
         for i in range(FREE_JOINTS):
             monitor.setpoints[row, i] = q[i]
-            monitor.references[row, i] = q[i]
     monitor.number[0] = AT_REST_SETPOINTS
     monitor.error_time[0] = 0.0
 
@@ -130,20 +121,15 @@ def setpoint_violation(monitor: TrialSafetyMonitor, q: Array, now: float) -> int
     An accepted setpoint is stored.
 
     Args:
-        monitor: Holds the setpoint's lead; changed in place.
+        monitor: Changed in place.
         q: The free joints [rad], shape (6,).
         now: The time [s].
     """
-    params, lead, count = monitor.params, monitor.lead, monitor.number[0]
+    params, setpoints, count = monitor.params, monitor.setpoints, monitor.number[0]
+    last = setpoints[(count - 1) % SETPOINT_HISTORY]
+    before = setpoints[(count - 2) % SETPOINT_HISTORY]
     dt = params.h / SETPOINTS_PER_TICK
-    reference, last = monitor.references[count % 3], monitor.references[(count - 1) % 3]
-    before, setpoints = monitor.references[(count - 2) % 3], monitor.setpoints
-    for i in range(FREE_JOINTS):
-        reference[i] = q[i] - lead[i]
-    code, _, _, _ = rules.broken_setpoint(params.limits, reference, last, before, dt)
-    if code == NO_VIOLATION:
-        sent = setpoints[(count - 1) % SETPOINT_HISTORY]
-        code, _, _, _ = rules.broken_lead(params.limits, q, sent, reference, last, dt)
+    code, _, _, _ = rules.broken_setpoint(params.limits, q, last, before, dt)
     if code == NO_VIOLATION:
         monitor.sent[count % SETPOINT_HISTORY] = now
         for i in range(FREE_JOINTS):

@@ -10,6 +10,8 @@ or claim is another test with its own false positives: of a hundred policies tha
 claim, up to five pass at 95 %.
 """
 
+import hashlib
+import json
 import math
 from bisect import bisect_left
 from typing import ClassVar, Final, Self
@@ -18,17 +20,9 @@ from pydantic import Field, ValidationError, model_validator
 from scipy.stats import binom, binomtest
 
 from equipoise import paper
-from equipoise.artefacts import (
-    DIGEST_PREFIX,
-    Artefact,
-    Name,
-    Value,
-    first_fault,
-    value_digest,
-)
+from equipoise.artefacts import Artefact, Name, Value, first_fault
 from equipoise.control.policy import TaskPolicy
 from equipoise.errors import InputError
-from equipoise.executors import Workers
 from equipoise.model.worlds import MODEL, read_world
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS
 from equipoise.worlds.evaluation import Done, Evaluation, evaluate
@@ -215,20 +209,17 @@ def trial_seed(policy: str, claim: Claim) -> int:
         policy: Digest of the policy.
         claim: The claim.
     """
-    digest = value_digest(_SeedSource(policy=policy, claim=claim))
-    return int(digest.removeprefix(DIGEST_PREFIX)[:8], 16)
-
-
-class _SeedSource(Value):
-    policy: str
-    claim: Claim
+    source = json.dumps(
+        {"policy": policy, "claim": claim.model_dump()}, sort_keys=True, separators=(",", ":")
+    )
+    return int(hashlib.sha256(source.encode()).hexdigest()[:8], 16)
 
 
 def certify(
     policy: TaskPolicy,
     claim: Claim,
     *,
-    workers: Workers = 1,
+    workers: int = 1,
     done: Done = lambda _: None,
 ) -> Certificate:
     """Test a claim about a policy.
@@ -236,7 +227,7 @@ def certify(
     Args:
         policy: The policy.
         claim: The claim, from `make_claim`.
-        workers: Number of threads, or an executor; the result does not depend on it.
+        workers: Number of threads; the result does not depend on it.
         done: Called with the number of trials that have just finished.
 
     Returns:

@@ -18,7 +18,6 @@ from scipy.stats import binomtest
 from equipoise.artefacts import Artefact, Name, Seed, Value
 from equipoise.control.baselines import baselines
 from equipoise.control.policy import MAX_ACTUATORS, PolicyKernel, TaskPolicy
-from equipoise.executors import Workers
 from equipoise.model.actuator import Actuator
 from equipoise.model.random import TEST
 from equipoise.model.worlds import MODEL, PivotFriction, TwinSettings, World, pivot_friction
@@ -162,7 +161,7 @@ def evaluate(
     actuator: Actuator | None = None,
     seed: int = 0,
     with_baselines: bool = True,
-    workers: Workers = 1,
+    workers: int = 1,
     done: Done = lambda _: None,
 ) -> Evaluation:
     """Evaluate a policy in a simulated world.
@@ -181,7 +180,7 @@ def evaluate(
             `equipoise.control.actuator_choice`; on a plant its first one holds.
         seed: Master seed of the trials.
         with_baselines: Run the baselines on the same trials.
-        workers: Threads, or an executor, of compiled policies; the result does not depend on it.
+        workers: Number of threads for compiled policies; the result does not depend on it.
         done: Callback; receives the number of trials that have just finished.
 
     Raises:
@@ -189,7 +188,7 @@ def evaluate(
         ArmError: The masses of the twin's arm are unknown.
     """
     setup = setup_of(policy, world, settings, actuator)
-    pendulum, arm, settings, actuators, h = setup
+    pendulum, arm, settings, h = setup.pendulum, setup.arm, setup.settings, setup.h
     place, numbers = find_world(world)
     simulation = simulate(world, setup, seed=seed, stream=TEST)
     count, span = settings.evaluation.trials, settings.evaluation.duration
@@ -214,7 +213,7 @@ def evaluate(
         world_settings=numbers,
         arm=arm.name,
         arm_digest=arm.digest,
-        actuators=tuple(each.digest for each in actuators),
+        actuators=tuple(each.digest for each in setup.actuators),
         pendulum=pendulum.digest,
         friction=None if numbers is None else pivot_friction(pendulum, numbers),
         settings=settings,

@@ -18,11 +18,18 @@ from equipoise.control.control_step import (
     start_controller,
 )
 from equipoise.control.controller import command_tick, new_controller_handle, observe_tick
-from equipoise.control.grid import ANGLE, JOINT_LIMIT, PHI_LIMIT, TRACK, TRUNCATED, partition
+from equipoise.control.grid import (
+    ANGLE,
+    JOINT_LIMIT,
+    PHI_LIMIT,
+    TRACK,
+    TRUNCATED,
+    make_grid,
+)
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.user_code import guest_code
-from equipoise.worlds.interface import Array, ClosedLoop, Measurement, Simulation
+from equipoise.worlds.interface import Array, ClosedLoop, Simulation
 from equipoise.worlds.plant import SPEED_LIMIT_CAUSE, draw_noise, scaled
 from equipoise.worlds.trials import Trial
 
@@ -53,7 +60,7 @@ class ExternalLoop(ClosedLoop):
             has_sensor=setup.actuator.kind != "ideal",
         )
         self.controller = new_controller_state()
-        boxes = partition(setup.settings.boxes, nominal.k)
+        boxes = make_grid(setup.settings.boxes, nominal.k)
         self._handle = new_controller_handle(self.params, self.controller, boxes)
         self._sigmas = np.repeat([plant.position_error_sigma, plant.orientation_error_sigma], 3)
         self._fastest = inf if plant.max_speed is None else plant.max_speed
@@ -138,10 +145,3 @@ class ExternalLoop(ClosedLoop):
     def state(self) -> Array:
         """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
         return self._state.copy()
-
-    def measurement(self) -> Measurement | None:
-        """Return the measurements of this tick; `None` without an encoder."""
-        if not self.params.has_sensor:
-            return None
-        q = self.controller.measured[::BATCH_SIZE].copy()
-        return Measurement(float(self.controller.counts[0]), self.now, q, self.now)

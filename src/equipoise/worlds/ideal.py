@@ -4,8 +4,6 @@ With the actuator `ideal` this is the paper's simulation; with any other, the ar
 delay, servo and drive, and the controller observes through an encoder.
 """
 
-from collections.abc import Sequence
-from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -20,7 +18,7 @@ from equipoise.model.elementary import BATCH_SIZE, at
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import philox, uniform
 from equipoise.model.worlds import IDEAL, MODEL, TwinSettings, World
-from equipoise.worlds.interface import Array, ClosedLoop, Measurement, Setup, Simulation
+from equipoise.worlds.interface import Array, ClosedLoop, Setup, Simulation, TrialColumns
 from equipoise.worlds.plant import (
     TRACKED,
     BatchState,
@@ -36,7 +34,7 @@ from equipoise.worlds.plant import (
     scaled,
     step,
 )
-from equipoise.worlds.trials import IntArray, Trial, Trials, draw_trials
+from equipoise.worlds.trials import IntArray, Trial, Trials
 
 Lanes: Any = struct_ref("Lanes", __name__, ("plant", "pendulum", "batch", "number", "tick", "key"))
 
@@ -86,17 +84,8 @@ class PlantSimulation(Simulation):
             raise SettingsError(f"there is no world {quoted(name)}; choose {IDEAL} or {MODEL}")
         return name, None
 
-    def __init__(
-        self, world: str | World, setup: Setup, *, seed: int, stream: int, spread: float = 1.0
-    ) -> None:
-        """Set up the plant.
-
-        Args:
-            world: `ideal` or `model`.
-            setup: Pendulum, arm and controller; of several actuators the first one holds.
-            seed: Master seed of the trials.
-            stream: Purpose of the trials.
-            spread: Factor on the variation of the plants.
+    def __init__(self, world: str | World, setup: Setup, *, seed: int, stream: int) -> None:
+        """Set up the plant, with the first one of several actuators; see `Simulation`.
 
         Raises:
             ArmError: Home is a singular posture.
@@ -106,30 +95,18 @@ class PlantSimulation(Simulation):
         arm, settings = setup.arm, setup.settings
         self.params = make_loop_params(arm, settings, setup.h, self.pendulum, setup.actuator)
         """Constants of the closed loop."""
-        self.spread = spread
-
-    def __reduce__(self) -> Any:
-        """Return what sets the simulation up in another process."""
-        given = {"seed": self.seed, "stream": self.stream, "spread": self.spread}
-        return partial(type(self), self.world, self.setup, **given), ()
-
-    def draw(self, count: int, first: int = 0) -> Trials:
-        """Draw the conditions of `count` trials from number `first` on."""
-        settings = self.setup.settings
-        return draw_trials(count, settings, self.seed, self.stream, self.spread, first)
 
     def loop(self) -> "PlantLoop":
         """Return a closed loop for `reset`."""
         return PlantLoop(self)
 
-    def run_piece(
-        self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
-    ) -> None:
+    def run_piece(self, policy: PolicyKernel, duration: float, trials: Trials) -> TrialColumns:
         """Run trials of a compiled policy in this thread; see `Simulation.run`."""
-        plant, pendulum, taken = self.params, self.pendulum, np.array(rows, np.int64)
+        plant, rows = self.params, np.arange(len(trials.steps))
         batch, max_steps = new_batch_state(), round(duration / plant.controller.h)
         keys = self.seed, self.stream
-        run_trials(plant, batch, policy, pendulum, trials, taken, max_steps, *keys)
+        run_trials(plant, batch, policy, self.pendulum, trials, rows, max_steps, *keys)
+        return trials.steps, trials.cause, trials.sum_x2
 
 
 class IdealSimulation(PlantSimulation):
@@ -179,13 +156,6 @@ class PlantLoop(ClosedLoop):
         """Return the true positions of all joints [rad], shape (n,)."""
         q = self._batch.q if self.params.has_sensor else self._batch.controller.q
         return self._simulation.setup.arm.with_held(q[::BATCH_SIZE])
-
-    def measurement(self) -> Measurement | None:
-        """Return the measurements of this tick; `None` without an encoder."""
-        if not self.params.has_sensor:
-            return None
-        q = self.controller.measured[::BATCH_SIZE].copy()
-        return Measurement(float(self.controller.counts[0]), self.now, q, self.now)
 
 
 @kernel

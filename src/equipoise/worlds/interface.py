@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import partial
 from math import nan
-from typing import Any, ClassVar, Final, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from equipoise.control.control_step import (
 )
 from equipoise.control.grid import TRUNCATED
 from equipoise.control.policy import KernelPolicy, Policy, PolicyKernel, TaskPolicy
-from equipoise.executors import Workers, executor_of
+from equipoise.executors import completed
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.elementary import BATCH_SIZE
@@ -31,8 +31,8 @@ from equipoise.settings import Settings
 from equipoise.worlds.trials import IntArray, Trial, Trials, draw_trials
 
 Array = npt.NDArray[np.float64]
-REMOTE_PIECES: Final = 32
-"""Number of pieces in a task of another process, which sets the simulation up anew."""
+TrialColumns = tuple[IntArray, IntArray, Array]
+"""Steps, causes of the end and sums of x^2 [m^2] of some trials, each of shape (n,)."""
 Finished = Callable[[Sequence[int]], None]
 """Receives the rows of trials that have just finished."""
 
@@ -89,8 +89,11 @@ class ClosedLoop(ABC):
         """Return the true positions of all joints [rad], shape (n,)."""
 
     def measurement(self) -> Measurement | None:
-        """Return the newest measurements; `None` without an encoder."""
-        return None
+        """Return the newest measurements, those of this tick; `None` without an encoder."""
+        if not self.params.has_sensor:
+            return None
+        q = self.controller.measured[::BATCH_SIZE].copy()
+        return Measurement(float(self.controller.counts[0]), self.now, q, self.now)
 
 
 class Setup(NamedTuple):
@@ -107,6 +110,8 @@ class Setup(NamedTuple):
     the move of the self-test before the release; elsewhere the first one holds."""
     h: float
     """Time between ticks [s]."""
+    spread: float = 1.0
+    """Factor on the variation of the plants [-]."""
 
     @property
     def actuator(self) -> Actuator:
@@ -151,23 +156,20 @@ class Simulation(ABC):
         self.pendulum = setup.pendulum.parameters(linearised=linearised)
         """Nominal parameters, which the trials vary."""
 
-    def __reduce__(self) -> Any:
-        """Return what sets the simulation up in another process."""
-        given = {"seed": self.seed, "stream": self.stream}
-        return partial(type(self), self.world, self.setup, **given), ()
-
     @abstractmethod
     def loop(self) -> ClosedLoop:
         """Return a closed loop for `reset`."""
 
     def draw(self, count: int, first: int = 0) -> Trials:
         """Draw the conditions of `count` trials from number `first` on."""
-        return draw_trials(count, self.setup.settings, self.seed, self.stream, 1.0, first)
+        settings, spread = self.setup.settings, self.setup.spread
+        return draw_trials(count, settings, self.seed, self.stream, spread, first)
 
-    def run_piece(
-        self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
-    ) -> None:
-        """Run trials of a compiled policy in this thread; only with a `PIECE`; see `run`."""
+    def run_piece(self, policy: PolicyKernel, duration: float, trials: Trials) -> TrialColumns:
+        """Run trials of a compiled policy in this thread, and return their results.
+
+        Only a world with a `PIECE` has it; see `run`.
+        """
         raise NotImplementedError
 
     def run(
@@ -177,7 +179,7 @@ class Simulation(ABC):
         rows: Sequence[int],
         *,
         duration: float,
-        workers: Workers = 1,
+        workers: int = 1,
         done: Finished = lambda _: None,
     ) -> None:
         """Run trials: compiled if policy and world are, otherwise from Python, one by one.
@@ -187,8 +189,7 @@ class Simulation(ABC):
             trials: Conditions, from `draw`; receives the results.
             rows: Rows of the trials to run.
             duration: Length of a trial [s].
-            workers: Number of threads, or executor, for compiled trials; the results do not depend
-                on it.
+            workers: Number of threads for compiled trials; the results do not depend on it.
             done: Called with the rows of trials that have just finished.
         """
         kernel = policy if isinstance(policy, PolicyKernel) else policy.kernel
@@ -200,37 +201,14 @@ class Simulation(ABC):
                 trials.steps[row], trials.cause[row], trials.sum_x2[row] = ended
                 done([row])
             return
-        executor = executor_of(workers)
-        share = -(-len(rows) // (self.BATCH * executor.workers)) * self.BATCH
-        most = self.PIECE * (REMOTE_PIECES if executor.is_remote else 1)
-        size = min(most, max(share, 1))
+        share = -(-len(rows) // (self.BATCH * workers)) * self.BATCH
+        size = min(self.PIECE, max(share, 1))
         pieces = [rows[first : first + size] for first in range(0, len(rows), size)]
-        run = partial(_run_piece, self, kernel, duration)
-        for i, results in executor.completed(run, _Pieces(trials, pieces)):
+        run = partial(self.run_piece, kernel, duration)
+        for i, results in completed(run, [trials.rows(piece) for piece in pieces], workers):
             piece = pieces[i]
             trials.steps[piece], trials.cause[piece], trials.sum_x2[piece] = results
             done(piece)
-
-
-class _Pieces(Sequence[Trials]):
-    """Copies of pieces of some trials, each made when it is asked for."""
-
-    def __init__(self, trials: Trials, pieces: Sequence[Sequence[int]]) -> None:
-        self._trials, self._pieces = trials, pieces
-
-    def __len__(self) -> int:
-        return len(self._pieces)
-
-    def __getitem__(self, i: Any) -> Any:
-        return self._trials.rows(self._pieces[i])
-
-
-def _run_piece(
-    simulation: Simulation, policy: PolicyKernel, duration: float, trials: Trials
-) -> tuple[IntArray, IntArray, Array]:
-    """Run some trials of a compiled policy; return their steps, causes and sums of x^2."""
-    simulation.run_piece(policy, trials, range(len(trials.steps)), duration)
-    return trials.steps, trials.cause, trials.sum_x2
 
 
 def predicted(loop: ClosedLoop) -> Array:
@@ -243,7 +221,7 @@ def run_trial(
     policy: Policy,
     trial: Trial,
     duration: float,
-    record: "TickObserver | None" = None,
+    record: "Recorder | None" = None,
 ) -> tuple[int, int, float]:
     """Run one trial of a policy from Python.
 
@@ -252,7 +230,7 @@ def run_trial(
         policy: The policy.
         trial: Conditions.
         duration: Length of the trial [s].
-        record: Observer of each tick, such as a `Recorder`.
+        record: Recorder of each tick; an exception from it ends the trial.
 
     Returns:
         Number of steps, cause of the end, and the sum of x^2 over the steps [m^2].
@@ -271,18 +249,6 @@ def run_trial(
         steps += 1
         sum_x2 += float(loop.state()[0]) ** 2
     return steps, cause, sum_x2
-
-
-class TickObserver(Protocol):
-    """Observer of the ticks of a trial; an exception from it ends the trial."""
-
-    def before(self, loop: ClosedLoop, tick: int, u: float) -> None:
-        """Observe the state at a tick, and the u that the policy commands [m/s^2]."""
-        ...
-
-    def after(self, loop: ClosedLoop, tick: int) -> None:
-        """Observe the commands of a tick, and the state at its end."""
-        ...
 
 
 class TrialRecord(NamedTuple):

@@ -271,10 +271,7 @@ def reset(
     block.delay[n] = delayed // cycles
     for i in range(FREE_JOINTS):
         dq, lag = at(memory.dq, i, n), controller.lags[i] * variation.lag_factor
-        # The setpoint that takes effect first; one that leads is ahead of the reference.
         first = at(memory.q, i, n)
-        if controller.lead:
-            first += steady_error(dq, controller.lags[i], controller.actuator)
         behind = dq * delay + steady_error(dq, lag, controller.actuator)
         put(block.q, i, n, first - behind)
         put(block.dq, i, n, dq)

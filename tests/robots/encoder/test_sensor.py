@@ -7,8 +7,8 @@ import pytest
 
 from equipoise.errors import LinkError
 from equipoise.rig.transports import memory_pipe
-from equipoise.robots.encoder.codec import Reading, crc8, decode, encode
-from equipoise.robots.encoder.consistency import MAX_INCONSISTENT, MAX_RATE
+from equipoise.robots.encoder.codec import Reading, decode, encode
+from equipoise.robots.encoder.consistency import MAX_INCONSISTENT
 from equipoise.robots.encoder.sensor import LineEncoder
 from tests.robots.encoder.rig import Bench
 
@@ -214,55 +214,6 @@ def test_a_wrong_line_with_a_right_checksum_is_dropped_alone(bench, change):
     assert [sample.missing for sample in samples if sample.missing] == [1]
 
 
-def test_what_slips_through_the_checksum_is_off_by_no_more_than_a_motion_could_be():
-    rng = np.random.default_rng(11)
-    bench = Bench()
-    bench.motion = swinging
-    bench.sensor.connect()
-    forgeries = [0]
-
-    def forge(data):
-        """Change digits of every tenth line, and give it a right checksum."""
-        said = decode(data[:-1])
-        if rng.random() > 0.1 or not isinstance(said, Reading):
-            return data
-        while (other := changed_digits(rng, data)) is None or decode(other) == said:
-            pass
-        forgeries[0] += 1
-        return other + b"\n"
-
-    bench.garble = forge
-    samples, failed, dropped = [], 0, 0
-    while bench.clock.now() < 20.0:
-        try:
-            samples += bench.run(0.005)
-        except LinkError:
-            # Sequence and time were changed by the same few periods: what follows seems to go back.
-            failed += 1
-            dropped += bench.sensor._dropped
-            bench.host, bench.device = memory_pipe(bench.clock, 0.001)
-            bench.sensor.connect()
-    dropped += bench.sensor._dropped
-    assert forgeries[0] > 1900
-    assert failed <= 3
-    # A few changes are as small as a motion: those pass, and are as harmless.
-    assert dropped > 0.7 * forgeries[0]
-    assert len(samples) > 16_000
-    for sample in samples:
-        assert abs(sample.counts * RESOLUTION - swinging(sample.time - 0.001)) < 0.0021 * MAX_RATE
-    assert np.min(np.diff([sample.time for sample in samples])) > 0.0
-
-
-def changed_digits(rng, data):
-    """Return another line of the grammar with a right checksum; none where the draw made none."""
-    body = bytearray(data[: data.index(b"*")])
-    places = [i for i, byte in enumerate(body) if chr(byte).isdigit()]
-    for place in rng.choice(places, size=min(int(rng.integers(1, 4)), len(places)), replace=False):
-        body[place] = ord("0") + int(rng.integers(10))
-    whole = bytes(body) + b"*%02X" % crc8(bytes(body))
-    return whole if decode(whole) is not None else None
-
-
 def test_a_board_of_malformed_lines_gives_only_true_samples():
     bench = Bench(seed=3)
     bench.motion = swinging
@@ -276,20 +227,6 @@ def test_a_board_of_malformed_lines_gives_only_true_samples():
     # What is not given out is told as missing, the damaged lines at the very end apart.
     told = sum(sample.missing for sample in samples)
     assert told + len(samples) == pytest.approx(20_000, abs=25)
-
-
-def test_a_host_that_stalls_reads_what_waited_with_its_true_times():
-    bench = Bench()
-    bench.motion = swinging
-    bench.sensor.connect()
-    bench.run(1.0)
-    bench.clock.wait_until(bench.clock.now() + 0.3)
-    samples = bench.sensor.samples()
-    assert len(samples) == pytest.approx(300, abs=2)
-    assert bench.clock.now() - samples[0].time == pytest.approx(0.3, abs=0.003)
-    for sample in samples:
-        assert abs(sample.counts * RESOLUTION - swinging(sample.time - 0.001)) < 0.02
-    bench.run(3.0)
 
 
 def test_a_link_that_cannot_be_opened_says_why():

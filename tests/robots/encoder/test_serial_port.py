@@ -1,7 +1,6 @@
 """A serial port as pyserial gives it: over a pseudo-terminal, and over a socket."""
 
 import errno
-import socket
 import sys
 import threading
 import time
@@ -13,7 +12,7 @@ import pytest
 from equipoise.errors import InputError, LinkError, OutsideError
 from equipoise.rig.clocks import SystemClock
 from equipoise.robots.encoder.board import Board
-from equipoise.robots.encoder.codec import REQUEST, Decoder
+from equipoise.robots.encoder.codec import Decoder
 from equipoise.robots.encoder.sensor import LineEncoder
 from equipoise.robots.encoder.serial_port import device_of, open_serial
 from equipoise.robots.encoder.terminal import Terminal
@@ -98,39 +97,13 @@ def test_an_unplugged_device_is_an_error():
         "serial:///dev/ttyACM0?baud=fast",
         "serial:///dev/ttyACM0?baud=0",
         "serial:///dev/ttyACM0?speed=9600",
-        "socket://host",
-        "socket://host:0",
-        "socket://host:99999",
-        "socket://:3000",
-        "socket://host:3000/path",
-        "socket://[::1",
+        "socket://host:3000",
     ],
 )
 def test_what_is_no_address_is_refused(uri):
     for use in (device_of, open_serial):
-        with pytest.raises(
-            InputError, match=r"no address of a serial port|options that are unknown"
-        ):
+        with pytest.raises(InputError):
             use(uri)
-
-
-def test_a_port_on_the_network_is_read_without_waiting():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        transport = open_serial(f"socket://127.0.0.1:{server.getsockname()[1]}")
-        other, _ = server.accept()
-        began = time.monotonic()
-        assert transport.read() == b""
-        assert time.monotonic() - began < 0.1
-        transport.write(REQUEST)
-        assert other.recv(10) == REQUEST
-        other.sendall(b"E,1\n")
-        time.sleep(0.05)
-        assert transport.read() == b"E,1\n"
-        other.close()
-        time.sleep(0.05)
-        with pytest.raises(LinkError, match="is gone"):
-            transport.read()
-        transport.close()
 
 
 # The terminal.

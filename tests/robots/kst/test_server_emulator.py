@@ -40,13 +40,6 @@ def servo(bench):
     return bench
 
 
-# At rest.
-
-
-def test_commands_of_reader_and_main_thread_are_answered_in_order(bench):
-    assert bench.say("getJointsPositions", "", START) == HOME_LINE + b"done\n"
-
-
 # The joint servo.
 
 
@@ -156,27 +149,11 @@ def test_end_has_no_reply_ends_the_servo_and_closes(servo):
 # Faults on top.
 
 
-def test_answers_come_late_and_in_order():
-    bench = Bench(faults=Faults(delay=0.02, jitter=0.03))
-    came = []
-    for i in range(50):
-        bench.client.write((line("jpJP", HOME) if i % 2 else line("jp", HOME)).encode() + b"\n")
-        bench.wait(0.005)
-        came.append((bench.clock.now(), bench.client.read()))
-    bench.wait(0.1)
-    stream = b"".join(data for _, data in came) + bench.client.read()
-    assert stream == (b"done\n" + HOME_LINE) * 25
-    assert not any(data for time, data in came if time <= 0.02)
-
-
-def test_faults_are_the_same_each_time():
-    def heard():
-        bench = Bench(faults=Faults(drop=0.5, jitter=0.01))
-        return [bench.say("getJointsPositions", wait=0.003) for _ in range(50)]
-
-    first = heard()
-    assert first == heard()
-    assert 5 < sum(not reply for reply in first) < 45
+def test_answers_come_late():
+    bench = Bench(faults=Faults(delay=0.02))
+    assert bench.say("getJointsPositions", wait=0.019) == b""
+    bench.wait(0.002)
+    assert bench.client.read() == HOME_LINE
 
 
 def test_dropped_answer_was_obeyed(servo):

@@ -19,7 +19,6 @@ from equipoise.worlds.twin.servo_model import (
 
 WORLD = TwinSettings(transport=0.0, transport_jitter=0.0)
 IIWA = {size: iiwa(size) for size in (7, 14)}
-PERIODS = pytest.mark.parametrize("period_ms", [5, 7, 10, 15])
 
 
 def shaped_peak(speed, period):
@@ -29,50 +28,35 @@ def shaped_peak(speed, period):
     return AMPLITUDE / CYCLE * -expm1(-((e / INTERVAL_WIDTH) ** 2))
 
 
-def peak_of_the_cabinet(speed, period_ms, lag):
+def peak_of_the_cabinet(speed, period_ms):
     """Return the largest velocity that the cabinet asks its drives for [rad/s].
 
-    A joint turns evenly; a setpoint comes each period. A perfect drive goes where the server wants
-    it within a millisecond, one with a lag takes up a share of the difference.
+    A joint turns evenly; a setpoint comes each period. The drive is perfect.
     """
     arm = IIWA[7]
     servo, cabinet, n = make_servo_params(arm, WORLD), new_servo_state(7), 7
     q, dq, nothing, force = (np.zeros(n) for _ in range(4))
     start(cabinet, q)
-    share = 1.0 if lag == 0.0 else 1.0 - np.exp(-1e-3 / lag)
     peaks = []
     for ms in range(1500):
         cabinet.clock[0] = ms
         if ms % period_ms == 0:
             send(cabinet, servo, np.full(n, speed * ms * 1e-3), 0, 0)
         serve(cabinet, servo, q, dq, nothing, force)
-        dq += (cabinet.wanted - dq) * share
+        dq[:] = cabinet.wanted
         q += 1e-3 * dq
         peaks.append(abs(cabinet.wanted[0]))
     return max(peaks[750:])
 
 
 @pytest.mark.compiled_only
-@PERIODS
-@pytest.mark.parametrize("speed", [0.1, 0.25, 0.5, 0.8])
+@pytest.mark.parametrize("period_ms", [5, 15])
+@pytest.mark.parametrize("speed", [0.1, 0.8])
 def test_the_shaped_peak_is_that_of_the_cabinet_with_a_perfect_drive(speed, period_ms):
-    peak = peak_of_the_cabinet(speed, period_ms, lag=0.0)
+    peak = peak_of_the_cabinet(speed, period_ms)
     # The law is quadratic only near zero, and the server looks once a millisecond: both make the
     # peak of the cabinet smaller, never larger.
     assert peak <= shaped_peak(speed, 1e-3 * period_ms) <= 1.12 * peak
-
-
-@pytest.mark.compiled_only
-@PERIODS
-@pytest.mark.parametrize("lag", [0.004, 0.008, 0.016])
-def test_a_drive_that_lags_is_asked_for_less(lag, period_ms):
-    for speed in (0.1, 0.4, 0.8):
-        peak = peak_of_the_cabinet(speed, period_ms, lag)
-        assert speed < peak <= shaped_peak(speed, 1e-3 * period_ms)
-
-
-def test_without_a_period_there_is_no_peak():
-    assert shaped_peak(0.7, 0.0) == pytest.approx(0.7, rel=0.02)
 
 
 @pytest.mark.parametrize("period", [0.002, 0.005, 0.01, 0.03])

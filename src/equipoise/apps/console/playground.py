@@ -13,7 +13,7 @@ import numpy.typing as npt
 from equipoise.artefacts import Estimate
 from equipoise.control.bound_policy import load_policy
 from equipoise.control.control_step import horizon
-from equipoise.control.grid import TRUNCATED, box_indices, partition
+from equipoise.control.grid import TRUNCATED, box_indices, make_grid
 from equipoise.control.policy import TabularPolicy, TaskPolicy, shipped_policy
 from equipoise.model.random import DEPLOYMENT
 from equipoise.model.worlds import World, read_world
@@ -134,7 +134,7 @@ class Playground:
         """Factor by which a lean grows within the latency [-]."""
         self._simulation = TwinSimulation(twin, setup, seed=0, stream=DEPLOYMENT)
         self._loop = self._simulation.loop()
-        self._boxes = partition(BoxSettings(), parameters.k)
+        self._boxes = make_grid(BoxSettings(), parameters.k)
         self.u_of_box = None
         if isinstance(policy, TabularPolicy) and policy.settings.boxes == BoxSettings():
             self.u_of_box = policy.u_of_box.reshape(-1)

@@ -43,10 +43,10 @@ class Mark(NamedTuple):
 
 def marks_of(run: RunLog, motion: Motion) -> list[Mark]:
     """Return the causes of the end, the changes of the phase, warnings and faults, in time."""
-    first, last, found = float(motion.time[0]), motion.end, explain(run)
+    first, last = float(motion.time[0]), motion.end
     marks = [
-        Mark(last if found.log is None else one.time, f"{one.cause} (a cause of the end)")
-        for one in found.causes
+        Mark(last if one.time is None else one.time, f"{one.cause} (a cause of the end)")
+        for one in explain(run)
     ]
     marks += [
         Mark(event.time - motion.began, f"{event.name}: {event.text}")

@@ -1,13 +1,11 @@
 """Calls to CoppeliaSim through its own client, `coppeliasim-zmqremoteapi-client`.
 
 The client (2.0.4) waits for ever for a server that does not answer, cannot encode an integer of
-NumPy, raises a bare `Exception` for an error of CoppeliaSim, and writes a name into `__main__`.
-`Connection` sets limits of time, converts arguments to numbers of Python, and raises the errors of
-Equipoise.
+NumPy, and raises a bare `Exception` for an error of CoppeliaSim. `Connection` sets limits of time,
+converts arguments to numbers of Python, and raises the errors of Equipoise.
 """
 
 import re
-import sys
 from importlib import import_module
 from typing import Any, Final
 
@@ -22,8 +20,9 @@ PATIENCE: Final = 10.0
 pass of its idle loop, an eighth of a second."""
 IDLE: Final = 86400.0
 """Time after which CoppeliaSim forgets a client that is silent [s]; its default is ten minutes."""
-LUA_PLACE: Final = r"^(\S+:)?\d+: (in )?(sim\.\w+: )?"
-"""Place in Lua code with which an error of CoppeliaSim begins: file, line and function."""
+LUA_PLACE: Final = r"^(\S+:)?\d+: (in )?(sim\.\w+: )?|_=NL=_.*"
+"""Place in Lua code with which an error of CoppeliaSim begins: file, line and function; and the
+lines after its first one."""
 
 
 class Connection:
@@ -50,15 +49,10 @@ class Connection:
         except ImportError:
             raise MissingExtraError("coppeliasim-zmqremoteapi-client", "coppeliasim") from None
         self._error, self._silence = zmq.ZMQError, zmq.Again
-        main = vars(sys.modules["__main__"])
-        before = {name: main[name] for name in ("require",) if name in main}
         try:
             self._client: Any = made(host, port, verbose=0)
         except self._error as error:
             raise InputError(f"{self.address} is no address ({error})") from None
-        finally:
-            main.pop("require", None)
-            main.update(before)
         wait = round(1e3 * patience)
         for option, value in ((zmq.RCVTIMEO, wait), (zmq.SNDTIMEO, wait), (zmq.LINGER, 0)):
             self._client.socket.setsockopt(option, value)
@@ -77,13 +71,9 @@ class Connection:
         """Return a constant of `sim`.
 
         Raises:
-            OutsideError: CoppeliaSim does not know it.
+            LinkError: CoppeliaSim does not know it.
         """
-        if not hasattr(self._constants, name):
-            raise OutsideError(
-                f"the CoppeliaSim at {self.address} has no sim.{name}; install version 4.6 or newer"
-            )
-        return getattr(self._constants, name)
+        return self._guarded(name, getattr, self._constants, name)
 
     def call(self, name: str, *arguments: Any) -> Any:
         """Call a function of `sim`.
@@ -118,7 +108,7 @@ class Connection:
         except self._error as error:
             raise LinkError(f"the connection to {self.address} failed: {error}") from None
         except Exception as error:
-            text = printable(shortened(re.sub(LUA_PLACE, "", first_line(str(error))), 300))
+            text = printable(shortened(re.sub(LUA_PLACE, "", str(error)), 300))
             if type(error) is not Exception:
                 raise LinkError(
                     f"what answers at {self.address} does not speak the protocol of CoppeliaSim "
@@ -128,16 +118,6 @@ class Connection:
         except BaseException:
             self.close()  # Ctrl-C: the answer is still to come
             raise
-
-
-def first_line(text: str) -> str:
-    """Return the first line of an error of CoppeliaSim, which marks line breaks and tabs.
-
-    Example:
-        >>> first_line("object does not exist._=NL=_stack traceback:_=NL=__=TB=_[C]")
-        'object does not exist.'
-    """
-    return text.replace("_=TB=_", "\t").partition("_=NL=_")[0].strip()
 
 
 def as_plain(value: Any) -> Any:

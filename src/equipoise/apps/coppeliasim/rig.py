@@ -20,18 +20,8 @@ from equipoise.errors import InputError, OutsideError
 from equipoise.model.arms.arm import Arm
 
 Array = npt.NDArray[np.float64]
-KINDS: Final = {
-    "intparam_idle_fps": "Int32",
-    "boolparam_realtime_simulation": "Bool",
-    "floatparam_simulation_time_step": "Float",
-}
-"""Types of the parameters that are changed."""
 STOP_TIME: Final = 10.0
 """Longest time for CoppeliaSim to stop a simulation [s]."""
-POLL: Final = 0.005
-"""Period of the questions whether it has stopped [s]."""
-RESTORE_PATIENCE: Final = 2.0
-"""Longest wait for an answer at the end [s]: Ctrl-C ends a run soon, also without an answer."""
 
 _open: dict[str, Any] = {}
 """End of the rig of each address in this process: a new one ends it first."""
@@ -67,7 +57,12 @@ class CoppeliaRig:
                     f"the CoppeliaSim at {sim.address} runs a simulation; stop it, or give the "
                     "address of another one"
                 )
-            before = {name: _parameter(sim, name) for name in KINDS}
+            changes = {
+                ("Int32", sim.constant("intparam_idle_fps")): 0,
+                ("Bool", sim.constant("boolparam_realtime_simulation")): False,
+                ("Float", sim.constant("floatparam_simulation_time_step")): period,
+            }
+            before = {key: sim.call(f"get{key[0]}Param", key[1]) for key in changes}
         except BaseException:
             sim.close()
             raise
@@ -75,8 +70,7 @@ class CoppeliaRig:
         """Ends the simulation, as when the object is dropped."""
         _open[sim.address] = self.close
         try:
-            for name, value in zip(KINDS, (0, False, period), strict=True):
-                _set_parameter(sim, name, value)
+            _set_parameters(sim, changes)
             self._scene = build_scene(sim, arm)
         except BaseException:
             self.close()
@@ -140,26 +134,23 @@ def stop(sim: Connection) -> None:
             raise OutsideError(
                 f"the CoppeliaSim at {sim.address} did not stop within {STOP_TIME:g} s; stop it"
             )
-        time.sleep(POLL)
+        time.sleep(0.005)
 
 
-def _parameter(sim: Connection, name: str) -> Any:
-    return sim.call(f"get{KINDS[name]}Param", sim.constant(name))
+def _set_parameters(sim: Connection, values: dict[tuple[str, int], Any]) -> None:
+    for (kind, parameter), value in values.items():
+        sim.call(f"set{kind}Param", parameter, value)
 
 
-def _set_parameter(sim: Connection, name: str, value: Any) -> None:
-    sim.call(f"set{KINDS[name]}Param", sim.constant(name), value)
-
-
-def _give_back(sim: Connection, before: dict[str, Any]) -> None:
+def _give_back(sim: Connection, before: dict[tuple[str, int], Any]) -> None:
     """Stop, remove the scene, set the parameters as before, and disconnect."""
     with suppress(OutsideError, InputError):
         sim.close()  # an interrupted or unanswered request blocks its socket
-        sim = Connection(sim.host, sim.port, RESTORE_PATIENCE)
+        # Ctrl-C ends a run soon, also without an answer: wait for 2 s at most.
+        sim = Connection(sim.host, sim.port, patience=2.0)
         try:
             stop(sim)
             remove_scene(sim)
-            for name, value in before.items():
-                _set_parameter(sim, name, value)
+            _set_parameters(sim, before)
         finally:
             sim.close()

@@ -61,8 +61,7 @@ def build_scene(sim: Connection, arm: Arm) -> Scene:
         parent = _shape(sim, f"link{number}", kind, size, frame @ own, hinge)
         joints.append(hinge)
     frame = frame @ _at(arm.flange_xyz, rotation_from_rpy(arm.flange_rpy))
-    flange = sim.call("createDummy", 0.02)
-    _place(sim, flange, "flange", frame, parent)
+    flange = _place(sim, sim.call("createDummy", 0.02), "flange", frame, parent)
     frame = frame @ _at(arm.pivot, arm.pose(arm.home_free).rotation.T)
     spindle = _joint(sim, "phi", frame, (0.0, 1.0, 0.0), parent)
     sim.call("setJointInterval", spindle, True, (-np.pi, 2.0 * np.pi))
@@ -94,8 +93,7 @@ def _joint(sim: Connection, alias: str, T: Floats, axis: Sequence[float], parent
     """Create a revolute joint about an axis of the frame T; return its handle."""
     kind, mode = sim.constant("joint_revolute"), sim.constant("jointmode_kinematic")
     handle = sim.call("createJoint", kind, mode, 0, (0.15, 0.02))
-    _place(sim, handle, alias, T @ _at((0.0, 0.0, 0.0), turned_to(np.array(axis))), parent)
-    return handle
+    return _place(sim, handle, alias, T @ _at((0.0, 0.0, 0.0), turned_to(np.array(axis))), parent)
 
 
 def _shape(
@@ -104,17 +102,17 @@ def _shape(
     """Create a static primitive shape at T; return its handle."""
     shape = sim.constant(f"primitiveshape_{kind}")
     handle = sim.call("createPrimitiveShape", shape, size, 0)
-    _place(sim, handle, alias, T, parent)
     sim.call("setObjectInt32Param", handle, sim.constant("shapeintparam_respondable"), 0)
     sim.call("setObjectInt32Param", handle, sim.constant("shapeintparam_static"), 1)
-    return handle
+    return _place(sim, handle, alias, T, parent)
 
 
-def _place(sim: Connection, handle: int, alias: str, T: Floats, parent: int) -> None:
-    """Attach a new object to its parent, with which it is removed; name it, and place it."""
+def _place(sim: Connection, handle: int, alias: str, T: Floats, parent: int) -> int:
+    """Attach a new object to its parent, with which it is removed; name, place and return it."""
     if parent >= 0:
         sim.call("setObjectParent", handle, parent, True)
     sim.call("setObjectAlias", handle, alias)
     x, y, z = T[:3, 3]
     pose = (x, y, z, *Rotation.from_matrix(T[:3, :3]).as_quat())
     sim.call("setObjectPose", handle, pose)
+    return handle

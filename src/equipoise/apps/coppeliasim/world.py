@@ -10,8 +10,8 @@ and the pendulum advances by the step of the training. Every call waits for its 
 CoppeliaSim advances in `step` alone. There is one scene: trials run one after the other.
 """
 
+import re
 from typing import ClassVar, Final
-from urllib.parse import urlsplit
 
 import numpy as np
 
@@ -38,16 +38,12 @@ def read_address(text: str) -> tuple[str, int]:
         >>> read_address("coppeliasim://localhost")
         ('localhost', 23000)
     """
-    try:
-        parts = urlsplit(text)
-        host, port = parts.hostname or "", PORT if parts.port is None else parts.port
-    except ValueError:
-        host, port, parts = "", 0, urlsplit("")
-    rest = parts.path.strip("/") or parts.query or parts.fragment or parts.username
-    if not (host and port) or rest:
+    found = re.fullmatch(r"coppeliasim://([\w.-]+|\[[\da-fA-F:]+\])(?::(\d{1,5}))?/?", text)
+    port = int((found and found[2]) or PORT)
+    if found is None or not 0 < port < 2**16:
         form = "coppeliasim://HOST:PORT"
         raise SettingsError(f"{quoted(text)} is no address of CoppeliaSim; expected {form}")
-    return host, port
+    return found[1], port
 
 
 class CoppeliaSimulation(Simulation):

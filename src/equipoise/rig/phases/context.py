@@ -145,10 +145,6 @@ class RunContext:
         self.sent = SetpointHistory(q)
         self.q, self.dq = tuple(q), (0.0,) * len(q)
         """Commanded joints at the end of the tick [rad], and their velocities [rad/s]."""
-        self.leads: Setpoints = ()
-        """Leads of this tick's setpoints [rad]; empty where they do not lead."""
-        self.lead = (0.0,) * len(q)
-        """Lead of the last setpoint [rad]."""
         self.lost_speed = 0.0
         """Speed of the flange that a pause has taken, not yet given back [m/s]."""
         self.record = TickRecord()
@@ -228,7 +224,7 @@ class RunContext:
             warning: Message on what stood still, sent once.
         """
         moved, at_rest = any(self.dq), (0.0,) * len(self.q)
-        self.q, self.dq, self.lead = self.sent.begin_anew(unsent), at_rest, at_rest
+        self.q, self.dq = self.sent.begin_anew(unsent), at_rest
         self.phase.begin_anew(missed, unsent > 0)
         if moved and warning not in self._stalled:
             self._stalled.add(warning)
@@ -280,7 +276,6 @@ class RunContext:
             self.lost_speed -= gained
             u += gained / self.h
         setpoints = self.controller.command(u)
-        self.leads = self.controller.leads
         self.q, self.dq = self.controller.q, self.controller.dq
         return setpoints
 

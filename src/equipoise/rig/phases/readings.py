@@ -29,33 +29,30 @@ FALL_WINDOW: Final = 0.04
 
 
 class SetpointHistory:
-    """The last setpoints sent, with their references."""
+    """The last setpoints sent."""
 
     def __init__(self, q: Sequence[float]) -> None:
         """Begin with an arm that rests at `q` [rad]."""
         self.setpoints: Array = np.tile(np.array(q, np.float64), (HISTORY, 1))
         """The last setpoints [rad], shape (HISTORY, joints), each at its number modulo HISTORY."""
-        self._references = self.setpoints.copy()
         self._sent_at, self._count = np.full(HISTORY, -inf), 0
 
-    def store(self, time: float, q: Sequence[float], lead: Sequence[float]) -> None:
-        """Store a setpoint [rad] that is sent at a time [s], with its lead; empty for none."""
+    def store(self, time: float, q: Sequence[float]) -> None:
+        """Store a setpoint [rad] that is sent at a time [s]."""
         place = self._count % HISTORY
         self._sent_at[place], self.setpoints[place] = time, q
-        self._references[place] = np.subtract(q, lead) if lead else q
         self._count += 1
 
     def begin_anew(self, unsent: int) -> tuple[float, ...]:
-        """Forget unsent setpoints; return the last one sent [rad], the reference from now on."""
+        """Forget unsent setpoints; return the last one sent [rad]."""
         self._count -= unsent
         last = (self._count - 1) % HISTORY
-        self._references[last] = self.setpoints[last]
         return tuple(self.setpoints[last].tolist())
 
-    def last_references(self) -> tuple[list[float], list[float]]:
-        """Return the last two references [rad], the older one first."""
+    def last_two(self) -> tuple[list[float], list[float]]:
+        """Return the last two setpoints [rad], the older one first."""
         before, last = ((self._count - n) % HISTORY for n in (2, 1))
-        return self._references[before].tolist(), self._references[last].tolist()
+        return self.setpoints[before].tolist(), self.setpoints[last].tolist()
 
     def in_force(self, time: float) -> tuple[float, ...]:
         """Return the setpoint in force at a time [s]."""

@@ -50,10 +50,8 @@ class Stopping(RunPhase):
             self._motion.rest(self.run.q)
 
     def tick(self, now: float) -> Setpoints:
-        """Return the next setpoints on the way to rest, which keep the last lead."""
+        """Return the next setpoints on the way to rest."""
         run, motion = self.run, self._motion
-        if any(run.lead):
-            run.leads = run.lead, run.lead
         if motion is None:
             motion = self._motion = self._ramp()
         elif motion.goes_back and (reason := self._hold_reason()):
@@ -69,12 +67,11 @@ class Stopping(RunPhase):
     def _ramp(self) -> StopMotion:
         """Return the ramp to rest from the last setpoint."""
         run = self.run
-        before, last = run.sent.last_references()
-        q = tuple(q + ahead for q, ahead in zip(run.q, run.lead, strict=True))
+        before, last = run.sent.last_two()
         dq = stoppable_speeds(run.dq, last, before, 0.5 * run.h)
         speed = abs(run.controller.x_dot) if self.on_track else 0.0
         self._before_stop = run.sent.setpoints.copy()
-        return StopMotion(q, dq, speed, run.response.safety.limits)
+        return StopMotion(run.q, dq, speed, run.response.safety.limits)
 
     def _hold_reason(self) -> str:
         """Return why the target holds after a stop, though the arm is elsewhere; empty for none."""

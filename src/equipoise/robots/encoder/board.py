@@ -18,12 +18,8 @@ import numpy as np
 from equipoise.model.encoder import counts_from_theta
 from equipoise.robots.encoder.codec import Banner, Flags, Reading, Requests, encode
 
-RATE: Final = 1000
-"""Line rate of the firmware [Hz]."""
 BOOT: Final = 0.3
 """Time from a restart to the banner [s]."""
-NAME: Final = "emulated"
-FIRMWARE: Final = "1.0"
 
 
 @dataclass(eq=False)
@@ -39,7 +35,7 @@ class Board:
     """Counts per revolution in the banner, after x4."""
     sign: int = 1
     """1 if counts grow with theta, -1 if they fall; the wrong sign is a fault."""
-    rate_hz: int = RATE
+    rate_hz: int = 1000
     """Line rate [Hz]."""
     offset_us: int = 0
     """Time of the board's clock at `start` [us]."""
@@ -121,7 +117,7 @@ class Board:
         theta, before, since = self.angle(), self._theta, self._at
         sent = bytearray()
         if now >= self._started:
-            banner = encode(Banner(NAME, FIRMWARE, self.counts_per_rev, self.rate_hz))
+            banner = encode(Banner("emulated", "1.0", self.counts_per_rev, self.rate_hz))
             sent += banner * (self._greets + self._requested)
             self._greets, self._requested = False, 0
         period = 1.0 / (self.rate_hz * (1.0 + self.drift))

@@ -1,4 +1,4 @@
-"""Plugin of encoder boards that send E-lines: `serial:///dev/ttyACM0`, `socket://HOST:PORT`."""
+"""Plugin of encoder boards that send E-lines: `serial:///dev/ttyACM0`."""
 
 from contextlib import suppress
 from functools import partial
@@ -43,4 +43,4 @@ def emulate(
 
 
 PLUGIN: Final = SensorPlugin(open=open_sensor, emulate=emulate)
-"""Registered as `serial` and `socket`."""
+"""Registered as `serial`."""

@@ -1,17 +1,15 @@
-"""Serial ports of this machine and on the network, as a `Transport`.
+"""Serial ports of this machine, as a `Transport`: `serial:///dev/ttyACM0` or `serial://COM3`.
 
-`serial:///dev/ttyACM0` is a device, `serial://COM3` a device on Windows, `socket://host:port` a
-port on the network. Reads and writes do not block.
+Reads and writes do not block.
 """
 
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final
-from urllib.parse import urlsplit
 
 from equipoise.errors import InputError, LinkError
 
 if TYPE_CHECKING:
-    from serial import SerialBase
+    from serial import Serial
 
 BAUD: Final = 500_000
 """Baud rate of a serial line [baud], equal to the firmware's. 1000 lines of 36 bytes per second
@@ -23,7 +21,7 @@ CHUNK: Final = 4096
 class SerialTransport:
     """Open serial port."""
 
-    def __init__(self, port: "SerialBase", name: str) -> None:
+    def __init__(self, port: "Serial", name: str) -> None:
         """Take over an open port.
 
         Args:
@@ -65,41 +63,31 @@ class SerialTransport:
 
 
 def device_of(uri: str) -> str:
-    """Return the name of the device at an address; the address itself for a port on the network.
+    """Return the name of the device at an address.
 
     Raises:
         InputError: The address is invalid.
     """
-    with suppress(ValueError):  # the port is not a number, or a bracket is open
-        parts = urlsplit(uri)
-        if parts.scheme == "socket" and parts.hostname and parts.port and parts.path in ("", "/"):
-            return uri
-        name = parts.netloc or parts.path
-        alone = not (parts.netloc and parts.path.strip("/")) and not parts.query
-        if parts.scheme == "serial" and name and alone:
-            return name
-    raise InputError(
-        f"{uri!r} is no address of a serial port; expected serial:///dev/ttyACM0 or "
-        "socket://host:port"
-    )
+    scheme, _, name = uri.partition("://")
+    if scheme != "serial" or not name or "?" in name or ("/" in name and not name.startswith("/")):
+        raise InputError(f"{uri!r} is no address of a serial port; expected serial:///dev/ttyACM0")
+    return name
 
 
 def open_serial(uri: str) -> SerialTransport:
     """Open a serial port exclusively.
 
     Args:
-        uri: `serial:///dev/ttyACM0`, `serial://COM3` or `socket://host:port`.
+        uri: `serial:///dev/ttyACM0` or `serial://COM3`.
 
     Raises:
         InputError: The address is invalid.
         LinkError: The port cannot be opened.
     """
-    from serial import Serial, serial_for_url
+    from serial import Serial
 
     name = device_of(uri)
     try:
-        if name == uri:
-            return SerialTransport(serial_for_url(uri, timeout=0.0), uri)
         port = Serial(name, BAUD, timeout=0.0, write_timeout=0.0, exclusive=True)
     except (OSError, ValueError) as error:
         raise LinkError(

@@ -1,7 +1,6 @@
 """The plugin of KUKA arms behind a KST server: `kst://HOST:30001`."""
 
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from typing import Final
 from urllib.parse import urlsplit
@@ -13,11 +12,8 @@ from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.rig.transports import memory_pipe
 from equipoise.robots.kst.codec import PORT
 from equipoise.robots.kst.robot import KstRobot, dial
-from equipoise.robots.kst.server_emulator import Faults, KstServer
+from equipoise.robots.kst.server_emulator import KstServer
 from equipoise.robots.kst.slow_link import flange_speed
-
-MAX_FAULTS: Final = {"delay": 10.0, "jitter": 10.0, "drop": 1.0, "refuse": 1.0}
-"""Largest values of the faults that a user may inject: times [s] and shares [-]."""
 
 
 def host_and_port(address: str) -> tuple[str, int]:
@@ -64,27 +60,9 @@ def emulate(
     return Emulated(driver(lambda: host, session.clock), advance, server, cabinet, driver)
 
 
-def serve(rig: SimulatedRig, arm: Arm, faults: str, seed: int) -> KstServer:
-    """Return an emulated server with faults such as `delay=0.002,drop=0.01`.
-
-    Raises:
-        InputError: A fault is unknown, or its number is invalid or too large.
-    """
-    numbers: dict[str, float] = {}
-    for part in filter(None, map(str.strip, faults.split(","))):
-        name, _, number = part.partition("=")
-        with suppress(ValueError):
-            numbers[name] = float(number)
-        if not 0.0 <= numbers.get(name, -1.0) <= MAX_FAULTS.get(name, -1.0):
-            known = ", ".join(f"{fault}=0 to {limit:g}" for fault, limit in MAX_FAULTS.items())
-            raise InputError(f"--inject says {part!r}; expected any of {known}")
-    return KstServer(rig.body, rig.joints, faults=replace(Faults(), **numbers), seed=seed)
-
-
 PLUGIN: Final = RobotPlugin(
     open=open_robot,
     emulate=emulate,
-    serve=serve,
     flange_speed=flange_speed,
     failure=(
         "A KST server has no watchdog: if this computer or the cable fails, the arm goes on to its "

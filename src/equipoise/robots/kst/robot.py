@@ -48,8 +48,6 @@ JOINT_NOISE: Final = 0.05
 SERVER_TIMEOUT: Final = 60.0
 """Timeout of the server from its start on the smartPAD to its client, and of `connect` to that
 start [s]."""
-RETRY_PERIOD: Final = 1.0
-"""Time between two attempts to connect [s]."""
 AFTER_CONNECT: Final = 1.0
 """Delay from the connection to the first command [s], as in both official clients."""
 AFTER_START: Final = 0.5
@@ -63,13 +61,6 @@ AFTER_END: Final = 1.0
 """Time within which the server closes the connection after `end` [s]."""
 POLL_PERIOD: Final = 0.001
 """Time between two reads of the link while waiting [s]."""
-TCP_TIMEOUT: Final = 2.0
-"""Timeout of one attempt to connect over TCP [s]."""
-
-INSTRUCTIONS: Final = (
-    "waiting for the robot: start the application MatlabToolboxServer on the smartPAD now; it "
-    f"waits {SERVER_TIMEOUT:g} s for its client"
-)
 
 
 def dial(host: str, port: int) -> Callable[[], Transport]:
@@ -82,14 +73,11 @@ def dial(host: str, port: int) -> Callable[[], Transport]:
 
     def opened() -> Transport:
         try:
-            return SocketTransport(socket.create_connection((host, port), timeout=TCP_TIMEOUT))
-        except socket.gaierror as error:  # starting the application does not help: do not wait
-            raise OutsideError(
-                f"there is no host {host} ({error.strerror}); check the name, or give its number, "
-                "such as 172.31.1.147"
-            ) from None
+            return SocketTransport(socket.create_connection((host, port), timeout=2.0))
         except OSError as error:
-            raise LinkError(
+            # Starting the application does not help against an unknown name: do not wait.
+            kind = OutsideError if isinstance(error, socket.gaierror) else LinkError
+            raise kind(
                 f"no connection to {host}, port {port} ({error}); check cable, address and that "
                 "the server has been started"
             ) from None
@@ -247,9 +235,12 @@ class KstRobot:
                     within = f"within {SERVER_TIMEOUT:g} s"
                     raise LinkError(f"no KST server answered {within}: {error}") from None
             if not notified:
-                self._notify(INSTRUCTIONS)
+                self._notify(
+                    "waiting for the robot: start the application MatlabToolboxServer on the "
+                    f"smartPAD now; it waits {SERVER_TIMEOUT:g} s for its client"
+                )
                 notified = True
-            self._wait(RETRY_PERIOD)
+            self._wait(1.0)
             self._attend()
 
     def _at_rest(self, what: str) -> None:

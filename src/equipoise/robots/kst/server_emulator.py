@@ -46,8 +46,6 @@ class Faults:
 
     delay: float = 0.0
     """Delay of each reply [s]."""
-    jitter: float = 0.0
-    """Maximum additional delay, uniformly distributed; replies keep their order [s]."""
     drop: float = 0.0
     """Share of replies that are lost, 0 to 1; their commands are executed."""
     refuse: float = 0.0
@@ -183,12 +181,9 @@ class KstServer:
             self._main(command)
 
     def _answer(self, kind: ReplyKind) -> None:
-        if kind == "done":
-            self._say(DONE)
-        elif kind == "joints":
-            self._say(codec.numbers_reply(self._body.measured()))
-        else:
-            self._say(codec.numbers_reply(self._body.torques(external=True)))
+        body = self._body
+        values = body.measured() if kind == "joints" else body.torques(external=True)
+        self._say(DONE if kind == "done" else codec.numbers_reply(values))
 
     def _say(self, reply: bytes) -> None:
         faults = self.faults
@@ -196,12 +191,7 @@ class KstServer:
             return
         if faults.refuse and self._random.random() < faults.refuse:
             reply = NAK
-        due = self._now + faults.delay
-        if faults.jitter:
-            due += faults.jitter * self._random.random()
-        if self._segments:
-            due = max(due, self._segments[-1][0])
-        self._segments.append((due, reply))
+        self._segments.append((self._now + faults.delay, reply))
 
     # The main thread.
 

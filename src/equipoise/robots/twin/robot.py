@@ -25,8 +25,6 @@ of it."""
 TORQUE_EVERY: Final = 10
 """Number of replies of which one has external torques instead of measured joints: the twin models a
 KST server, which sends either."""
-KEPT: Final = 4096
-"""Maximum number of unread samples; the oldest are dropped beyond it."""
 
 
 class TwinRobot:
@@ -156,8 +154,7 @@ class TwinEncoder:
         self._age = ceil(bench.settings.encoder_age / TICK - ROUNDING) * TICK
         self._jitter = bench.settings.encoder_jitter
         self._random = np.random.default_rng([bench.seed, 1])
-        self._samples: deque[tuple[float, Sample]] = deque()
-        self._missing = 0
+        self._samples: deque[tuple[float, Sample]] = deque(maxlen=4096)
         self._down = self._connected = False
         self._switched_on = self._counted()
         bench.watch(self._count)
@@ -166,7 +163,6 @@ class TwinEncoder:
         """Connect, and wait for the first sample."""
         self._connected = True
         self._samples.clear()
-        self._missing = 0
         self._clock.wait_until(self._clock.now() + TICK + self._age)
 
     def samples(self) -> list[Sample]:
@@ -179,8 +175,7 @@ class TwinEncoder:
             raise LinkError("the twin's encoder is not connected; call connect first")
         came = list[Sample]()
         while self._samples and self._samples[0][0] <= self._clock.now() + ROUNDING:
-            came.append(self._samples.popleft()[1]._replace(missing=self._missing))
-            self._missing = 0
+            came.append(self._samples.popleft()[1])
         return came
 
     def close(self) -> None:
@@ -197,9 +192,6 @@ class TwinEncoder:
         self._down = down
         if not self._connected:
             return
-        if len(self._samples) == KEPT:
-            self._samples.popleft()
-            self._missing += 1
         time = bench.now + float(self._random.uniform(-self._jitter, self._jitter))
         counts = self._counted() - self._switched_on
         sample = Sample(time, counts, pressed=down and not before, illegal=False, missing=0)

@@ -26,7 +26,10 @@ ROUNDING: Final = 1e-9
 
 
 class Sensors(NamedTuple):
-    """Constants of encoder and replies."""
+    """Encoder and replies: constants, and the last milliseconds.
+
+    Each of them is at its index modulo `HISTORY_MS`.
+    """
 
     counts_per_rev: float
     """Encoder counts per revolution."""
@@ -40,11 +43,6 @@ class Sensors(NamedTuple):
     """Age of the newest measured joints [ms]."""
     joint_noise: float
     """Standard deviation of the noise on a measured joint [rad]."""
-
-
-class SensorHistory(NamedTuple):
-    """The last milliseconds, each at its index modulo `HISTORY_MS`."""
-
     phi: Array
     """Angle of the pendulum from upright, relative to the flange [rad], shape (HISTORY_MS,)."""
     q: Array
@@ -52,7 +50,7 @@ class SensorHistory(NamedTuple):
 
 
 def make_sensors(settings: TwinSettings, seed: int, index: int) -> Sensors:
-    """Return the constants of the sensors in one trial.
+    """Return the sensors of one trial, without a history.
 
     Args:
         settings: Ages and errors.
@@ -66,6 +64,8 @@ def make_sensors(settings: TwinSettings, seed: int, index: int) -> Sensors:
         encoder_jitter=settings.encoder_jitter,
         reply_age=ceil(settings.reply_age / TICK - ROUNDING),
         joint_noise=settings.joint_noise,
+        phi=np.zeros(HISTORY_MS),
+        q=np.zeros((HISTORY_MS, FREE_JOINTS)),
     )
 
 
@@ -81,40 +81,29 @@ def encoder_zero(settings: TwinSettings, seed: int, index: int) -> float:
     return settings.zero_offset + float(uniform(word, -settings.zero_error, settings.zero_error))
 
 
-def new_sensor_history() -> SensorHistory:
-    """Return an empty history."""
-    return SensorHistory(np.zeros(HISTORY_MS), np.zeros((HISTORY_MS, FREE_JOINTS)))
-
-
 @inlined
-def encoder(
-    sensors: Sensors, past: SensorHistory, now: int, seed: int, index: int
-) -> tuple[float, float]:
+def encoder(sensors: Sensors, now: int, seed: int, index: int) -> tuple[float, float]:
     """Return the newest encoder counts, and their time stamp [s].
 
     Args:
-        sensors: Constants.
-        past: The last milliseconds.
+        sensors: The sensors.
         now: The time [ms].
         seed: Master seed.
         index: Number of the trial.
     """
     tick = now - sensors.encoder_age
-    theta = pi - (past.phi[tick % HISTORY_MS] + sensors.zero[0])
+    theta = pi - (sensors.phi[tick % HISTORY_MS] + sensors.zero[0])
     word = philox(seed, tick, index, 0, TWIN)[1]
     stamp = tick * TICK + uniform(word, -sensors.encoder_jitter, sensors.encoder_jitter)
     return counts_from_theta(theta, sensors.counts_per_rev, 1.0), stamp
 
 
 @inlined
-def reply(
-    sensors: Sensors, past: SensorHistory, now: int, seed: int, index: int, q: Array
-) -> float:
+def reply(sensors: Sensors, now: int, seed: int, index: int, q: Array) -> float:
     """Write the newest measured joints, and return their time [s].
 
     Args:
-        sensors: Constants.
-        past: The last milliseconds.
+        sensors: The sensors.
         now: The time [ms].
         seed: Master seed.
         index: Number of the trial.
@@ -125,5 +114,5 @@ def reply(
     v0, v1, _, _ = philox(seed, tick, index, 0, TWIN + 3)
     noise = (*normal_pair(w0, w1), *normal_pair(w2, w3), *normal_pair(v0, v1))
     for i in range(FREE_JOINTS):
-        q[i] = past.q[tick % HISTORY_MS, i] + sensors.joint_noise * noise[i]
+        q[i] = sensors.q[tick % HISTORY_MS, i] + sensors.joint_noise * noise[i]
     return tick * TICK

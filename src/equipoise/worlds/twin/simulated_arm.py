@@ -34,8 +34,6 @@ REST_RATE: Final = 0.02
 motion that a swinging pendulum causes in a resting arm."""
 TORQUE_NOISE: Final = 0.05
 """Standard deviation of the noise on a measured torque [N m]. Assumed."""
-JOINT_STREAM: Final = 2
-TORQUE_STREAM: Final = 3
 
 
 class SimulatedArm:
@@ -58,7 +56,6 @@ class SimulatedArm:
         self._inverse = mj.mj_inverse
         self._bare = build_bare(arm)
         self._bare_data = mj.MjData(self._bare)
-        self._error = np.zeros(self._n)
         self._braking = 0
         self.running = False
         """Whether a servo runs."""
@@ -67,8 +64,8 @@ class SimulatedArm:
 
     def measured(self) -> tuple[float, ...]:
         """Return the measured joints [rad]."""
-        q = self._twin.kernel.bodies.qpos[: self._n] - self._error
-        noise(self._twin.kernel, self._joint_noise, JOINT_STREAM, q)
+        q = self._twin.kernel.bodies.qpos[: self._n].copy()
+        noise(self._twin.kernel, self._joint_noise, 2, q)
         return tuple(q.tolist())
 
     def torques(self, external: bool) -> tuple[float, ...]:
@@ -87,7 +84,7 @@ class SimulatedArm:
             bare.qacc[:] = acceleration
             self._inverse(self._bare, bare)
             torques = bare.qfrc_inverse + kernel.bodies.gravity - torques
-        noise(kernel, TORQUE_NOISE, TORQUE_STREAM, torques)
+        noise(kernel, TORQUE_NOISE, 3, torques)
         return tuple(torques.tolist())
 
     def flange(self) -> tuple[float, ...]:
@@ -126,7 +123,7 @@ class SimulatedArm:
             self.stop("a target that is not finite")
         elif self.running:
             twin = self._twin.kernel
-            send(twin.cabinet, twin.servo, wanted + self._error, twin.key[0], twin.key[1])
+            send(twin.cabinet, twin.servo, wanted, twin.key[0], twin.key[1])
 
     def stop(self, why: str) -> None:
         """Brake, and ignore targets until `set_free`, as after an emergency stop.

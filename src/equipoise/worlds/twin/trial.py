@@ -46,17 +46,6 @@ from equipoise.worlds.twin.twin import TwinKernel, advance, reset, send_free, tr
 Array = npt.NDArray[np.float64]
 
 
-class TrialResult(NamedTuple):
-    """Result of a trial."""
-
-    steps: int
-    """Number of control steps."""
-    cause: int
-    """Cause of the end: TRUNCATED, ANGLE, TRACK, JOINT_LIMIT, or from SAFETY_STOP on the rule."""
-    sum_x2: float
-    """Sum of x^2 over the steps [m^2]."""
-
-
 class TwinTrial(NamedTuple):
     """Closed loop of a trial on the twin; kernels change its states in place."""
 
@@ -93,7 +82,7 @@ def release(loop: Any, phi: float, phi_dot: float) -> None:
     trial = loop.trial
     twin, controller = trial.twin, trial.params
     reset(twin, twin.home, phi, phi_dot)
-    counts, stamp = encoder(twin.sensors, twin.past, 0, twin.key[0], twin.key[1])
+    counts, stamp = encoder(twin.sensors, 0, twin.key[0], twin.key[1])
     shown = pi - counts * controller.resolution - stamp * phi_dot
     start_controller(controller, trial.state, 0.0, 0.0, shown, phi_dot, 0)
     reset_trial_monitor(trial.monitor, controller.home)
@@ -116,16 +105,14 @@ def step(trial: TwinTrial) -> int:
         for i in range(FREE_JOINTS):
             q[i] = at(state.setpoints, 6 * s + i, 0)
         if monitor.active:
-            for i in range(FREE_JOINTS):
-                monitor.lead[i] = at(state.leads, 6 * s + i, 0)
             broken = setpoint_violation(monitor, q, twin.cabinet.clock[NOW] * TICK)
             if broken != NO_VIOLATION:
                 return SAFETY_STOP + broken
         send_free(twin, q)
         advance(twin, round(controller.h / SETPOINTS_PER_TICK / TICK))
     tick = twin.cabinet.clock[NOW]
-    counts, counted = encoder(twin.sensors, twin.past, tick, twin.key[0], twin.key[1])
-    measured = reply(twin.sensors, twin.past, tick, twin.key[0], twin.key[1], q)
+    counts, counted = encoder(twin.sensors, tick, twin.key[0], twin.key[1])
+    measured = reply(twin.sensors, tick, twin.key[0], twin.key[1], q)
     put(state.counts, 0, 0, counts)
     for i in range(FREE_JOINTS):
         put(state.measured, i, 0, q[i])
@@ -164,7 +151,7 @@ def advance_trial(loop: Any, true_state: Array) -> int:
 @kernel
 def run_trial(
     loop: Any, policy: PolicyKernel, phi: float, phi_dot: float, max_steps: int
-) -> TrialResult:
+) -> tuple[int, int, float]:
     """Run one trial.
 
     Args:
@@ -173,6 +160,10 @@ def run_trial(
         phi: Angle of the pendulum from upright at the release [rad].
         phi_dot: Its rate [rad/s].
         max_steps: Number of steps after which the trial is truncated.
+
+    Returns:
+        Number of steps; cause of the end: TRUNCATED, ANGLE, TRACK, JOINT_LIMIT, or from SAFETY_STOP
+        on the rule; sum of x^2 over the steps [m^2].
     """
     release(loop, phi, phi_dot)
     trial = loop.trial
@@ -190,4 +181,4 @@ def run_trial(
         cause = step(trial)
         steps += 1
         sum_x2 += truth(twin).x ** 2
-    return TrialResult(steps, cause, sum_x2)
+    return steps, cause, sum_x2

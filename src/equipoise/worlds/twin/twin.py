@@ -25,12 +25,10 @@ from equipoise.worlds.twin.engine import Engine, call, engine
 from equipoise.worlds.twin.physics import TICK, build, set_pendulum
 from equipoise.worlds.twin.sensors import (
     HISTORY_MS,
-    SensorHistory,
     Sensors,
     encoder,
     encoder_zero,
     make_sensors,
-    new_sensor_history,
     reply,
 )
 from equipoise.worlds.twin.servo_model import (
@@ -94,13 +92,9 @@ class Bodies(NamedTuple):
     """The flange."""
     pendulum: int
     """The pendulum."""
-
-
-class DryFriction(NamedTuple):
-    """Dry friction of the pendulum, a row of the engine's constraints."""
-
-    row: Array
-    """Maximum torque [N m]; regularization [1/(kg m^2)] and damping [1/s] of the row."""
+    friction: Array
+    """Dry friction of the pendulum, a row of the engine's constraints: maximum torque [N m],
+    regularization [1/(kg m^2)] and damping [1/s]."""
     torque: Array
     """Unit torque on the pendulum, shape (n + 1,)."""
     response: Array
@@ -120,16 +114,12 @@ class TwinKernel(NamedTuple):
     """Steps of the engine in a millisecond."""
     bodies: Bodies
     """State of the bodies."""
-    dry: DryFriction
-    """Dry friction of the pendulum."""
     servo: ServoParams
     """Constants of the cabinet."""
     cabinet: ServoState
     """Its state, and the time."""
     sensors: Sensors
-    """Constants of encoder and replies."""
-    past: SensorHistory
-    """History for the sensors."""
+    """Encoder and replies."""
     home: Array
     """All joints at x = 0 [rad], shape (n,)."""
     free: IntArray
@@ -241,15 +231,15 @@ def apply_dry_friction(twin: TwinKernel) -> None:
     Args:
         twin: Changed in place.
     """
-    bodies, dry, engine, n = twin.bodies, twin.dry, twin.engine, len(twin.home)
-    smooth, acceleration, response = bodies.smooth, bodies.acceleration, dry.response
-    most, R, B = dry.row[0], dry.row[1], dry.row[2]
+    bodies, engine, n = twin.bodies, twin.engine, len(twin.home)
+    smooth, acceleration, response = bodies.smooth, bodies.acceleration, bodies.response
+    most, R, B = bodies.friction[0], bodies.friction[1], bodies.friction[2]
     f = bodies.applied[n]
     slope = R * f + smooth[n] + B * bodies.qvel[n]
     for i in range(n + 1):
         acceleration[i] = smooth[i]
     if f != -copysign(most, slope):
-        addresses = dry.response_address, dry.torque_address
+        addresses = bodies.response_address, bodies.torque_address
         call(engine.solve, (engine.model, engine.data, *addresses, 1))
         bodies.applied[n] = min(max(f - slope / (response[n] + R), -most), most)
         for i in range(n + 1):
@@ -268,7 +258,7 @@ def reset(twin: TwinKernel, q: Array, phi: float, phi_dot: float) -> None:
         phi: Angle of the pendulum from upright, relative to the flange [rad].
         phi_dot: Its rate [rad/s].
     """
-    bodies, free, past = twin.bodies, twin.free, twin.past
+    bodies, free, past = twin.bodies, twin.free, twin.sensors
     n = len(q)
     for i in range(n):
         bodies.qpos[i] = q[i]
@@ -296,7 +286,7 @@ def advance(twin: TwinKernel, ticks: int) -> None:
     """
     bodies, cabinet, servo, free = twin.bodies, twin.cabinet, twin.servo, twin.free
     qpos, qvel, applied, gravity = bodies.qpos, bodies.qvel, bodies.applied, bodies.gravity
-    clock, past_phi, past_q = cabinet.clock, twin.past.phi, twin.past.q
+    clock, past_phi, past_q = cabinet.clock, twin.sensors.phi, twin.sensors.q
     n, inside = len(twin.home), within_limits(bodies)
     for _ in range(ticks):
         serve(cabinet, servo, qpos, qvel, gravity, applied)
@@ -393,11 +383,9 @@ class Twin:
             engine=engine(self.model, self.data),
             substeps=settings.substeps,
             bodies=_bodies(self.model, self.data, len(arm.joints)),
-            dry=_dry_friction(len(arm.joints)),
             servo=make_servo_params(arm, settings) if servo is None else servo,
             cabinet=new_servo_state(len(arm.joints)),
             sensors=make_sensors(settings, seed, index),
-            past=new_sensor_history(),
             home=np.array(arm.home),
             free=np.array(arm.free),
             home_x=float(arm.pose(arm.home_free).position[0]),
@@ -456,13 +444,13 @@ class Twin:
         """Return the newest encoder counts and their time stamp [s]."""
         twin = self.kernel
         index = twin.key[1]
-        counts, stamp = encoder(twin.sensors, twin.past, self._tick, twin.key[0], index)
+        counts, stamp = encoder(twin.sensors, self._tick, twin.key[0], index)
         return float(counts), float(stamp)
 
     def measured(self) -> tuple[Array, float]:
         """Return the newest measured free joints [rad], shape (6,), and their time [s]."""
         twin, q = self.kernel, np.zeros(FREE_JOINTS)
-        stamp = reply(twin.sensors, twin.past, self._tick, twin.key[0], twin.key[1], q)
+        stamp = reply(twin.sensors, self._tick, twin.key[0], twin.key[1], q)
         return q, float(stamp)
 
     def truth(self) -> TrueState:
@@ -477,6 +465,7 @@ class Twin:
 def _bodies(model: Any, data: Any, n: int) -> Bodies:
     root, flange, pendulum = (model.body(name).id for name in ("frame 1", "flange", "pendulum"))
     model.body_gravcomp[:] = 0.0  # `balance` takes a tenth of the time
+    torque, response = np.append(np.zeros(n), 1.0), np.zeros(n + 1)
     return Bodies(
         qpos=data.qpos,
         qvel=data.qvel,
@@ -499,12 +488,12 @@ def _bodies(model: Any, data: Any, n: int) -> Bodies:
         root=root,
         flange=flange,
         pendulum=pendulum,
+        friction=np.zeros(3),
+        torque=torque,
+        response=response,
+        torque_address=torque.ctypes.data,
+        response_address=response.ctypes.data,
     )
-
-
-def _dry_friction(n: int) -> DryFriction:
-    torque, response = np.append(np.zeros(n), 1.0), np.zeros(n + 1)
-    return DryFriction(np.zeros(3), torque, response, torque.ctypes.data, response.ctypes.data)
 
 
 def _read_dry_friction(model: Any, data: Any, twin: TwinKernel) -> None:
@@ -513,6 +502,6 @@ def _read_dry_friction(model: Any, data: Any, twin: TwinKernel) -> None:
     call(twin.engine.before, (twin.engine.model, twin.engine.data))
     kinds, most = data.efc_type, model.dof_frictionloss[-1]
     rows = np.flatnonzero(kinds == import_module("mujoco").mjtConstraint.mjCNSTR_FRICTION_DOF)
-    twin.dry.row[:] = 0.0
+    twin.bodies.friction[:] = 0.0
     for row in rows:
-        twin.dry.row[:] = most, data.efc_R[row], data.efc_KBIP[row, 1]
+        twin.bodies.friction[:] = most, data.efc_R[row], data.efc_KBIP[row, 1]

@@ -1,6 +1,5 @@
 """Trials on the digital twin: worlds `twin:NAME` and `twin:FILE`."""
 
-from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,12 +14,18 @@ from equipoise.control.policy import PolicyKernel
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.worlds import World, pivot_friction, read_world
 from equipoise.safety.trial import new_trial_monitor, trial_safety
-from equipoise.worlds.interface import Array, ClosedLoop, Measurement, Setup, Simulation
+from equipoise.worlds.interface import (
+    Array,
+    ClosedLoop,
+    Measurement,
+    Setup,
+    Simulation,
+    TrialColumns,
+)
 from equipoise.worlds.plant import scaled
 from equipoise.worlds.trials import Trial, Trials, draw_trials
 from equipoise.worlds.twin.servo_model import make_servo_params
 from equipoise.worlds.twin.trial import (
-    TrialResult,
     TwinTrial,
     advance_trial,
     new_twin_handle,
@@ -50,15 +55,16 @@ class TwinSimulation(Simulation):
         world = world if isinstance(world, World) else read_world(world)
         super().__init__(world, setup, seed=seed, stream=stream)
         numbers = self.numbers = world.settings
-        _, arm, settings, self.actuators, h = setup
+        arm, settings, self.actuators, h = setup.arm, setup.settings, setup.actuators, setup.h
         self.friction = pivot_friction(setup.pendulum, numbers)
         """Friction of the pendulum in the twin."""
         self.servo = make_servo_params(arm, numbers)
         """Constants of the cabinet."""
-        given: Any = {"h": h, "counts_per_rev": numbers.counts_per_rev}
         self.params = tuple(
-            make_controller_params(arm, settings, actuator, self.pendulum, **given)
-            for actuator in self.actuators
+            make_controller_params(
+                arm, settings, each, self.pendulum, h=h, counts_per_rev=numbers.counts_per_rev
+            )
+            for each in self.actuators
         )
         """Constants of the controller with each actuator."""
         self.safety = [
@@ -79,25 +85,24 @@ class TwinSimulation(Simulation):
         sigmas = {name: getattr(self.numbers, name) for name in ("inertia_sigma", "friction_sigma")}
         plant = self.setup.settings.plant.model_copy(update=sigmas)
         settings = self.setup.settings.model_copy(update={"plant": plant})
-        return draw_trials(count, settings, self.seed, self.stream, 1.0, first)
+        return draw_trials(count, settings, self.seed, self.stream, self.setup.spread, first)
 
     def loop(self) -> "TwinLoop":
         """Return a closed loop for `reset`."""
         return TwinLoop(self)
 
-    def run_piece(
-        self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
-    ) -> None:
+    def run_piece(self, policy: PolicyKernel, duration: float, trials: Trials) -> TrialColumns:
         """Run trials of a compiled policy in this thread; see `Simulation.run`."""
         max_steps = round(duration / self.params[0].h)
         try:
             loop = self._idle.pop()  # of a thread that has finished
         except IndexError:
             loop = self.loop()
-        for row in rows:
+        for row in range(len(trials.steps)):
             result = loop.run(policy, trials.trial(row), max_steps)
             trials.steps[row], trials.cause[row], trials.sum_x2[row] = result
         self._idle.append(loop)
+        return trials.steps, trials.cause, trials.sum_x2
 
 
 class TwinLoop(ClosedLoop):
@@ -123,7 +128,7 @@ class TwinLoop(ClosedLoop):
         ]
         self._trial, self._state = self._trials[0], np.zeros(4)
 
-    def run(self, policy: PolicyKernel, trial: Trial, max_steps: int) -> TrialResult:
+    def run(self, policy: PolicyKernel, trial: Trial, max_steps: int) -> tuple[int, int, float]:
         """Run a trial of a compiled policy; see `trial.run_trial`."""
         self._set(trial)
         _, _, phi, phi_dot = trial.start
