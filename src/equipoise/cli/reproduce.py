@@ -17,6 +17,8 @@ class Extent(Options):
     """iiwa7, iiwa14, another registered arm, a URDF or a rig.toml."""
     swing: Path | None = None
     """Recorded swing, as identify reads it; by default a simulated one."""
+    counts_per_rev: int | None = None
+    """Encoder counts per revolution, after x4."""
 
 
 @verb
@@ -41,10 +43,11 @@ def reproduce(
     from equipoise.reproduction.pipeline import reproduce
     from equipoise.reproduction.results import verdict
 
+    swing, counts = extent.swing, extent.counts_per_rev
     with output.progress() as show:
         found = reproduce(
             out,
-            swing=None if extent.swing is None else read_swing(extent.swing),
+            swing=None if swing is None else read_swing(swing, counts_per_rev=counts),
             arm=opt.read_arm(extent.arm),
             settings=changes.resolve(),
             seed=random.seed,
