@@ -3,7 +3,6 @@
 Speed itself is measured, not tested: it depends on the machine.
 """
 
-import io
 import os
 import subprocess
 import sys
@@ -20,9 +19,7 @@ from benchmarks.bench import (
     Contestant,
     PinocchioLoop,
     race,
-    table,
 )
-from rich.console import Console
 
 from equipoise import paper
 from equipoise.model.arms.generated import iiwa7 as iiwa7_module
@@ -92,32 +89,6 @@ def test_a_peer_that_is_not_installed_is_named_with_what_installs_it():
     assert "python -m pip install rocket" in result.missing["peer"]
 
 
-def test_the_table_names_everyone():
-    bench = Bench()
-    ours = bench.contestant(OURS, 4_000_000, [1.0] * 2)
-    peer = bench.contestant(YARDSTICK, 50_000, [1.0] * 2)
-    result = race([ours, peer, absent("other")], 1, clock=bench.clock)
-    written = io.StringIO()
-    Console(width=80, file=written).print(table(result))
-    text = " ".join(written.getvalue().split())
-    for words in (OURS, "4,000", "50", "80.0", "other", "pip install rocket"):
-        assert words in text
-
-
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system pins no threads")
-def test_all_work_runs_on_one_core_and_the_thread_is_free_again_afterwards():
-    before = os.sched_getaffinity(0)
-    seen = []
-
-    def work():
-        seen.append(os.sched_getaffinity(0))
-        return 1
-
-    result = race([Contestant(OURS, "", lambda: work)], 1)
-    assert seen == [{result.core}] * 2
-    assert os.sched_getaffinity(0) == before
-
-
 @pytest.mark.parametrize("size", [7, 14])
 def test_the_loop_through_pinocchio_moves_the_arm_as_ours_does(size):
     """Both round in each of 1,000 steps, some 1e-15 of a radian; a slip in a formula shows 1e-6."""
@@ -142,35 +113,6 @@ def test_the_loop_through_pinocchio_moves_the_arm_as_ours_does(size):
         reached = max(reached, abs(x))
     assert peer.within
     assert 0.1 < reached < 0.22
-
-
-def test_the_loop_through_pinocchio_sees_the_limits():
-    pytest.importorskip("pinocchio")
-    loop = PinocchioLoop(iiwa(7), QUIET, paper.STEP)
-    loop.run([2.0] * 200)
-    assert not loop.within
-    loop.reset()
-    loop.run([2.0] * 10)
-    assert loop.within
-
-
-def test_the_work_of_pinocchio_ends_where_it_began():
-    pytest.importorskip("pinocchio")
-    arm = iiwa(7)
-    loop = PinocchioLoop(arm, Settings(), paper.STEP)
-    loop.run(np.tile(bench._to_and_fro(), 20).tolist())
-    assert loop.within
-    # The noise on the pose, 0.1 mm and 0.02 degrees in each step, leaves the joints so far from it.
-    assert loop.q == pytest.approx(arm.home_free, abs=5e-3)
-
-
-def test_each_work_returns_the_steps_that_it_took():
-    for module, work in (
-        ("pinocchio", lambda: bench.pinocchio_work(iiwa(7), Settings(), 320)),
-        ("gymnasium", lambda: bench.cart_pole_work(320)),
-    ):
-        pytest.importorskip(module)
-        assert work()() == 320
 
 
 @pytest.mark.slow

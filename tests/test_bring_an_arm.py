@@ -20,7 +20,7 @@ from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms import resolve
 from equipoise.model.pendulum import Pendulum
-from equipoise.reproduction.synthetic_swing import SyntheticSwing, synthetic_swing
+from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.rig.config import read_rig
 from tests.faults.harness import Scenario
 from tests.faults.injection import FAULTS, run_fault
@@ -67,7 +67,7 @@ def test_a_registered_arm_is_found_by_its_name(folder, monkeypatch):
 @pytest.mark.compiled_only
 def test_the_story_runs_as_it_is_printed(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
-    swing = synthetic_swing(SyntheticSwing(), seed=3)
+    swing = synthetic_swing(seed=3)
     rows = np.column_stack((swing.time, np.degrees(swing.theta)))
     np.savetxt("swing.csv", rows, delimiter=",", header="time_s,theta_deg", comments="")
     said = {}

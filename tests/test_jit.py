@@ -36,7 +36,7 @@ through(pointer, 2.0, out)
 four = double(2.0)
 hits = "plain" if double is getattr(double, "py_func", double) else sum(
     double.stats.cache_hits.values()) + pointer.cache_hits
-print(four, out[0], hits, jit.kernel_sources_digest())
+print(four, out[0], hits, jit.package_digest())
 """
 
 
@@ -100,30 +100,20 @@ def test_without_compilation_kernels_are_plain_functions(session, tmp_path):
     assert not (tmp_path / "cache").exists()
 
 
-def test_the_key_of_the_cache_changes_with_every_file_that_holds_kernels(tmp_path, monkeypatch):
+def test_the_key_of_the_cache_changes_with_every_file_of_the_package(tmp_path, monkeypatch):
     from equipoise import jit
 
-    package = tmp_path / "package"
-    for room in jit.KERNEL_FOLDERS:
-        (package / room / "inner").mkdir(parents=True)
-        (package / room / "inner" / "a.py").write_text("x = 1\n")
-    (package / "jit.py").write_text("")
-    (package / "inlining.py").write_text("")
-    monkeypatch.setattr(jit, "PACKAGE", package)
-    monkeypatch.setattr(jit, "__file__", str(package / "jit.py"))
+    monkeypatch.setattr(jit, "PACKAGE", tmp_path)
+    (tmp_path / "inner").mkdir()
     seen = set()
-
-    def key():
-        return jit.kernel_sources_digest.__wrapped__()
-
-    seen.add(key())
-    for room in jit.KERNEL_FOLDERS:
-        (package / room / "inner" / "a.py").write_text(f"x = '{room}'\n")
-        seen.add(key())
-    (package / "model" / "b.py").write_text("")
-    seen.add(key())
-    (package / "jit.py").write_text("# other flags\n")
-    seen.add(key())
-    (package / "report.py").write_text("no kernels here\n")
-    assert key() in seen
-    assert len(seen) == len(jit.KERNEL_FOLDERS) + 3
+    for name, text in (
+        ("a.py", ""),
+        ("inner/a.py", ""),
+        ("inner/a.py", "x = 1"),
+        ("b.py", "x = 1"),
+    ):
+        (tmp_path / name).write_text(text)
+        seen.add(jit.package_digest.__wrapped__())
+    (tmp_path / "notes.txt").write_text("no code")
+    assert jit.package_digest.__wrapped__() in seen
+    assert len(seen) == 4

@@ -15,7 +15,7 @@ import equipoise
 from equipoise.cli import main
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.identification.recording import write_swing
-from equipoise.reproduction.synthetic_swing import SyntheticSwing, synthetic_swing
+from equipoise.reproduction.synthetic_swing import synthetic_swing
 from tests.cli.conftest import parse
 from tests.reference.onnx_network import FLOAT, linear_network
 
@@ -195,7 +195,7 @@ def runnable(line):
 @pytest.fixture
 def folder(tmp_path):
     """What a reader of a page has: a swing, a policy, a log, files of other pages."""
-    swing = synthetic_swing(SyntheticSwing(), seed=3)
+    swing = synthetic_swing(seed=3)
     for name in ("swing.csv", "my_swing.csv"):
         write_swing(tmp_path / name, swing)
     shipped_policy().save(tmp_path / "policy.json", command="test")

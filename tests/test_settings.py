@@ -1,10 +1,7 @@
 """Settings: precedence, refusals, and an explanation for each of them."""
 
-from math import radians
-
 import pytest
 
-from equipoise import paper
 from equipoise.artefacts import Value
 from equipoise.errors import SettingsError
 from equipoise.settings import RECIPES, Settings, describe_recipe, resolve
@@ -58,16 +55,6 @@ def test_other_settings_stay_as_they_were(tmp_path):
     assert Settings().model_dump() == before
 
 
-def test_the_paper_recipe_is_the_barest_reading():
-    learning = resolve("paper").learning
-    assert (learning.alpha_decay, learning.alpha_minimum, learning.epsilon_until) == (0.0, 0.0, 0.0)
-    assert not learning.mirrored
-    assert learning.start_x == learning.start_x_dot == learning.start_phi_dot == 0.0
-    assert resolve("paper").selection.every == 0
-    assert resolve("paper").plant.linearised
-    assert learning.episodes == paper.EPISODES
-
-
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_a_recipe_names_settings_that_exist(recipe):
     assert set(RECIPES[recipe]) <= set(NAMES)
@@ -82,11 +69,6 @@ def test_settings_say_which_recipe_they_are():
     changed = resolve("paper", overrides=["learning.gamma=0.9", "selection.every=20"])
     said = "custom: paper with learning.gamma = 0.9, selection.every = 20"
     assert describe_recipe(changed) == said
-
-
-def test_settings_come_back_from_their_own_dump():
-    settings = resolve("paper", overrides=["learning.start_phi=0.1"])
-    assert Settings.model_validate_json(settings.model_dump_json(), strict=True) == settings
 
 
 @pytest.mark.parametrize(
@@ -117,11 +99,8 @@ def test_an_unknown_name_is_refused(tmp_path, name):
 
 IMPOSSIBLE = [
     *("learning.gamma=1.0", "learning.gamma=nan", "learning.gamma=high", "learning.gamma={a = 1}"),
-    *("learning.episodes=0", "learning.episodes=2.5", "learning.mirrored=maybe"),
-    *("learning.epsilon_initial=-0.1", "learning.start_x=0.22", "learning.start_phi=0.5"),
-    *("clik.K_p=0", "clik.K_p=inf", "plant.lag_spread=1", "plant.counts_per_rev=8"),
-    *("controller.margin=-0.001", "selection.every=-1", "evaluation.duration=2001-01-01"),
-    *("identification.friction=greasy", f"learning.episodes={10**30}", "evaluation.duration=0.001"),
+    *("learning.episodes=2.5", "learning.mirrored=maybe", "evaluation.duration=2001-01-01"),
+    *("identification.friction=greasy", f"learning.episodes={10**30}"),
 ]
 
 
@@ -169,18 +148,3 @@ def test_every_setting_is_explained_and_frozen():
             kind(unknown=1)
     with pytest.raises(ValueError, match="frozen"):
         Settings().learning.gamma = 0.5
-
-
-def test_the_defaults_are_those_of_the_design():
-    settings = Settings()
-    e, plant = settings.evaluation, settings.plant
-    starts = (e.phi_low, e.phi_high, e.phi_dot_low, e.phi_dot_high)
-    assert starts == pytest.approx([radians(a) for a in (1.5, 2.5, 8, 18)], rel=1e-15)
-    assert e.duration == 60.0
-    assert (plant.inertia_sigma, plant.friction_sigma) == (0.02, 0.2)
-    assert plant.position_error_sigma == 1e-4
-    assert plant.orientation_error_sigma == pytest.approx(radians(0.02), rel=1e-15)
-    assert plant.zero_error == pytest.approx(radians(0.3), rel=1e-15)
-    assert (settings.controller.margin, settings.controller.predict) == (0.005, True)
-    assert (settings.clik.K_p, settings.clik.K_d) == (400.0, 40.0)
-    assert settings.learning.episodes == 10_000

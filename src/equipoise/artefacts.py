@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 import platform
+import re
 import reprlib
 import sys
 import threading
@@ -125,10 +126,13 @@ class Provenance(Value):
     @classmethod
     def now(cls, command: str, inputs: Mapping[str, str] | None) -> Self:
         """Return the provenance of a value that this installation creates now."""
+        software = {"python": platform.python_version(), "machine": platform.machine()}
+        for package in ("equipoise", "numpy", "numba", "scipy", "mujoco"):
+            software[package] = metadata.version(package)
         return cls(
             created=datetime.now(UTC).isoformat(timespec="seconds"),
             command=command,
-            software=_software(),
+            software=software | {"system": sys.platform},
             inputs=dict(inputs or {}),
         )
 
@@ -350,22 +354,11 @@ def _digest(body: Any) -> str:
     return DIGEST_PREFIX + hashlib.sha256(canonical.encode()).hexdigest()
 
 
-def _software() -> dict[str, str]:
-    versions = {"python": platform.python_version(), "machine": platform.machine()}
-    for package in ("equipoise", "numpy", "numba", "scipy", "mujoco"):
-        versions[package] = "not installed"
-        with suppress(metadata.PackageNotFoundError):
-            versions[package] = metadata.version(package)
-    return versions | {"system": sys.platform}
-
-
-def _readable(value: Any, indent: int = 0) -> str:
+def _readable(document: Any) -> str:
     """Return JSON with one line per field, and lists of numbers on one line each."""
-    pad = " " * (indent + 1)
-    if isinstance(value, dict) and value:
-        fields = (f"{pad}{json.dumps(k)}: {_readable(v, indent + 1)}" for k, v in value.items())
-        return "{\n" + ",\n".join(fields) + "\n" + " " * indent + "}"
-    if isinstance(value, list) and any(isinstance(item, list | dict) for item in value):
-        rows = (pad + _readable(item, indent + 1) for item in value)
-        return "[\n" + ",\n".join(rows) + "\n" + " " * indent + "]"
-    return json.dumps(value, allow_nan=False, ensure_ascii=False)
+    text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
+    # No text in JSON holds a raw line break: the pattern matches lists alone.
+    return re.sub(r"\[\n *([^][{}]*)\n *\]", lambda row: f"[{_BREAK.sub(' ', row[1])}]", text)
+
+
+_BREAK: Final = re.compile(r"\n *")

@@ -5,7 +5,7 @@ nothing; `nogil`, so that threads run in parallel; no `fastmath`, so that equal 
 bits; and a cache on disk.
 
 Numba's own cache depends only on the file of a kernel, but a kernel also contains the code of the
-kernels that it calls. This cache depends on a digest of *all* files with kernels, in the user's
+kernels that it calls. This cache depends on a digest of *all* files of the package, in the user's
 cache directory (`EQUIPOISE_CACHE_DIR` moves it). Loading cached code runs it, so the folder is
 created for this user alone. If it cannot be written, kernels compile in each process, after one
 warning.
@@ -48,8 +48,6 @@ PACKAGE = Path(__file__).parent
 _njit: Any = numba.njit  # its types lack some options
 OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Options of Numba of every kernel."""
-KERNEL_FOLDERS = ("model", "control", "safety", "learning", "worlds")
-"""Folders of the package with kernels."""
 
 
 def cache_directory() -> Path:
@@ -59,11 +57,10 @@ def cache_directory() -> Path:
 
 
 @functools.cache
-def kernel_sources_digest() -> str:
-    """Return a digest of every file with kernels and of those that compile them."""
-    kernels = (file for name in KERNEL_FOLDERS for file in (PACKAGE / name).rglob("*.py"))
+def package_digest() -> str:
+    """Return a digest of every Python file of the package."""
     digest = hashlib.sha256()
-    for file in sorted([Path(__file__), PACKAGE / "inlining.py", *kernels]):
+    for file in sorted(PACKAGE.rglob("*.py")):
         digest.update(str(file.relative_to(PACKAGE)).encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -111,7 +108,7 @@ class _Locator(caching._CacheLocator):
     """
 
     def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
-        self._directory = cache_folder(f"kernels/{kernel_sources_digest()}")
+        self._directory = cache_folder(f"kernels/{package_digest()}")
         # Files of equal name share the directory: the path distinguishes them.
         place = hashlib.sha256(py_file.encode()).hexdigest()[:8]
         self._place = f"{py_func.__code__.co_firstlineno}-{place}"

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from equipoise.control.clik import (
-    REFERENCE_SIZE,
     ClikParameters,
     pose_error,
     solve,
@@ -82,21 +81,6 @@ def test_near_a_singularity_the_inverse_is_damped_least_squares_and_says_so():
     # 1e-5: where J J^T is singular to rounding, w is known to the root of the rounding only.
     np.testing.assert_allclose(y[::BATCH_SIZE], expected, rtol=1e-5, atol=1e-8)
     assert np.all(np.isfinite(y))
-
-
-def test_pose_error_is_the_displacement_and_the_sine_of_the_rotation_left():
-    arm = iiwa(7)
-    frame = record(arm, arm.home_free, np.zeros(6))
-    R = arm.pose(arm.home_free).rotation
-    axis, angle = np.array([1.0, 2.0, -2.0]) / 3.0, np.radians(25.0)
-    K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    turned = (np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K) @ R
-    reference = frame[: REFERENCE_SIZE * BATCH_SIZE].copy()
-    reference[ROTATION * BATCH_SIZE : TWIST * BATCH_SIZE : BATCH_SIZE] = turned.ravel()
-    reference[(POSITION + 1) * BATCH_SIZE] += 0.02
-    e = np.array(pose_error(frame, reference, 0))
-    np.testing.assert_allclose(e[:3], [0.0, 0.02, 0.0], atol=1e-15)
-    np.testing.assert_allclose(e[3:], np.sin(angle) * axis, atol=1e-15)
 
 
 def run_actions(size, h, held=0.01, duration=15.0, seed=5):

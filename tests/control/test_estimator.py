@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_lyapunov
 
-from equipoise.control import estimator
 from equipoise.control.estimator import (
     ACCELERATION_SIGMA,
     ANGLE_SIGMA,
@@ -62,16 +61,3 @@ def test_no_other_gains_leave_smaller_errors():
             other = gains.copy()
             other[i] *= factor
             assert np.all(errors(other) >= best * (1.0 - 1e-9))
-
-
-def test_the_bias_is_found_with_the_time_constant_of_the_slowest_pole(monkeypatch):
-    def slowest(drift):
-        monkeypatch.setattr(estimator, "BIAS_DRIFT", np.radians(drift))
-        L = np.array(observer_gains(PENDULUM, 8192, H))
-        F = expm(H * np.array([[0.0, 1.0, 0.0], [PENDULUM.w2, -PENDULUM.c, 0.0], [0.0] * 3]))
-        poles = np.linalg.eigvals((np.eye(3) - np.outer(L, [1.0, 0.0, 1.0])) @ F)
-        return -H / np.log(np.abs(poles).max())
-
-    # With the default a constant zero is found in seconds.
-    assert 1.5 < slowest(np.rad2deg(BIAS_DRIFT)) < 4.0
-    assert slowest(0.05) > slowest(0.1) > slowest(0.2)

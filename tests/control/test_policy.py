@@ -104,16 +104,6 @@ def test_a_tabular_policy_takes_the_best_action_of_the_box(pendulum, state):
     assert isinstance(policy.act(np.array(state)), float)
 
 
-def test_its_arrays_are_copies_of_the_table(policy):
-    assert policy.table.tolist() == [list(row) for row in policy.Q]
-    assert policy.u_of_box.shape == (270,)
-    assert np.array_equal(policy.kernel.u_of_box, policy.u_of_box)
-    for array in (policy.table, policy.u_of_box, policy.kernel.u_of_box):
-        array[:] = 0.0
-    assert policy.table.any()
-    assert policy.u_of_box.all()
-
-
 def test_it_comes_back_from_its_file_with_every_bit(policy, tmp_path):
     path = tmp_path / "policy.json"
     policy.act(np.zeros(4))

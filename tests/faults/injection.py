@@ -24,8 +24,6 @@ def run_fault(fault: Fault, scenario: Scenario | None = None) -> tuple[str, list
         fault: The fault.
         scenario: Policy and rig in virtual time (default: the shipped policy on an iiwa 7).
     """
-    if fault.play:
-        return fault.play()
     harness = FaultHarness(
         fault.scenario(scenario or Scenario()),
         (fault.trigger, fault.inject),

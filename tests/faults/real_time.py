@@ -15,7 +15,7 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -29,7 +29,6 @@ from equipoise.rig.config import RigSettings
 from equipoise.robots.emulation import Emulation
 from tests.faults import verdicts
 from tests.faults.harness import WORLD
-from tests.faults.table import Fault
 
 HOST: Final = "127.0.0.1"
 BALANCE_TIME: Final = 6.0
@@ -204,7 +203,9 @@ def _final_line(run: LiveRun) -> str:
     return next((line for line in reversed(lines) if "ended" in line), lines[-1] if lines else "")
 
 
-def _signal_fault(number: signal.Signals, text: str, after: float) -> Fault:
+def _play_signal(
+    number: signal.Signals, text: str, after: float
+) -> Callable[[], tuple[str, list[str]]]:
     def play() -> tuple[str, list[str]]:
         with live_run() as run:
             run.wait_for(text)
@@ -215,9 +216,7 @@ def _signal_fault(number: signal.Signals, text: str, after: float) -> Fault:
             problems = _check_run(run, (130,))
             return _final_line(run), problems
 
-    injected = f"{number.name}, {after:g} s after the run prints {text!r}"
-    should = "a latched stop inside the stream, rest, exit code 130"
-    return Fault(f"{number.name}: {text.lower()}", injected, should, play=play)
+    return play
 
 
 def _descendants(pid: int) -> list[int]:
@@ -298,25 +297,13 @@ SIGNALS: Final = (
     (signal.SIGTERM, "Balancing", 1.5),
 )
 """Signals that end a run, each with a line of its output and the time after it [s]."""
-REAL_TIME: Final = (
-    Fault(
-        "CPU load",
-        f"twice as many busy processes as cores for {LOAD_TIME:g} s, while balancing",
-        "it balances, or a late tick stops it; the arm rests",
-        play=_play_load,
-    ),
-    Fault(
-        "second client",
-        "another program connects to the robot, while balancing",
-        "it is not answered, and the run goes on",
-        play=_play_second_client,
-    ),
-    Fault(
-        "control process killed",
-        "SIGKILL to the process that moves the arm, while balancing",
-        "a warning within 100 ms that software cannot stop the robot; it rests at its last target",
-        play=_play_kill,
-    ),
-    *(_signal_fault(*each) for each in SIGNALS),
-)
-"""Faults that need real processes and ports."""
+REAL_TIME: Final = {
+    "CPU load": _play_load,
+    "second client": _play_second_client,
+    "control process killed": _play_kill,
+    **{
+        f"{number.name}: {text.lower()}": _play_signal(number, text, t)
+        for number, text, t in SIGNALS
+    },
+}
+"""Faults that need real processes and ports: functions that return the end and its problems."""

@@ -56,7 +56,7 @@ def drawn(random):
     return name, kinds[name]
 
 
-LISTED = [each for each in FAULTS if each.trigger.event != "start" and not each.play]
+LISTED = [each for each in FAULTS if each.trigger.event != "start"]
 """Faults of the table that strike in a run."""
 
 

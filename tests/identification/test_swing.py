@@ -375,22 +375,6 @@ def from_near_the_top(w2, drag, amplitude, periods, seed):
     return simulated(truth, theta0=amplitude, duration=duration, **options)
 
 
-@compiled
-def test_means_of_many_samples_give_the_pendulum_of_all_of_them(monkeypatch):
-    # At 175 deg, where a mean differs the most from the motion in its middle.
-    coarse = {"rate_hz": 10_000.0, "counts_per_rev": 2**20, "noise": 1e-3}
-    swing = simulated(theta0=radians(175.0), duration=6.0, **coarse)
-    pendulum = identify(swing)
-    monkeypatch.setattr("equipoise.identification.swing.SAMPLES_PER_PERIOD", 10**6)
-    slow = identify(swing)
-    for thin, whole in ((pendulum.w2, slow.w2), (pendulum.c, slow.c)):
-        width = whole.high - whole.low
-        assert abs(thin.value - whole.value) < 0.1 * width
-        assert thin.high - thin.low == pytest.approx(width, rel=0.1)
-    assert pendulum.fit.samples == slow.fit.samples == len(swing.time)
-    assert pendulum.fit.rms == pytest.approx(slow.fit.rms, rel=1e-4)
-
-
 def test_the_coupling_is_gravity_over_its_place():
     pendulum = identify(simulated(), IdentificationSettings(g=9.78))
     assert pendulum.k.value == pytest.approx(pendulum.w2.value / 9.78)

@@ -168,9 +168,8 @@ def test_each_lane_and_joint_moves_alone(kind, error):
 
 def tracked(stream_time, stream_q, reply_time, reply_q, kind=KST, **options):
     given = {"delay": 0.0, "lag": 0.008, "actuator": ActuatorParameters(kind), **options}
-    predicted, load = np.empty_like(reply_time), np.empty(0)
-    response = JointResponse(**given)
-    track(stream_time, stream_q, reply_time, reply_q, response, load, load, predicted)
+    predicted = np.empty_like(reply_time)
+    track(stream_time, stream_q, reply_time, reply_q, JointResponse(**given), predicted)
     return predicted
 
 
@@ -222,20 +221,6 @@ def test_a_push_holds_a_joint_off_its_setpoint_by_the_error_that_balances_it():
     assert found[-1] == pytest.approx(balance, rel=1e-3)
     linear = tracked(time, np.zeros(len(time)), replies, np.zeros(len(replies)), LAG, push=0.01)
     assert linear[-1] == pytest.approx(0.01)
-
-
-def test_an_observer_without_memory_begins_at_each_measurement():
-    time, stream = sine()
-    # Just before a cycle ends, so that rounding begins no other.
-    replies = 0.1 + 0.0049999 * np.arange(80)
-    rng = np.random.default_rng(3)
-    measured = np.interp(replies, time, stream) + 0.01 * rng.standard_normal(len(replies))
-    found = tracked(time, stream, replies, measured, LAG, delay=0.01, memory=0.0)
-    for j in range(1, len(replies) - 1):
-        pair = slice(j, j + 2)
-        alone = tracked(time, stream, replies[pair], measured[pair], LAG, delay=0.01)
-        # The cycles begin at other times: by up to 8 us, in which a joint moves 2 % of 20 um.
-        assert found[j + 1] == pytest.approx(alone[1], abs=1e-4)
 
 
 # The file.

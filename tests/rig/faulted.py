@@ -30,7 +30,7 @@ from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.rig.transports import memory_pipe
 from equipoise.robots.encoder.board import Board
 from equipoise.robots.encoder.sensor import LineEncoder
-from equipoise.robots.twin.robot import TwinRobot
+from equipoise.robots.twin import TwinRobot
 from equipoise.worlds.plant import scaled
 
 WORLD = "twin:nominal"
@@ -174,7 +174,7 @@ def begin_balancing(pilot, now, fault, stage):
     phi, phi_dot = fault.start
     counts_per_radian = 8192 / (2.0 * pi)
     zero = -(pi - phi) * counts_per_radian + (fault.zero + stage.zero) * counts_per_radian
-    run = pilot._run
+    run = pilot
     run.encoder.zero = zero
     run.controller.begin(phi, phi_dot)
     run.joints.time = now

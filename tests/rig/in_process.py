@@ -5,7 +5,7 @@ from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.simulated_rig import SimulatedRig
-from equipoise.robots.twin.robot import TwinEncoder, TwinRobot
+from equipoise.robots.twin import TwinEncoder, TwinRobot
 from equipoise.settings import GRAVITY
 
 ARM = iiwa(7)

@@ -31,14 +31,12 @@ from equipoise.model.worlds import IDEAL
 from equipoise.outcomes import End, Outcome
 from equipoise.rig.config import RigSettings
 from equipoise.rig.interfaces import Reply, Sample
-from equipoise.rig.phases.exciting import IDENTIFIED
-from equipoise.rig.phases.self_test import ACTUATOR
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
 
 Array = npt.NDArray[np.float64]
 
-JOBS: Final = {"self-test", ACTUATOR, IDENTIFIED}
+JOBS: Final = {"self-test", "actuator", "identified"}
 """Names of events in ticks that receive the result of a job."""
 JOBS_FAILED: Final = {Outcome.SELF_TEST, Outcome.UNIDENTIFIED}
 """Ends by a job that failed."""

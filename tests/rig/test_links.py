@@ -4,7 +4,6 @@ import os
 import re
 import select
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -124,17 +123,6 @@ def test_a_link_that_fails_at_a_question_ends_the_run(rig_of, tmp_path, robot, a
     assert len(run.tables["stream"]) == 0
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-def test_a_link_that_fails_while_the_emulated_operator_is_asked_ends_the_run(rig_of, fault):
-    request, emulated = rig_of("kst")
-    emulated.rig.operator.ignored = frozenset({"move"})
-    person = Absent(emulated, fault, 0, after=15.0)
-    with pytest.raises(LinkError, match=person.saying):
-        run_virtually(request, None, person, rig=emulated.rig)
-    assert emulated.rig.operator.messages[-1].answers == (ANSWERS[-2],)
-    assert 0.0 <= emulated.bench.now - person.failed_at < ENDED
-
-
 @pytest.mark.parametrize("dry_run", [False, True])
 @pytest.mark.parametrize("moment", [1.7, 2.7, 3.3])  # round trips, encoder, their last samples
 @pytest.mark.parametrize("fault", FAULTS)
@@ -238,27 +226,3 @@ def test_a_rig_that_dies_while_the_checklist_is_asked_ends_deploy(tmp_path, numb
     assert re.search(saying, said), said
     fault = RunLog.load(tmp_path / "run.mcap", damaged=True).end.evidence["text"]
     assert fault in said
-
-
-@pytest.mark.slow
-def test_sigterm_while_the_checklist_is_asked_ends_deploy(tmp_path):
-    with emulator() as rig, deploying(tmp_path, rig.ready["robot"], rig.ready["encoder"]) as run:
-        wait_for(run, QUESTION)
-        began = time.monotonic()
-        run.terminate()
-        code, said = rest(run, began)
-    assert code == 130
-    assert "estop was not acknowledged; nothing has moved" in said
-
-
-@pytest.mark.slow
-def test_an_encoder_that_dies_while_deploy_waits_for_the_robots_server_ends_deploy(tmp_path):
-    with socket.create_server(("127.0.0.1", 0)) as closed:
-        robot = f"kst://127.0.0.1:{closed.getsockname()[1]}"
-    with emulator() as rig, deploying(tmp_path, robot, rig.ready["encoder"]) as run:
-        wait_for(run, "start the application")
-        began = time.monotonic()
-        rig.process.kill()
-        code, said = rest(run, began)
-    assert code == 3
-    assert re.search(f"error: {rig.ready['encoder']} is gone", said), said

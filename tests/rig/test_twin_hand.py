@@ -9,17 +9,7 @@ from equipoise.model.worlds import TwinSettings
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.settings import GRAVITY
-from equipoise.worlds.twin.hand import (
-    DRAG_OPENING,
-    DRIFT,
-    HOLDING,
-    LIFTING,
-    OPENING,
-    PUSH,
-    TREMOR,
-    TREMOR_HZ,
-    draw_hand_params,
-)
+from equipoise.worlds.twin.hand import RANGES, draw_hand_params
 
 ARM = iiwa(7)
 PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
@@ -47,14 +37,19 @@ def test_manners_are_within_their_limits_and_of_every_kind():
     manners = [draw_hand_params(random) for _ in range(2000)]
     for manner in manners:
         tremor, drift = manner.amplitude[:-2], manner.amplitude[-2:]
-        assert TREMOR[0] <= np.sqrt(np.sum(tremor**2) / 2) <= TREMOR[1]
-        assert DRIFT[0] <= drift.sum() <= DRIFT[1]
+        assert RANGES["tremor"][0] <= np.sqrt(np.sum(tremor**2) / 2) <= RANGES["tremor"][1]
+        assert RANGES["drift"][0] <= drift.sum() <= RANGES["drift"][1]
         hertz = manner.frequency[:-2] / (2 * np.pi)
-        assert TREMOR_HZ[0] <= hertz.min() <= hertz.max() <= TREMOR_HZ[1]
-        assert LIFTING[0] <= manner.lifting <= LIFTING[1]
-        assert HOLDING[0] <= manner.holding <= HOLDING[1]
-        assert manner.push == 0.0 or PUSH[0] <= abs(manner.push) <= PUSH[1]
-        assert OPENING[0] <= manner.opening <= DRAG_OPENING[1]
+        assert (
+            RANGES["tremor frequency"][0]
+            <= hertz.min()
+            <= hertz.max()
+            <= RANGES["tremor frequency"][1]
+        )
+        assert RANGES["lifting"][0] <= manner.lifting <= RANGES["lifting"][1]
+        assert RANGES["holding"][0] <= manner.holding <= RANGES["holding"][1]
+        assert manner.push == 0.0 or RANGES["push"][0] <= abs(manner.push) <= RANGES["push"][1]
+        assert RANGES["opening"][0] <= manner.opening <= RANGES["dragging"][1]
     # A share of 0.25 in 2000: four standard deviations are 0.04.
     assert np.mean([m.clumsy for m in manners]) == pytest.approx(0.25, abs=0.04)
     assert np.mean([m.side == "front" for m in manners]) == pytest.approx(0.5, abs=0.045)

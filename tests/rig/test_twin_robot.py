@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from equipoise.errors import LinkError
-from equipoise.robots.twin.robot import TwinEncoder, TwinRobot
+from equipoise.robots.twin import TwinEncoder, TwinRobot
 from tests.rig.in_process import stand
 
 

@@ -101,11 +101,10 @@ def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:
     with output.busy(f"fitting {len(run.replies.time):,} measured postures"):
         actuator = identify_run(run)
     actuator.save(out, command="identify", inputs={"run": run.digest})
-    fit, drive = actuator.fit, actuator.drive_inertia
+    fit = actuator.fit
     output.result(
         actuator,
         fit,
-        rotor_inertia=drive and drive.rotor,
         warnings=[run.damage, *(fit.warnings if fit else ())],
         actuator=out,
         then="train PENDULUM --actuator ACTUATOR",

@@ -1,4 +1,4 @@
-"""`equipoise refine`: compares logs with the model of a policy, and trains on if it moved."""
+"""`equipoise refine`: compares a log with the model of a policy, and trains on if it moved."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -8,7 +8,6 @@ from pydantic import Field
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output
 from equipoise.cli.verb import Options, verb
-from equipoise.printable import printable
 
 if TYPE_CHECKING:
     from equipoise.artefacts import Artefact
@@ -27,21 +26,21 @@ class Retraining(Options):
 def refine(
     output: Output,
     policy: Path,
-    runs: list[Path],
+    run: Path,
     *,
     retraining: Retraining,
     random: opt.Random,
     files: opt.Files,
 ) -> None:
-    """Compare logs with the model of a policy, and train on if it moved.
+    """Compare a log with the model of a policy, and train on if it moved.
 
-    POLICY is the table that ran, RUNS are logs from equipoise deploy.
+    POLICY is the table that ran, RUN is a log from equipoise deploy.
     Identifies w2, c and the actuator again. If one of them moved beyond its
     interval, training continues from the policy's table, and the better table
     is kept (refined.json), with pendulum and actuator beside it, if they moved.
     """
     parts = {"policy": ".json", "pendulum": "-pendulum.json", "actuator": "-actuator.json"}
-    out = files.file("refined.json", policy, *runs, beside=list(parts.values())[1:])
+    out = files.file("refined.json", policy, run, beside=list(parts.values())[1:])
 
     from equipoise.control.policy import TabularPolicy
     from equipoise.identification import refine as study
@@ -49,10 +48,10 @@ def refine(
     from equipoise.progress import TrainingProgress
 
     table = TabularPolicy.load(policy)
-    logs = {printable(str(path)): load_run(path) for path in runs}
-    output.warn(*(log.damage for log in logs.values()))
+    log = load_run(run)
+    output.warn(log.damage)
     with output.busy("identifying again"):
-        findings = study.inspect(table, logs)
+        findings = study.inspect(table, log)
     made: dict[str, Artefact] = {}
     if findings.pendulum.digest != table.pendulum.digest:
         made["pendulum"] = findings.pendulum
@@ -75,7 +74,7 @@ def refine(
             )
         made["policy"] = refinement.policy
         output.warn(refinement.policy.shortfall)
-    inputs = {"policy": table.digest} | {name: log.digest for name, log in logs.items()}
+    inputs = {"policy": table.digest, "run": log.digest}
     paths: dict[str, Any] = {part: out.with_name(out.stem + parts[part]) for part in made}
     for part, path in paths.items():
         made[part].save(path, command="refine", inputs=inputs)
@@ -89,7 +88,7 @@ def refine(
             for name, each in tables.items()
         },
         kept=refinement and refinement.kept,
-        warnings=[*findings.fit.warnings, *findings.warnings],
+        warnings=findings.warnings,
         **paths,
         then="evaluate POLICY",
     )

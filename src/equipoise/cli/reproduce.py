@@ -41,7 +41,6 @@ def reproduce(
     from equipoise.apps.report.page import build
     from equipoise.identification.recording import read_swing
     from equipoise.reproduction.pipeline import reproduce
-    from equipoise.reproduction.results import verdict
 
     swing, counts = extent.swing, extent.counts_per_rev
     with output.progress() as show:
@@ -58,7 +57,6 @@ def reproduce(
         page = build(out, lambda name, share: show("report", share, name))
     trials = trial_fields(found.evaluation.results)
     output.result(
-        verdict=list(verdict(found)),
         **trials,
         duration_s=found.evaluation.duration,
         report=page,

@@ -11,7 +11,7 @@ Only setpoints and measured joints are used, which every run has.
 
 from collections.abc import Sequence
 from math import sqrt
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,7 @@ from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.settings import BoxSettings
 
 Array = npt.NDArray[np.float64]
+Row = tuple[float, ...]
 
 REST_BEFORE_MOVE: Final = 0.1
 """Record before the move [s]: the first setpoint has taken effect when the simulation begins."""
@@ -32,73 +33,54 @@ REST_AFTER_MOVE: Final = 0.2
 """Record after the move [s]: the slowest servo has come to rest."""
 MIN_MOTION: Final = 0.02
 """Minimum range of the setpoints of any joint [rad]; the whole move has 0.06 rad."""
-RECORD_SIZE: Final = 4096
-"""Maximum number of setpoints, and of replies, in a record: 20 s."""
 
 
-class ActuatorChoice(NamedTuple):
-    """Result of a selection."""
+def describe_choice(residuals: Sequence[float], actuators: Sequence[Actuator]) -> str:
+    """Return one line for the operator on the selection of the actuator with the least residual.
 
-    chosen: int
-    """Number of the nearest actuator, from zero."""
-    residuals: tuple[float, ...]
-    """Root mean square of measured less simulated joints behind each actuator [rad]."""
-
-    def describe(self, actuators: Sequence[Actuator]) -> str:
-        """Return one line for the operator.
-
-        Args:
-            actuators: The actuators of the selection.
-        """
-        own, count = self.residuals[self.chosen], len(actuators)
-        others = (r for i, r in enumerate(self.residuals) if i != self.chosen)
-        left = ", ".join(f"{1e3 * each:.2f}" for each in others)
-        return (
-            f"The arm responds as actuator {self.chosen + 1} of {count}, "
-            f"{actuators[self.chosen].summary}: {1e3 * own:.2f} mrad from its simulation; "
-            f"the others {left} mrad"
-        )
+    Args:
+        residuals: Of each actuator, as from `choose_actuator` [rad].
+        actuators: The actuators of the selection.
+    """
+    chosen = int(np.argmin(residuals))
+    others = ", ".join(f"{1e3 * r:.2f}" for i, r in enumerate(residuals) if i != chosen)
+    return (
+        f"The arm responds as actuator {chosen + 1} of {len(actuators)}, "
+        f"{actuators[chosen].summary}: {1e3 * residuals[chosen]:.2f} mrad from its simulation; "
+        f"the others {others} mrad"
+    )
 
 
 class MotionRecord:
-    """Setpoints and measured joints of a move, in memory allocated before; further rows are lost.
-
-    Rows are time [s] and the free joints [rad].
-    """
+    """Setpoints and measured joints of a move, as rows of time [s] and the free joints [rad]."""
 
     def __init__(self) -> None:
-        """Allocate the rows."""
-        self._rows = np.zeros((2, RECORD_SIZE, 1 + FREE_JOINTS))
-        self._counts = [0, 0]
+        """Begin without rows."""
+        self._sent, self._measured = list[Row](), list[Row]()
 
     def send(self, time: float, q: Sequence[float] | Array) -> None:
         """Add a setpoint of the free joints."""
-        self._add(0, time, q)
+        self._sent.append((time, *q))
 
     def measure(self, time: float, q: Sequence[float] | Array) -> None:
         """Add measured free joints, unless their time is that of the newest ones."""
-        count = self._counts[1]
-        if count == 0 or time > self._rows[1, count - 1, 0]:
-            self._add(1, time, q)
-
-    def _add(self, kind: int, time: float, q: Sequence[float] | Array) -> None:
-        count = self._counts[kind]
-        if count < RECORD_SIZE:
-            self._rows[kind, count, 0], self._rows[kind, count, 1:] = time, q
-            self._counts[kind] = count + 1
+        if not self._measured or time > self._measured[-1][0]:
+            self._measured.append((time, *q))
 
     def clear(self) -> None:
         """Forget all rows."""
-        self._counts[:] = 0, 0
+        self._sent.clear()
+        self._measured.clear()
 
     def values(self) -> tuple[Array, Array]:
         """Return setpoints and measurements, shapes (m, 7) and (p, 7)."""
-        sent, measured = (self._rows[i, : self._counts[i]].copy() for i in range(2))
+        rows = self._sent, self._measured
+        sent, measured = (np.array(each).reshape(-1, 1 + FREE_JOINTS) for each in rows)
         return sent, measured
 
 
-def choose_actuator(actuators: Sequence[Actuator], sent: Array, measured: Array) -> ActuatorChoice:
-    """Select the actuator whose simulation is nearest to the measured joints.
+def choose_actuator(actuators: Sequence[Actuator], sent: Array, measured: Array) -> list[float]:
+    """Compare the simulation of each actuator with the measured joints; the nearest is selected.
 
     A constant difference of a joint counts for nothing: it is the load's.
 
@@ -107,6 +89,9 @@ def choose_actuator(actuators: Sequence[Actuator], sent: Array, measured: Array)
         sent: Time [s] and setpoint of the free joints [rad], shape (m, 7).
         measured: Time [s] and measured free joints [rad], shape (p, 7); the arm is at rest at the
             first setpoint when they begin.
+
+    Returns:
+        Root mean square of measured less simulated joints behind each actuator [rad].
 
     Raises:
         RecordingError: The joints hardly move.
@@ -119,16 +104,16 @@ def choose_actuator(actuators: Sequence[Actuator], sent: Array, measured: Array)
             f"least {1e3 * MIN_MOTION:g} mrad: a pause cut it short; run again"
         )
     stream, reply = np.ascontiguousarray(sent.T), np.ascontiguousarray(rows.T)
-    simulated, unloaded, residuals = np.empty(len(rows)), np.zeros(0), list[float]()
+    simulated, residuals = np.empty(len(rows)), list[float]()
     for actuator in actuators:
         squares, law, delay = 0.0, actuator.parameters, actuator.delay.value
         for j, lag in enumerate(actuator.lags, start=1):
             times = stream[0], stream[j], reply[0], reply[j]
             response = JointResponse(delay, lag.value, law)
-            track(*times, response, unloaded, unloaded, simulated)
+            track(*times, response, simulated)
             squares += float(np.var(reply[j] - simulated))
         residuals.append(sqrt(squares / FREE_JOINTS))
-    return ActuatorChoice(int(np.argmin(residuals)), tuple(residuals))
+    return residuals
 
 
 def move_setpoints(arm: Arm, params: ControllerParams) -> Array:
@@ -141,11 +126,8 @@ def move_setpoints(arm: Arm, params: ControllerParams) -> Array:
     Returns:
         Free joints [rad], h / 2 apart, from rest to rest, shape (m, 6).
     """
-    controller, path, h = (
-        Controller(arm, params, BoxSettings()),
-        self_test.excitation(0.0),
-        params.h,
-    )
+    controller, h = Controller(arm, params, BoxSettings()), params.h
+    path = self_test.excitation(0.0)
     first, last = -round(REST_BEFORE_MOVE / h), round((path.duration + REST_AFTER_MOVE) / h)
     rows = list[tuple[float, ...]]()
     for tick in range(first, last):

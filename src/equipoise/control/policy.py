@@ -226,12 +226,6 @@ class TargetTest(Value):
     """Number of trials by their outcome."""
 
     @property
-    def failures(self) -> dict[Outcome, int]:
-        """Number of failed trials by their outcome, the most frequent first."""
-        failed = {cause: n for cause, n in self.causes.items() if cause != Outcome.LASTED}
-        return dict(sorted(failed.items(), key=lambda item: -item[1]))
-
-    @property
     def text(self) -> str:
         """The result in one line."""
         low, high = (format_share(end) for end in self.interval)
@@ -302,12 +296,8 @@ class TabularPolicy(Artefact):
         return self
 
     def __repr__(self) -> str:
-        """Return one line: arm, recipe and length of the training."""
-        recipe = self.recipe.partition(":")[0]
-        return (
-            f"<TabularPolicy of {self.arm.name!r}, recipe {recipe!r}, {self.episodes:,} episodes, "
-            f"{len(self.Q)} boxes, {len(self.actions)} actions>"
-        )
+        """Return one line: arm and length of the training."""
+        return f"<TabularPolicy of {self.arm.name!r}, {self.episodes:,} episodes>"
 
     __str__ = __repr__
 

@@ -12,11 +12,12 @@ G is 1 for the right sign and counts per revolution. The period determines w2, t
 phase tau, the middle of the swing the zero: each fault of a rig shows in one number. The fit also
 estimates the friction c, f and the initial state.
 
-The intervals come from blocks of half a period: errors within a block are autocorrelated.
+The interval of the zero comes from blocks of half a period: errors within a block are
+autocorrelated.
 """
 
 from enum import Enum
-from math import pi, radians, sqrt
+from math import inf, nan, pi, radians, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -46,8 +47,6 @@ ZERO_TOLERANCE: Final = radians(0.5)
 with a good bearing, and half of the trials survive 0.75 deg."""
 ZERO_INTERVAL: Final = radians(0.1)
 """Maximum half width of the zero's interval [rad]."""
-MIN_MOVE_SHARE: Final = 0.5
-"""Minimum share of the 40 mm that the flange has to move for a valid test [-]."""
 MIN_RESPONSE: Final = radians(0.5)
 """Minimum standard deviation of the pendulum's response [rad]; a good one has 2 deg."""
 MAX_MISFIT: Final = 0.1
@@ -56,27 +55,10 @@ MODEL_STEP: Final = 0.004
 """Time step of the model [s]: a 190th of a period."""
 MAX_SAMPLES: Final = 2000
 """Maximum number of encoder samples; more are thinned out, for counts 2 ms apart suffice."""
-KNOT_SPACING: Final = 0.04
-"""Spacing of the knots of the spline through the measured motion [s]: a twentieth of the move."""
-INTERVAL_QUANTILE: Final = 0.975
-"""Quantile of the intervals: 95 % between both sides."""
 MIN_SAMPLES: Final = 200
 """Minimum number of samples of encoder and pivot."""
 MAX_SAMPLE_GAP: Final = 0.05
 """Maximum gap between samples [s]; the pivot's motion is interpolated over it."""
-MIN_SWING_SHARE: Final = 0.5
-"""Minimum share of the swing after the move that has to be observed [-]."""
-MODEL_MARGIN: Final = 0.15
-"""Time by which the model begins before the first sample and ends after the last [s], for the
-delays that are searched."""
-START_DELAYS: Final = (-0.06, -0.03, 0.0, 0.03, 0.06)
-"""Initial delays of the fit beyond the expected one [s]."""
-RATE_SHARES: Final = (0.6, 1.5, 181)
-"""Searched rates of the swing as shares of sqrt(w2): first, last, number."""
-DECAY_RATES: Final = (0.05, 0.15, 0.3)
-"""Searched decay rates of the swing [1/s]."""
-MAX_ITERATIONS: Final = 30
-"""Maximum number of steps of the fit; about ten are usual."""
 DIFFERENCE_STEP: Final = 1e-4
 """Step of the finite differences, in units of `SCALES`."""
 
@@ -108,15 +90,6 @@ class SelfTestVerdict(Enum):
     """No response, or not that of such a pendulum."""
 
 
-class ParameterInterval(NamedTuple):
-    """An estimate with its 95 % interval."""
-
-    value: float
-    """Best value."""
-    half: float
-    """Half of the interval's width."""
-
-
 class SelfTest(NamedTuple):
     """Result of a self-test."""
 
@@ -124,15 +97,17 @@ class SelfTest(NamedTuple):
     """First fault found, or PASSED."""
     reason: str
     """Message for the operator."""
-    gain: ParameterInterval
+    gain: float = nan
     """Gain G, encoder over model [-]."""
-    w2: ParameterInterval
+    w2: float = nan
     """Gravity over inertia [1/s^2]."""
-    delay: ParameterInterval
+    delay: float = nan
     """Delay tau of the encoder behind the measured motion [s]."""
-    zero: ParameterInterval
+    zero: float = nan
     """Counts at which the pendulum hangs, less the resting count [rad]."""
-    misfit: float
+    zero_half: float = inf
+    """Half of the width of the 95 % interval of `zero` [rad]."""
+    misfit: float = nan
     """Root mean square of the residual over the response's standard deviation [-]."""
 
 
@@ -184,17 +159,18 @@ def self_test(
     """
     problem = _unusable(time, counts, pivot_time, pivot_x)
     if problem:
-        return _not_understood(problem)
+        return SelfTest(SelfTestVerdict.NOT_UNDERSTOOD, problem)
     gap = max(float(np.max(np.diff(time))), float(np.max(np.diff(pivot_time))))
     if gap > MAX_SAMPLE_GAP:
         reason = f"samples have a gap of {1e3 * gap:.0f} ms, expected {1e3 * MAX_SAMPLE_GAP:g} ms"
-        return _not_understood(reason, SelfTestVerdict.REPEAT)
+        return SelfTest(SelfTestVerdict.REPEAT, reason)
     angle = (counts - resting) * (2.0 * pi / counts_per_rev)
     answer = float(np.std(angle))
     if answer < MIN_RESPONSE:
-        return _not_understood(
+        return SelfTest(
+            SelfTestVerdict.NOT_UNDERSTOOD,
             f"the encoder moved by {np.degrees(answer):.2f} deg (standard deviation), expected at "
-            f"least {np.degrees(MIN_RESPONSE):g} deg: is the pendulum free, the encoder connected?"
+            f"least {np.degrees(MIN_RESPONSE):g} deg: is the pendulum free, the encoder connected?",
         )
     every = -(-len(time) // MAX_SAMPLES)
     recorded = _Response.of(time[::every], angle[::every], pivot_time, pivot_x, pendulum)
@@ -213,11 +189,11 @@ def _unusable(time: Array, counts: Array, pivot_time: Array, pivot_x: Array) -> 
         if not np.all(np.diff(times) > 0.0):
             return f"the times of the {name} do not increase"
     moved = float(np.ptp(pivot_x))
-    if not MIN_MOVE_SHARE * MOVE_DISTANCE < moved < 2.0 * MOVE_DISTANCE:
+    if not 0.5 * MOVE_DISTANCE < moved < 2.0 * MOVE_DISTANCE:
         expected = f"expected {1e3 * MOVE_DISTANCE:g} mm"
         return f"the flange was measured to move by {1e3 * moved:.1f} mm, {expected}"
     left = float(time[-1]) - _rest(pivot_time, pivot_x)
-    if left < MIN_SWING_SHARE * SWING_TIME:
+    if left < 0.5 * SWING_TIME:
         expected = f"expected {SWING_TIME:g} s"
         return f"the pendulum was observed for {left:.1f} s after the move, {expected}"
     return ""
@@ -252,12 +228,14 @@ class _Response(NamedTuple):
         # Twice the derivative of noise is mostly fast, and the pendulum is slow: knots that follow
         # the move are smooth enough.
         begin, end = float(pivot_time[0]), float(pivot_time[-1])
-        pieces = max(int((end - begin) / KNOT_SPACING), 1)
+        spacing = 0.04  # of the knots [s]: a twentieth of the move
+        pieces = max(int((end - begin) / spacing), 1)
         inner = np.linspace(begin, end, pieces + 1)[1:-1]
         knots = np.concatenate(([begin] * 6, inner, [end] * 6))
         # The stub of SciPy lacks the second derivative's type.
         u_of = make_lsq_spline(pivot_time, pivot_x, knots, k=5).derivative(2)
-        grid = np.arange(time[0] - MODEL_MARGIN, time[-1] + MODEL_MARGIN, MODEL_STEP)
+        margin = 0.15  # [s], for the delays that are searched
+        grid = np.arange(time[0] - margin, time[-1] + margin, MODEL_STEP)
         middle = grid[:-1] + 0.5 * MODEL_STEP
         inside = (middle > begin) & (middle < end)
         u = np.where(inside, u_of(np.clip(middle, begin, end)), 0.0)
@@ -277,7 +255,7 @@ class _Response(NamedTuple):
         """Return initial unknowns: w2 from the swing after the move, G and tau from a search."""
         rate, decay = self._oscillation(until)
         best, least = np.zeros(UNKNOWNS), np.inf
-        for tau in delay + np.array(START_DELAYS):
+        for tau in delay + np.array([-0.06, -0.03, 0.0, 0.03, 0.06]):
             unknowns = np.array([1.0, rate**2, tau, 0.0, 2.0 * decay, 0.0, 0.0, 0.0])
             columns = np.stack([self.model(unknowns), np.ones_like(self.angle)], axis=1)
             solution = np.linalg.lstsq(columns, self.angle, rcond=None)[0]
@@ -294,8 +272,8 @@ class _Response(NamedTuple):
         every = max(int(np.sum(chosen)) // 400, 1)
         t, y = self.time[chosen][::every] - begin, self.angle[chosen][::every]
         best, least = (0.0, 0.0), np.inf
-        for rate in sqrt(self.pendulum.w2) * np.linspace(*RATE_SHARES):
-            for decay in DECAY_RATES:
+        for rate in sqrt(self.pendulum.w2) * np.linspace(0.6, 1.5, 181):
+            for decay in (0.05, 0.15, 0.3):
                 faded = np.exp(-decay * t)
                 swings = [faded * np.cos(rate * t), faded * np.sin(rate * t), np.ones_like(t)]
                 columns = np.stack(swings, axis=1)
@@ -324,12 +302,12 @@ class _Response(NamedTuple):
             xtol=1e-5,
             ftol=1e-4,
             gtol=1e-9,
-            max_nfev=MAX_ITERATIONS,
+            max_nfev=30,  # about ten are usual
         )
         return np.asarray(solution.x * SCALES, dtype=np.float64)
 
-    def halves(self, unknowns: Array, residual: Array) -> Array:
-        """Return half of the width of the interval of each unknown."""
+    def zero_half(self, unknowns: Array, residual: Array) -> float:
+        """Return half of the width of the interval of the zero [rad]."""
         from scipy.stats import t as student
 
         J = self.sensitivities(unknowns)
@@ -341,63 +319,66 @@ class _Response(NamedTuple):
         spread = inverse @ (pulls.T @ pulls) @ inverse * blocks / (blocks - 1)
         # Where two unknowns are indistinguishable, rounding may make a variance negative.
         deviation = SCALES * np.sqrt(np.maximum(np.diag(spread), 0.0))
-        return float(student.ppf(INTERVAL_QUANTILE, blocks - 1)) * deviation
+        # 95 % between both sides.
+        return float(student.ppf(0.975, blocks - 1)) * float(deviation[ZERO])
 
 
 def _judged(recorded: _Response, unknowns: Array, answer: float, delay: float) -> SelfTest:
     residual = recorded.angle - recorded.model(unknowns)
     misfit = float(np.sqrt(np.mean(residual**2))) / answer
-    half = recorded.halves(unknowns, residual)
-    gain, w2, tau, zero = (
-        ParameterInterval(float(unknowns[i]), float(half[i])) for i in (GAIN, W2, TAU, ZERO)
-    )
-    result = SelfTest(SelfTestVerdict.PASSED, "", gain, w2, tau, zero, misfit)
+    half = recorded.zero_half(unknowns, residual)
+    gain, w2, tau, zero = unknowns[[GAIN, W2, TAU, ZERO]].tolist()
+    result = SelfTest(SelfTestVerdict.PASSED, "", gain, w2, tau, zero, half, misfit)
     verdict, reason = _verdict(result, recorded.pendulum.w2, delay)
     return result._replace(verdict=verdict, reason=reason)
 
 
 def _verdict(result: SelfTest, known_w2: float, delay: float) -> tuple[SelfTestVerdict, str]:
-    _, _, gain, w2, tau, zero, misfit = result
-    if not misfit < MAX_MISFIT:
-        return SelfTestVerdict.NOT_UNDERSTOOD, (
+    """Return the first fault with its reason, or PASSED."""
+    _, _, gain, w2, tau, zero, zero_half, misfit = result
+    checks = (
+        (
+            misfit < MAX_MISFIT,
+            SelfTestVerdict.NOT_UNDERSTOOD,
             f"the model leaves {misfit:.0%} of the answer, expected less than {MAX_MISFIT:.0%}: is "
-            "the pendulum free, and untouched?"
-        )
-    if gain.value < 0.0:
-        return SelfTestVerdict.SIGN, (
-            f"the counts fall where they should grow (G = {gain.value:.2f}, expected 1); change "
-            "the encoder's sign"
-        )
-    if abs(gain.value - 1.0) > COUNTS_TOLERANCE:
-        return SelfTestVerdict.COUNTS, (
-            f"the encoder shows {gain.value:.3f} of the answer, expected 1 within "
-            f"{COUNTS_TOLERANCE:g}; correct its counts per revolution"
-        )
-    if abs(w2.value / known_w2 - 1.0) > W2_TOLERANCE:
-        return SelfTestVerdict.W2, (
-            f"w2 is {w2.value:.2f} 1/s^2, expected {known_w2:.2f} 1/s^2 within {W2_TOLERANCE:.0%}; "
-            "identify this pendulum"
-        )
-    if abs(tau.value - delay) > DELAY_TOLERANCE:
-        return SelfTestVerdict.DELAY, (
-            f"the encoder is {1e3 * tau.value:.1f} ms behind the arm, expected {1e3 * delay:.1f} "
-            f"ms within {1e3 * DELAY_TOLERANCE:g} ms; look at its link and clock"
-        )
-    if abs(zero.value) > ZERO_TOLERANCE:
-        return SelfTestVerdict.ZERO, (
-            f"the pendulum hangs {np.degrees(zero.value):.2f} deg from where it was referenced, "
-            f"expected at most {np.degrees(ZERO_TOLERANCE):g} deg; reference it again, hanging free"
-        )
-    if not zero.half <= ZERO_INTERVAL:
-        return SelfTestVerdict.REPEAT, (
-            f"the zero is known to {np.degrees(zero.half):.2f} deg, expected "
-            f"{np.degrees(ZERO_INTERVAL):g} deg; swing again"
-        )
-    return SelfTestVerdict.PASSED, "the pendulum answers as the model says"
-
-
-def _not_understood(
-    reason: str, verdict: SelfTestVerdict = SelfTestVerdict.NOT_UNDERSTOOD
-) -> SelfTest:
-    unknown = ParameterInterval(float("nan"), float("inf"))
-    return SelfTest(verdict, reason, unknown, unknown, unknown, unknown, float("nan"))
+            "the pendulum free, and untouched?",
+        ),
+        (
+            gain >= 0.0,
+            SelfTestVerdict.SIGN,
+            f"the counts fall where they should grow (G = {gain:.2f}, expected 1); change the "
+            "encoder's sign",
+        ),
+        (
+            abs(gain - 1.0) <= COUNTS_TOLERANCE,
+            SelfTestVerdict.COUNTS,
+            f"the encoder shows {gain:.3f} of the answer, expected 1 within {COUNTS_TOLERANCE:g}; "
+            "correct its counts per revolution",
+        ),
+        (
+            abs(w2 / known_w2 - 1.0) <= W2_TOLERANCE,
+            SelfTestVerdict.W2,
+            f"w2 is {w2:.2f} 1/s^2, expected {known_w2:.2f} 1/s^2 within {W2_TOLERANCE:.0%}; "
+            "identify this pendulum",
+        ),
+        (
+            abs(tau - delay) <= DELAY_TOLERANCE,
+            SelfTestVerdict.DELAY,
+            f"the encoder is {1e3 * tau:.1f} ms behind the arm, expected {1e3 * delay:.1f} ms "
+            f"within {1e3 * DELAY_TOLERANCE:g} ms; look at its link and clock",
+        ),
+        (
+            abs(zero) <= ZERO_TOLERANCE,
+            SelfTestVerdict.ZERO,
+            f"the pendulum hangs {np.degrees(zero):.2f} deg from where it was referenced, expected "
+            f"at most {np.degrees(ZERO_TOLERANCE):g} deg; reference it again, hanging free",
+        ),
+        (
+            zero_half <= ZERO_INTERVAL,
+            SelfTestVerdict.REPEAT,
+            f"the zero is known to {np.degrees(zero_half):.2f} deg, expected "
+            f"{np.degrees(ZERO_INTERVAL):g} deg; swing again",
+        ),
+    )
+    passed = SelfTestVerdict.PASSED, "the pendulum answers as the model says"
+    return next(((verdict, reason) for holds, verdict, reason in checks if not holds), passed)

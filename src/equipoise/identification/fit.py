@@ -5,13 +5,13 @@ differences give its sensitivities; an adaptive integrator would not.
 """
 
 from collections.abc import Sequence
-from math import ceil, inf, log, sqrt
+from math import inf, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.identification.jackknife import blocks_of_time, jackknife
+from equipoise.identification.least_squares import blocks_of_time, fit_unknowns, jackknife
 from equipoise.model.pendulum import STEPS_PER_PERIOD, PendulumParameters, swing
 from equipoise.settings import Friction
 
@@ -20,81 +20,72 @@ Array = npt.NDArray[np.float64]
 W2, C, COULOMB, DRAG, THETA, THETA_DOT, OFFSET = range(7)
 """Indices of the unknowns: four of the pendulum, its initial state, zero offset (or gyro bias)."""
 
-FRICTIONS: dict[Friction, list[int]] = {
+FRICTIONS: Final[dict[Friction, list[int]]] = {
     "viscous": [C],
     "coulomb": [C, COULOMB],
     "quadratic": [C, COULOMB, DRAG],
 }
 """Unknowns of each friction model, from the paper's to the richest."""
-
-MAX_MISFIT = 0.05
-"""Largest misfit of a fit in the global minimum, as a share of the motion's standard deviation. The
-wrong friction model over 60 periods leaves that much."""
 MAX_UNEXPLAINED: Final = 0.25
 """Largest accepted misfit (residual without noise), as a share of the recording's standard
 deviation; more is not a free swing. A long swing with the wrong friction model leaves 5 %."""
-HORIZONS: Final = (0.08, 0.25)
-"""Shares of the window that are fitted in sequence before the whole: a long window that is
-fitted at once has local minima that are off by a period."""
-FIRST_HORIZON: Final = 1.5
-"""Minimum length of the first horizon in periods; a shorter one does not determine period and
-friction."""
 COARSE, FINE = 1e-6, 1e-12
 """Relative changes of the sum of squares at which a comparison and a final fit stop."""
 
 
 class SwingRecording(NamedTuple):
-    """Samples to fit, each the mean over a short time."""
+    """Samples to fit."""
 
-    begin: float
-    """Time of the initial state [s]."""
     time: Array
-    """Mean times of the samples [s], shape (n,)."""
+    """Time stamps [s], shape (n,)."""
     values: Array
-    """Mean angle [rad], or rate [rad/s], as recorded; shape (n,)."""
-    spread: Array
-    """Standard deviation of the times within a mean [s], shape (n,); zero for single samples."""
+    """Angle [rad], or rate [rad/s], as recorded; shape (n,)."""
     is_rate: bool
     """Whether a gyro recorded the rate."""
     period: float
     """Period of the swing [s]."""
-    w2_range: tuple[float, float]
-    """Bounds of w2 [1/s^2]; they exclude the second, upside-down solution with w2 < 0."""
-
-    def part(self, kept: slice) -> "SwingRecording":
-        """Return some of the samples."""
-        time, values, spread = self.time[kept], self.values[kept], self.spread[kept]
-        return self._replace(time=time, values=values, spread=spread)
+    w2: float
+    """First guess of w2 [1/s^2]; a fit stays within a factor of four, which excludes the second,
+    upside-down solution with w2 < 0."""
 
     def predict(self, unknowns: Array) -> Array:
-        """Simulate the recorded values, shape (n,).
-
-        The mean of a smooth motion over a short time equals the mean of its two values one standard
-        deviation before and after the mean time, up to the fourth order.
-        """
-        averaged = bool(np.any(self.spread))
-        points = [self.time - self.spread, self.time + self.spread] if averaged else [self.time]
-        time = np.concatenate(([self.begin], np.stack(points, axis=1).ravel()))
-        thetas, theta_dots = np.empty_like(time), np.empty_like(time)
+        """Simulate the recorded values, shape (n,)."""
+        thetas, theta_dots = np.empty_like(self.time), np.empty_like(self.time)
         w2, c, coulomb, drag, theta, theta_dot, offset = map(float, unknowns)
         pendulum = PendulumParameters(w2, 0.0, c, coulomb, drag)
         h = self.period / STEPS_PER_PERIOD
-        swing(time, theta, theta_dot, h, pendulum, thetas, theta_dots)
-        motion = (theta_dots if self.is_rate else thetas)[1:]
-        return motion.reshape(-1, len(points)).mean(axis=1) + offset
+        swing(self.time, theta, theta_dot, h, pendulum, thetas, theta_dots)
+        return (theta_dots if self.is_rate else thetas) + offset
 
     def residual(self, unknowns: Array) -> Array:
         """Return recorded minus predicted values, shape (n,)."""
         return self.values - self.predict(unknowns)
 
     def rms(self, unknowns: Array) -> float:
-        """Return the root mean square residual."""
-        return rms(self.residual(unknowns))
-
-    def misfit_share(self, unknowns: Array) -> float:
-        """Return the misfit as a share of the motion's standard deviation."""
+        """Return the root mean square residual; infinity for a prediction that diverged."""
         residual = self.residual(unknowns)
-        return misfit(rms(residual), noise_of(residual)) / float(np.std(self.values))
+        return sqrt(float(np.mean(residual**2))) if np.all(np.isfinite(residual)) else inf
+
+    def noise(self, unknowns: Array, resolution: float = 0.0) -> float:
+        """Estimate the white noise in the residual, at least that of the sensor's steps."""
+        residual = self.residual(unknowns)
+        return max(float(np.std(np.diff(residual))) / sqrt(2.0), resolution / sqrt(12.0))
+
+    def misfit(self, unknowns: Array, resolution: float = 0.0) -> float:
+        """Return the root mean square residual that noise does not explain."""
+        if (rms := self.rms(unknowns)) == inf:
+            return inf
+        return sqrt(max(rms**2 - self.noise(unknowns, resolution) ** 2, 0.0))
+
+    def sensitivities(self, unknowns: Array, places: list[int]) -> Array:
+        """Return the derivatives of the prediction by the unknowns `places`, shape (n, p)."""
+        sizes, columns = 1e-6 * _scales(unknowns), list[Array]()
+        for i in places:
+            up, down = unknowns.copy(), unknowns.copy()
+            up[i] += sizes[i]
+            down[i] -= sizes[i]
+            columns.append((self.predict(up) - self.predict(down)) / (2.0 * sizes[i]))
+        return np.stack(columns, axis=1)
 
 
 class FittedUnknowns(NamedTuple):
@@ -113,32 +104,30 @@ def fit_growing(
 ) -> FittedUnknowns:
     """Fit the recording over a growing horizon.
 
-    A long window has local minima if it is fitted at once. After a poor fit, other initial states
-    and horizons that grow more slowly are tried, until two attempts end in the same minimum. A fit
-    that would be rejected does not end the search before all attempts are made.
+    A long window that is fitted at once has local minima that are off by a period. After a poor
+    fit, other initial states are tried, until two end in the same minimum.
 
     Args:
         recording: The free swing.
         starts: Initial guesses of the unknowns, the likeliest first; shape (7,) each.
         friction: The friction model.
     """
-    length = float(recording.time[-1] - recording.begin)
-    first = min(FIRST_HORIZON * recording.period, length)
-    growing = [max(share * length, first) for share in HORIZONS]
-    slowly = [first * 1.5**i for i in range(ceil(log(length / first, 1.5)))]
-    others = starts[1:]
-    attempts = [(growing, starts[0]), *((slowly, start) for start in others[:1])]
-    attempts += [*((growing, start) for start in others), (slowly, starts[0])]
+    elapsed = recording.time - recording.time[0]
     found = list[tuple[float, Array]]()
-    for horizons, unknowns in attempts:
-        for horizon in (*horizons, length):
-            end = np.searchsorted(recording.time, recording.begin + horizon, side="right")
-            part = recording.part(slice(int(end)))
+    for unknowns in starts:
+        # A shorter horizon does not determine period and friction.
+        horizon = 1.5 * recording.period
+        while horizon < elapsed[-1]:
+            end = int(np.searchsorted(elapsed, horizon, side="right"))
+            part = recording._replace(time=recording.time[:end], values=recording.values[:end])
             unknowns = fit_bounded(part, friction, unknowns, COARSE).unknowns
-        share = recording.misfit_share(unknowns)
+            horizon *= 2.0
+        unknowns = fit_bounded(recording, friction, unknowns, COARSE).unknowns
+        share = recording.misfit(unknowns) / float(np.std(recording.values))
         again = any(abs(share - other) < 0.01 * other for other, _ in found)
         found.append((share, unknowns))
-        if share < MAX_MISFIT or (again and share < MAX_UNEXPLAINED):
+        # The wrong friction model over 60 periods leaves 5 % in the global minimum.
+        if share < 0.05 or (again and share < MAX_UNEXPLAINED):
             break
     best = min(found, key=lambda one: one[0])[1]
     return fit_bounded(recording, friction, best, FINE)
@@ -180,54 +169,34 @@ def fit_bounded(
         start: Initial guess of the unknowns, shape (7,).
         tolerance: Relative change of the sum of squares at which the fit stops.
     """
+    low, high = np.full(7, -np.inf), np.full(7, np.inf)
+    low[W2], high[W2] = 0.25 * recording.w2, 4.0 * recording.w2
     unknowns, kept, bound = start.copy(), list(FRICTIONS[friction]), list[int]()
     while True:
         unknowns[bound] = 0.0
         fitted = [W2, *kept, THETA, THETA_DOT, OFFSET]
-        unknowns = _least_squares(recording, unknowns, fitted, tolerance)
-        sizes = unknowns / _scales(unknowns)
+
+        def sensitivities(x: Array, places: list[int] = fitted) -> Array:
+            # Where a motion begins to diverge, it has no derivative, and no influence on the step.
+            return np.nan_to_num(recording.sensitivities(x, places), posinf=0.0, neginf=0.0)
+
+        if np.isfinite(recording.rms(unknowns)):  # else friction is too stiff for the steps
+            unknowns = fit_unknowns(
+                recording.residual,
+                sensitivities,
+                unknowns,
+                fitted,
+                _scales(unknowns),
+                (low, high),
+                xtol=100.0 * tolerance,
+                ftol=tolerance,
+                gtol=tolerance,
+            )
         if all(unknowns[place] > 0.0 for place in kept):
             return FittedUnknowns(unknowns, fitted, bound)
-        worst = min(kept, key=lambda place: sizes[place])
+        worst = min(kept, key=lambda place: unknowns[place] / _scales(unknowns)[place])
         kept.remove(worst)
         bound.append(worst)
-
-
-def _least_squares(
-    recording: SwingRecording, start: Array, fitted: list[int], tolerance: float
-) -> Array:
-    from scipy.optimize import least_squares
-
-    unknowns, scales = start.copy(), _scales(start)[fitted]
-    low, high = np.full(scales.shape, -np.inf), np.full(scales.shape, np.inf)
-    low[0], high[0] = recording.w2_range
-    guess = start[fitted].copy()
-    guess[0] = np.clip(guess[0], 1.001 * low[0], 0.999 * high[0])
-
-    def at(x: Array) -> Array:
-        unknowns[fitted] = x * scales
-        return unknowns
-
-    def jacobian(x: Array) -> Array:
-        # Where a motion begins to diverge, it has no derivative, and no influence on the step.
-        J = sensitivities(recording, at(x), fitted) * scales
-        return np.where(np.isfinite(J), J, 0.0)
-
-    if not np.all(np.isfinite(recording.predict(at(guess / scales)))):
-        # The friction is too stiff for the integration steps.
-        return start.copy()
-    solution = least_squares(
-        lambda x: -recording.residual(at(x)),
-        guess / scales,
-        # SciPy's stub accepts a name here, but no function.
-        jac=jacobian,  # pyright: ignore[reportArgumentType]
-        bounds=(low / scales, high / scales),
-        x_scale="jac",
-        xtol=100.0 * tolerance,
-        ftol=tolerance,
-        gtol=tolerance,
-    )
-    return at(solution.x).copy()
 
 
 def _scales(unknowns: Array) -> Array:
@@ -235,18 +204,6 @@ def _scales(unknowns: Array) -> Array:
     w2 = abs(unknowns[W2])
     root = np.sqrt(w2)
     return np.array([w2, root, w2, 1.0, 1.0, root, 1.0])
-
-
-def sensitivities(recording: SwingRecording, unknowns: Array, places: list[int]) -> Array:
-    """Return the derivatives of the prediction by the unknowns `places`, shape (n, p)."""
-    sizes = 1e-6 * _scales(unknowns)
-    columns: list[Array] = []
-    for i in places:
-        up, down = unknowns.copy(), unknowns.copy()
-        up[i] += sizes[i]
-        down[i] -= sizes[i]
-        columns.append((recording.predict(up) - recording.predict(down)) / (2.0 * sizes[i]))
-    return np.stack(columns, axis=1)
 
 
 def covariance(recording: SwingRecording, fit: FittedUnknowns, blocks: int) -> Array:
@@ -267,7 +224,7 @@ def covariance(recording: SwingRecording, fit: FittedUnknowns, blocks: int) -> A
     scales = _scales(fit.unknowns)
 
     def of(places: list[int]) -> Array:
-        J = sensitivities(recording, fit.unknowns, places) * scales[places]
+        J = recording.sensitivities(fit.unknowns, places) * scales[places]
         return jackknife(J, residual, block) * np.outer(scales[places], scales[places])
 
     spread = np.zeros((7, 7))
@@ -275,20 +232,3 @@ def covariance(recording: SwingRecording, fit: FittedUnknowns, blocks: int) -> A
     for place in fit.bound:
         spread[place, place] = of([*fit.fitted, place])[-1, -1]
     return spread
-
-
-def rms(residual: Array) -> float:
-    """Return the root mean square; infinity for a prediction that diverged."""
-    return sqrt(float(np.mean(residual**2))) if np.all(np.isfinite(residual)) else inf
-
-
-def noise_of(residual: Array, resolution: float = 0.0) -> float:
-    """Estimate the white noise in a residual, at least the quantization noise of the sensor."""
-    if not np.all(np.isfinite(residual)):
-        return 0.0
-    return max(float(np.std(np.diff(residual))) / sqrt(2.0), resolution / sqrt(12.0))
-
-
-def misfit(residual: float, noise: float) -> float:
-    """Return the part of a residual's root mean square that noise does not explain."""
-    return sqrt(max(residual**2 - noise**2, 0.0))

@@ -1,4 +1,4 @@
-"""Refinement of a policy's model from logs of its runs, and retraining of its table.
+"""Refinement of a policy's model from the log of a run, and retraining of its table.
 
 This is the future work of Safeea & Neto: from the robot back to the simulation. A log holds the
 setpoints of the joints, their measured angles, and the encoder's counts. From these are identified
@@ -14,7 +14,7 @@ old table and its visits. The better of old and new table on the new model is ke
 selected neither.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from math import sqrt
 from typing import Any, Final, Literal, NamedTuple
 
@@ -38,18 +38,10 @@ from equipoise.settings import PlantSettings, Settings
 
 Array = npt.NDArray[np.float64]
 
-EPISODES: Final = 2000
-"""Episodes of a retraining."""
-EXPLORATION: Final = 0.2
-"""Initial exploration of a retraining, as a share of the training's [-]."""
 COMPARISON_SEED: Final = 1 << 32
 """Offset of the seed for the trials that compare old and new table, beyond all training seeds."""
-SAMPLE_SPACING: Final = 0.01
-"""Spacing of averaged encoder samples [s]: one tick, as in a log of a twin."""
 NORMAL: Final = 1.96
 """Half width of a 95 % interval in standard deviations [-]."""
-MAX_BIRGE_RATIO: Final = 3.0
-"""Birge ratio of w2 between runs beyond which a warning is given [-]."""
 
 
 class ModelMotion(NamedTuple):
@@ -64,14 +56,14 @@ class ModelMotion(NamedTuple):
 
 
 class ParameterChange(Value):
-    """Significant change of a parameter between its identification and the logs."""
+    """Significant change of a parameter between its identification and the log."""
 
     name: str
     """`w2`, `c`, `delay`, `cycle`, or `lag of` a joint."""
     before: Estimate
     """Previous estimate [SI]."""
     now: Estimate
-    """Estimate from the logs [SI]."""
+    """Estimate from the log [SI]."""
     z: float
     """Difference in combined standard deviations."""
 
@@ -86,7 +78,7 @@ class ParameterChange(Value):
 
 
 class RefinementFindings(Value):
-    """Model of a policy as identified from logs, and its changes."""
+    """Model of a policy as identified from a log, and its changes."""
 
     fit: ClosedLoopFit
     """The identified pendulum."""
@@ -99,7 +91,7 @@ class RefinementFindings(Value):
     actuator: Actuator
     """The policy's actuator, with all identified parameters if any changed."""
     warnings: tuple[str, ...]
-    """Limitations of the logs, each with advice."""
+    """Limitations of the log, each with advice."""
 
 
 class Refinement(NamedTuple):
@@ -115,41 +107,27 @@ class Refinement(NamedTuple):
     """Score of the new table in the same trials."""
 
 
-def inspect(policy: TabularPolicy, logs: Mapping[str, RunLog]) -> RefinementFindings:
-    """Identify the model of a policy from logs of its runs, and compare.
+def inspect(policy: TabularPolicy, log: RunLog) -> RefinementFindings:
+    """Identify the model of a policy from the log of a run, and compare.
 
     Args:
         policy: The policy, with its pendulum, arm and actuator.
-        logs: Runs on one rig, by name; at least one.
+        log: A run on a rig.
 
     Raises:
-        ArtefactError: A log is of another arm.
-        RecordingError: A log identifies no pendulum.
+        ArtefactError: The log is of another arm.
+        RecordingError: The log identifies no pendulum.
     """
     plant, arm = policy.settings.plant, policy.arm
-    fits: list[ClosedLoopFit] = []
-    responses: list[dict[str, Estimate]] = []
-    warnings: list[str] = []
-    for name, log in logs.items():
+    fit = regress(*thinned(read_motion(log, arm)), g=policy.pendulum.g)
+    response: dict[str, Estimate] = {}
+    warnings = list(fit.warnings)
+    # An ideal arm has no actuator to compare with.
+    if not plant.ideal:
         try:
-            fits.append(regress(*thinned(read_motion(log, arm)), g=policy.pendulum.g))
-        except (ArtefactError, RecordingError) as error:
-            raise type(error)(f"{name}: {error}") from None
-        warnings += (f"{name}: {warning}" for warning in fits[-1].warnings)
-        # An ideal arm has no actuator to compare with.
-        if not plant.ideal:
-            try:
-                responses.append(read_response(log, arm, policy.actuator))
-            except RecordingError as error:
-                warnings.append(f"{name} does not identify the actuator: {error}")
-    fit, disagreement = combine_fits(fits)
-    if disagreement > MAX_BIRGE_RATIO:
-        warnings.append("the runs disagree about w2; give runs of one pendulum")
-    response = {
-        name: combine(estimates)[0]
-        for name in numbers(policy.actuator, arm)
-        if (estimates := [each[name] for each in responses if name in each])
-    }
+            response = read_response(log, arm, policy.actuator)
+        except RecordingError as error:
+            warnings.append(f"the log does not identify the actuator: {error}")
     moves = pendulum_changes(policy.pendulum, fit, plant)
     responded = actuator_changes(policy.actuator, response, arm, plant)
     return RefinementFindings(
@@ -167,7 +145,7 @@ def retrain(
     pendulum: Pendulum,
     actuator: Actuator,
     *,
-    episodes: int = EPISODES,
+    episodes: int = 2000,
     seed: int = 0,
     workers: int = 1,
     comparing: Running = lambda _, __: None,
@@ -215,11 +193,9 @@ def retrain(
 def settings_of_retraining(settings: Settings, episodes: int) -> Settings:
     """Return the settings of a retraining, from those of the training."""
     learning = settings.learning
-    changes = {"episodes": episodes, "epsilon_initial": EXPLORATION * learning.epsilon_initial}
+    # The table knows most of what it needs: a fifth of the exploration.
+    changes = {"episodes": episodes, "epsilon_initial": 0.2 * learning.epsilon_initial}
     return settings.model_copy(update={"learning": learning.model_copy(update=changes)})
-
-
-# Measurements in a log.
 
 
 def read_motion(log: RunLog, arm: Arm) -> ModelMotion:
@@ -260,7 +236,7 @@ def read_motion(log: RunLog, arm: Arm) -> ModelMotion:
 
 
 def thinned(motion: ModelMotion) -> ModelMotion:
-    """Return a motion with averaged neighbouring samples, about `SAMPLE_SPACING` apart.
+    """Return a motion with averaged neighbouring samples, about 10 ms apart.
 
     A board sends every millisecond, with stamps that err by a third of that, which a spline through
     all samples would fit. The equation of the pendulum is nearly linear, so that averages of its
@@ -268,7 +244,7 @@ def thinned(motion: ModelMotion) -> ModelMotion:
     """
     if len(motion.time) < 2:
         return motion
-    every = max(round(SAMPLE_SPACING / float(np.median(np.diff(motion.time)))), 1)
+    every = max(round(0.01 / float(np.median(np.diff(motion.time)))), 1)
     whole = len(motion.time) // every * every
     return ModelMotion(*(part[:whole].reshape(-1, every).mean(axis=1) for part in motion))
 
@@ -335,9 +311,6 @@ def _lag(arm: Arm, joint: int) -> str:
     return f"lag of {arm.free_joints[joint].name}"
 
 
-# Changes.
-
-
 def pendulum_changes(
     known: Pendulum, fit: ClosedLoopFit, plant: PlantSettings
 ) -> tuple[ParameterChange, ...]:
@@ -348,25 +321,22 @@ def pendulum_changes(
     friction and that of the log agrees.
     """
     pairs = {"w2": (known.w2, fit.w2, plant.inertia_sigma * known.w2.value)}
-    if fit.unexplained < ROUGH_FIT:
-        before, now = _frictions(known, fit)
-        pairs["c"] = before, now, plant.friction_sigma * abs(before.value)
-    return _changes(pairs)
-
-
-def _frictions(known: Pendulum, fit: ClosedLoopFit) -> tuple[Estimate, Estimate]:
-    """Return comparable values of the identified friction and that of the log."""
+    if fit.unexplained >= ROUGH_FIT:
+        return _changes(pairs)
+    before, now = known.c, fit.friction
     if known.friction_model == "viscous":
         low, high = sorted((fit.c, fit.friction), key=lambda estimate: estimate.value)
-        within = low.value <= known.c.value <= high.value
-        return known.c, known.c if within else min(
-            (low, high), key=lambda estimate: abs(estimate.value - known.c.value)
-        )
-    # In the order of the covariance: Coulomb friction decreases with the rate, drag increases.
-    weights = np.array([0.0, 1.0, 1.0 / fit.rate, fit.rate])
-    value = float(weights[1:] @ [known.c.value, known.coulomb.value, known.drag.value])
-    sigma = sqrt(max(float(weights @ np.array(known.covariance) @ weights), 0.0))
-    return Estimate.normal(value, sigma, "identified"), fit.friction
+        within = low.value <= before.value <= high.value
+        now = min((low, high), key=lambda estimate: abs(estimate.value - before.value))
+        now = before if within else now
+    else:
+        # In the order of the covariance: Coulomb friction decreases with the rate, drag increases.
+        weights = np.array([0.0, 1.0, 1.0 / fit.rate, fit.rate])
+        value = float(weights[1:] @ [known.c.value, known.coulomb.value, known.drag.value])
+        sigma = sqrt(max(float(weights @ np.array(known.covariance) @ weights), 0.0))
+        before = Estimate.normal(value, sigma, "identified")
+    pairs["c"] = before, now, plant.friction_sigma * abs(before.value)
+    return _changes(pairs)
 
 
 def actuator_changes(
@@ -378,7 +348,7 @@ def actuator_changes(
 
     Args:
         known: The actuator as identified before.
-        response: Parameters identified from logs, by name [s].
+        response: Parameters identified from a log, by name [s].
         arm: The arm.
         plant: Ranges of delay and lags in the training.
     """
@@ -407,40 +377,6 @@ def _changes(
         if z > limit and high.value - low.value > varied:
             moves.append(ParameterChange(name=name, before=before, now=now, z=z))
     return tuple(moves)
-
-
-def combine(estimates: Sequence[Estimate]) -> tuple[Estimate, float]:
-    """Return the weighted mean of estimates, and their Birge ratio.
-
-    The Birge ratio is their spread in units of their intervals. The interval of the mean is widened
-    by it if it exceeds one: the parameter varies between the logs.
-
-    Args:
-        estimates: At least one, each with an interval of positive width.
-    """
-    if len(estimates) == 1:
-        return estimates[0], 0.0
-    table = np.array([(e.value, e.value - e.low, e.high - e.value) for e in estimates])
-    values, halves = table[:, 0], table[:, 1:]
-    weights = 1.0 / np.mean(halves, axis=1) ** 2
-    mean = float(weights @ values / np.sum(weights))
-    birge = NORMAL * sqrt(float(weights @ (values - mean) ** 2) / (len(values) - 1))
-    below, above = (max(birge, 1.0) / np.sqrt(np.sum(halves**-2.0, axis=0))).tolist()
-    return Estimate(value=mean, low=mean - below, high=mean + above, source="identified"), birge
-
-
-def combine_fits(fits: Sequence[ClosedLoopFit]) -> tuple[ClosedLoopFit, float]:
-    """Return the joint fit of several logs of one pendulum, and the Birge ratio of w2."""
-    if len(fits) == 1:
-        return fits[0], 0.0
-    names = [name for name, value in fits[0] if isinstance(value, Estimate)]
-    together = {name: combine([getattr(fit, name) for fit in fits]) for name in names}
-    squares = [(fit.rate, fit.unexplained**2) for fit in fits]
-    rate, unexplained = np.average(squares, axis=0, weights=[fit.samples for fit in fits])
-    changes: dict[str, Any] = {name: estimate for name, (estimate, _) in together.items()}
-    changes |= {"rate": float(rate), "unexplained": sqrt(unexplained)}
-    changes |= {name: sum(getattr(fit, name) for fit in fits) for name in ("duration", "samples")}
-    return fits[0].model_copy(update=changes), together["w2"][1]
 
 
 def _moved_pendulum(known: Pendulum, fit: ClosedLoopFit, moved: set[str]) -> Pendulum:

@@ -17,15 +17,14 @@ integration by parts, their second derivatives under the window equal the sample
 derivative. All terms see the same window.
 """
 
-from math import sqrt
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.artefacts import Estimate, Value
 from equipoise.errors import RecordingError
-from equipoise.identification.jackknife import blocks_of_time, jackknife
+from equipoise.identification.least_squares import blocks_of_time, half_width, jackknife
 from equipoise.settings import GRAVITY
 
 Array = npt.NDArray[np.float64]
@@ -33,28 +32,19 @@ Array = npt.NDArray[np.float64]
 WINDOW: Final = 0.3
 """Length of the smooth window [s]. Shorter windows pass the encoder's steps; longer windows lose
 the fast part of the motion, and dry friction with it."""
-RATE_WINDOW: Final = 0.06
-"""Length of the window for the sign of the rate [s]. Longer windows miss short swings, and half of
-the dry friction with them; shorter windows pass the encoder's steps."""
-POINTS_PER_SAMPLE: Final = 4
-"""Points of the splines per sample: enough to integrate a window to rounding error."""
-BLOCK_DURATION: Final = 2.0
-"""Duration of a jackknife block [s]: longer than the correlation of the motion."""
 MIN_BLOCKS: Final = 8
 """Minimum number of blocks; the scatter of fewer blocks is meaningless."""
-GAP_RATIO: Final = 3.5
-"""Ratio of a sampling step to the usual one above which the step is a gap; gaps are left out."""
 MAX_UNEXPLAINED: Final = 0.7
 """Largest accepted unexplained share of the acceleration; more indicates another motion. A pendulum
 that moves by two counts of its encoder leaves 0.5."""
-MAX_LATENESS: Final = 0.002
-"""Time shift between x and phi above which a warning is given [s]."""
 ROUGH_FIT: Final = 0.1
 """Unexplained share above which friction is indistinguishable from noise. Balancing with a table
 leaves 0.01."""
 
 GRAVITY_TERM, VISCOUS, DRY, ZERO, LATE = range(5)
 """Indices of the coefficients: w2, the frictions, w2 times the zero error, k times the latency."""
+TIME, TERMS, ACCELERATION, RATE = 0, slice(1, 6), 6, 7
+"""Columns of the averaged equation."""
 
 
 class ClosedLoopFit(Value):
@@ -108,7 +98,6 @@ def regress(time: Array, phi: Array, x: Array, *, g: float = GRAVITY) -> ClosedL
             equation.
     """
     from scipy.interpolate import CubicSpline
-    from scipy.stats import t as student
 
     finite = all(len(each) == len(time) and np.all(np.isfinite(each)) for each in (time, phi, x))
     if not finite or len(time) < 16 or np.any(np.diff(time) <= 0.0):
@@ -117,72 +106,52 @@ def regress(time: Array, phi: Array, x: Array, *, g: float = GRAVITY) -> ClosedL
             "increases; sort it and leave broken and repeated samples out"
         )
     phi, length = np.unwrap(phi), float(np.ptp(time))
-    blocks = max(round(length / BLOCK_DURATION), MIN_BLOCKS)
+    # A block of 2 s is longer than the correlation of the motion.
+    blocks = max(round(length / 2.0), MIN_BLOCKS)
     # The latency is linearised, so x is shifted by the first estimate and solved again.
-    solution = _solve(_rows(time, phi, x, g), blocks)
-    late = float(solution.values[LATE]) / float(solution.values[GRAVITY_TERM]) * g
+    values = _solve(_averaged(time, phi, x, g))[0]
+    late = float(values[LATE] / values[GRAVITY_TERM]) * g
     moved = CubicSpline(time, x)(np.clip(time + late, time[0], time[-1]))
-    solution = _solve(_rows(time, phi, moved, g), blocks)
-    w2 = float(solution.values[GRAVITY_TERM])
-    quantile = float(student.ppf(0.975, blocks - 1))
+    rows = _averaged(time, phi, moved, g)
+    values, residual = _solve(rows)
+    M, w2 = rows[:, TERMS], float(values[GRAVITY_TERM])
+    spread = jackknife(M, residual, blocks_of_time(rows[:, TIME], blocks))
+    # Increase of the slope in a regression of gravity's term on all others.
+    inverse = float(np.linalg.pinv(M.T @ M, hermitian=True)[0, 0])
+    reach = float(residual @ residual) * inverse / w2
+    speed = np.abs(rows[:, RATE])
+    rate = float(np.mean(speed**2) / max(float(np.mean(speed)), 1e-12))
 
     def estimate(weights: dict[int, float], offset: float = 0.0, reach: float = 0.0) -> Estimate:
         """Return a weighted sum of the coefficients with its interval."""
-        w = np.zeros(len(solution.values))
+        w = np.zeros(len(values))
         w[list(weights)] = list(weights.values())
-        value = offset + float(w @ solution.values)
-        half = quantile * sqrt(float(w @ solution.spread @ w))
+        value, half = offset + float(w @ values), half_width(float(w @ spread @ w), blocks)
         low, high = value - half, value + half + reach
         return Estimate(value=value, low=low, high=high, source="identified")
 
     fit = ClosedLoopFit(
-        w2=estimate({GRAVITY_TERM: 1.0}, reach=solution.reach),
-        k=estimate({GRAVITY_TERM: 1.0 / g}, reach=solution.reach / g),
+        w2=estimate({GRAVITY_TERM: 1.0}, reach=reach),
+        k=estimate({GRAVITY_TERM: 1.0 / g}, reach=reach / g),
         c=estimate({VISCOUS: 1.0}),
         coulomb=estimate({DRY: 1.0}),
-        friction=estimate({VISCOUS: 1.0, DRY: 1.0 / solution.rate}),
+        friction=estimate({VISCOUS: 1.0, DRY: 1.0 / rate}),
         zero=estimate({ZERO: 1.0 / w2}),
         late=estimate({LATE: g / w2}, offset=late),
-        rate=solution.rate,
+        rate=rate,
         duration=length,
         samples=len(time),
-        unexplained=solution.unexplained,
+        unexplained=_unexplained(rows, residual),
     )
     return fit.model_copy(update={"warnings": _warnings(fit)})
 
 
-class _Rows(NamedTuple):
-    """Equation averaged over a window around each time."""
-
-    time: Array
-    """Shape (n,)."""
-    terms: Array
-    """Regressors of the coefficients, shape (n, 5)."""
-    acceleration: Array
-    """phi_ddot [rad/s^2], shape (n,)."""
-    gap: Array
-    """Zero outside the neighbourhood of gaps, shape (n,)."""
-    rate: Array
-    """Smoothed phi_dot [rad/s], shape (n,)."""
-
-
-class _Solution(NamedTuple):
-    """Least-squares solution of the equation."""
-
-    values: Array
-    """Coefficients, shape (5,)."""
-    spread: Array
-    """Covariance of the coefficients, shape (5, 5)."""
-    reach: float
-    """Increase of w2 with exchanged roles [1/s^2]."""
-    unexplained: float
-    """Root mean square residual over the root mean square acceleration."""
-    rate: float
-    """Mean square of phi_dot over its mean absolute value [rad/s]."""
-
-
-def _rows(time: Array, phi: Array, x: Array, g: float) -> _Rows:
+def _averaged(time: Array, phi: Array, x: Array, g: float) -> Array:
     """Return the equation averaged over a moving window, without gaps.
+
+    Returns:
+        Rows of time, the regressors of the coefficients, phi_ddot and smoothed phi_dot, shape
+        (n, 8).
 
     Raises:
         RecordingError: The log is too short.
@@ -191,28 +160,27 @@ def _rows(time: Array, phi: Array, x: Array, g: float) -> _Rows:
     from scipy.signal import oaconvolve
 
     usual = float(np.median(np.diff(time)))
-    step = usual / POINTS_PER_SAMPLE
+    # Four points per sample integrate a window to rounding error.
+    step = usual / 4
     fine = np.arange(time[0], time[-1], step)
     angle, pivot = CubicSpline(time, phi), CubicSpline(time, x)
     sine, cosine = np.sin(angle(fine)), np.cos(angle(fine))
     phi_dot, x_ddot = angle(fine, 1), pivot(fine, 2)
-    rate = oaconvolve(phi_dot, _bump(RATE_WINDOW, step), "same")
+    # Longer windows miss short swings, and half of the dry friction with them; shorter windows pass
+    # the encoder's steps.
+    rate = oaconvolve(phi_dot, _bump(0.06, step), "same")
     # To first order, a zero error rotates gravity and the pivot's acceleration relative to phi, and
     # a latency tau of x subtracts tau x_dddot.
-    turned = cosine + x_ddot * sine / g
     terms = [sine - x_ddot * cosine / g, -phi_dot, -np.sign(rate)]
-    terms += [-turned, -pivot(fine, 3) * cosine]
+    terms += [-cosine - x_ddot * sine / g, -pivot(fine, 3) * cosine]
     steps = np.diff(time)[np.searchsorted(time, fine, side="right") - 1]
-    gap = np.asarray(steps > GAP_RATIO * usual, dtype=np.float64)
-    rows = _Rows(fine, np.stack(terms, axis=1), angle(fine, 2), gap, rate)
-    bump = _bump(WINDOW, float(fine[1] - fine[0]))
+    gap = np.asarray(steps > 3.5 * usual, dtype=np.float64)
+    columns = np.stack([fine - time[0], *terms, angle(fine, 2), rate, gap], axis=1)
+    bump = _bump(WINDOW, step)[:, None]
     if len(bump) <= len(fine):
-        shape = {1: (-1,), 2: (-1, 1)}
-        means = (oaconvolve(one, bump.reshape(shape[one.ndim]), "valid", axes=0) for one in rows)
-        rows = _Rows(*(mean[::POINTS_PER_SAMPLE] for mean in means))
-        # Convolution by FFT leaves 1e-17 outside gaps.
-        rows = _Rows(*(column[rows.gap < 1e-6] for column in rows))
-        if len(rows.time) and np.ptp(rows.time) >= MIN_BLOCKS * WINDOW:
+        means = np.asarray(oaconvolve(columns, bump, "valid", axes=0))[::4]
+        rows = means[means[:, -1] < 1e-6, :-1]  # convolution by FFT leaves 1e-17 outside gaps
+        if len(rows) and np.ptp(rows[:, TIME]) >= MIN_BLOCKS * WINDOW:
             return rows
     raise RecordingError(
         f"the log holds {np.ptp(time):.2f} s, expected at least {(MIN_BLOCKS + 2) * WINDOW:.1f} s "
@@ -227,16 +195,16 @@ def _bump(length: float, step: float) -> Array:
     return bump / np.sum(bump)
 
 
-def _solve(rows: _Rows, blocks: int) -> _Solution:
-    """Return the least-squares solution.
+def _solve(rows: Array) -> tuple[Array, Array]:
+    """Return the coefficients, shape (5,), and the residual of the equation, shape (n,).
 
     Raises:
         RecordingError: The log does not follow the equation.
     """
-    M, y = rows.terms, rows.acceleration
+    M, y = rows[:, TERMS], rows[:, ACCELERATION]
     values = np.linalg.lstsq(M, y, rcond=None)[0].astype(np.float64)
     residual = y - M @ values
-    w2, left = float(values[0]), float(np.linalg.norm(residual) / max(np.linalg.norm(y), 1e-12))
+    w2, left = float(values[GRAVITY_TERM]), _unexplained(rows, residual)
     if w2 <= 0.0 or left > MAX_UNEXPLAINED:
         raise RecordingError(
             f"the pendulum's equation leaves {left:.0%} of the acceleration unexplained "
@@ -244,15 +212,13 @@ def _solve(rows: _Rows, blocks: int) -> _Solution:
             "stands too still for its encoder, or phi and x do not belong together; look at "
             "their units, signs (encoder_sign in rig.toml) and clocks, and that phi is 0 upright"
         )
-    # Increase of the slope in a regression of gravity's term on all others.
-    inverse = float(np.linalg.pinv(M.T @ M, hermitian=True)[0, 0])
-    return _Solution(
-        values=values,
-        spread=jackknife(M, residual, blocks_of_time(rows.time, blocks)),
-        reach=float(residual @ residual) * inverse / w2,
-        unexplained=left,
-        rate=float(np.mean(rows.rate**2) / max(float(np.mean(np.abs(rows.rate))), 1e-12)),
-    )
+    return values, residual
+
+
+def _unexplained(rows: Array, residual: Array) -> float:
+    """Return the root mean square residual over the root mean square acceleration."""
+    size = float(np.linalg.norm(rows[:, ACCELERATION]))
+    return float(np.linalg.norm(residual)) / max(size, 1e-12)
 
 
 def _warnings(fit: ClosedLoopFit) -> tuple[str, ...]:
@@ -263,7 +229,7 @@ def _warnings(fit: ClosedLoopFit) -> tuple[str, ...]:
             f"less than {ROUGH_FIT:.0%}: friction is hidden in noise, and w2 is rough; let the "
             "pendulum move more, use a finer encoder, or look at encoder_sign in rig.toml"
         )
-    if max(fit.late.low, -fit.late.high) > MAX_LATENESS:
+    if max(fit.late.low, -fit.late.high) > 0.002:  # [s]
         warnings.append(
             f"x comes {1e3 * fit.late.value:.1f} ms later than the phi of its time stamp (negative:"
             " earlier); the fit allows for it, but look at the clocks"

@@ -306,12 +306,6 @@ class JointResponse(NamedTuple):
     push: float = 0.0
     """Constant bias of the load, on the desired velocity for `unshaped` and `kst` [rad/s], else on
     the setpoint [rad]."""
-    memory: float = 1.0
-    """Share of its own position and velocity that the observer keeps, 0 to 1: 1 is an open-loop
-    simulation, 0 restarts at each measurement."""
-    compliance: float = 0.0
-    """Reciprocal of the drive's inertia, where its load acts on it [1/(kg m^2)]; zero for a drive
-    that does not notice its load. For `unshaped` and `kst` only."""
 
 
 @kernel
@@ -321,8 +315,6 @@ def track(
     reply_time: Array,
     reply_q: Array,
     response: JointResponse,
-    load_inertia: Array,
-    load_torque: Array,
     predicted: Array,
 ) -> None:
     """Simulate one joint from its first measured position to its last.
@@ -331,9 +323,6 @@ def track(
     jitter. Therefore cycles begin at the first measurement, and within a cycle each setpoint is
     weighted by its mean active time, so that positions depend smoothly on the delay.
 
-    After each measurement an observer may correct position and velocity by the innovation (a
-    critically damped alpha-beta filter).
-
     Args:
         stream_time: Send times of the setpoints [s], increasing, shape (m,); the first takes effect
             before the first measurement.
@@ -341,13 +330,9 @@ def track(
         reply_time: Measurement times [s], increasing, shape (p,), p > 1.
         reply_q: Measured positions [rad], shape (p,).
         response: Model of the joint.
-        load_inertia: Inertia of the load in each cycle from the first measurement on [kg m^2],
-            shape (cycles,) or longer; unused without compliance.
-        load_torque: Torque of the load in each cycle but for that of the joint's own acceleration
-            [N m], likewise.
-        predicted: Receives the positions before their correction [rad], shape (p,).
+        predicted: Receives the positions [rad], shape (p,).
     """
-    delay, lag, actuator, spread, push, memory, compliance = response
+    delay, lag, actuator, spread, push = response
     rate, amplitude, width = 1.0 / actuator.cycle, actuator.amplitude, actuator.width
     shaped, driven = actuator.kind == KST, actuator.kind >= UNSHAPED
     share = 1.0 if actuator.kind == IDEAL else lag_share(lag)
@@ -374,20 +359,11 @@ def track(
                 step, i = other, i + 1
             before = q
             if driven:
-                change = (rate * mean + push - dq) * share
-                if compliance > 0.0:
-                    change += CYCLE * compliance * load_torque[cycles - 1]
-                    change /= 1.0 + compliance * load_inertia[cycles - 1]
-                dq += change
+                dq += (rate * mean + push - dq) * share
                 q += CYCLE * dq
             else:
                 q += (mean + push) * share
         predicted[j] = q + (now - reply_time[j]) / CYCLE * (before - q)
-        if j > 0:
-            surprise = reply_q[j] - predicted[j]
-            q += (1.0 - memory**2) * surprise
-            before += (1.0 - memory**2) * surprise
-            dq += (1.0 - memory) ** 2 * surprise / (reply_time[j] - reply_time[j - 1])
 
 
 @kernel
@@ -440,35 +416,6 @@ def lag_share(lag: float) -> float:
     return 1.0 - exp(-CYCLE / lag) if lag > 0.0 else 1.0
 
 
-class DriveInertia(Value):
-    """Inertia of the drive of the last joint, from its response to its load."""
-
-    share: Estimate
-    """Share of the drive in the inertia that the joint moves, the pendulum hanging [-]: 1 for a
-    drive that does not notice its load."""
-    load: Number
-    """Inertia of bracket and hanging pendulum about the joint [kg m^2]."""
-    link: Number
-    """Inertia of the arm's last link about the joint [kg m^2]."""
-
-    @property
-    def rotor(self) -> tuple[float, float, float]:
-        """Inertia of motor and gear, and the ends of its 95 % interval [kg m^2].
-
-        The upper end is infinite where the log does not tell the drive from one that does not
-        notice its load.
-        """
-        value, low, high = (self._rotor(getattr(self.share, end)) for end in _ENDS)
-        return value, low, high
-
-    def _rotor(self, share: float) -> float:
-        drive = self.load * share / (1.0 - share) if share < 1.0 else inf
-        return max(drive - self.link, 0.0)
-
-
-_ENDS: Final = ("value", "low", "high")
-
-
 class ActuatorFit(Value):
     """Fit of an actuator to a run log.
 
@@ -486,8 +433,6 @@ class ActuatorFit(Value):
     """Root mean square of measured minus simulated position [rad]."""
     noise: Number
     """White noise in the residual [rad]."""
-    one_step: Number
-    """Root mean square error of the prediction of the next measured position [rad]."""
     alternatives: dict[Name, Number]
     """Root mean square residual of each other kind of actuator [rad]."""
     warnings: Annotated[tuple[Sentence, ...], Field(max_length=100)] = ()
@@ -506,16 +451,13 @@ class Actuator(Artefact):
     delay: Estimate
     """Transport delay from sending a setpoint to its effect [s]."""
     lags: Annotated[tuple[Estimate, ...], Field(min_length=FREE_JOINTS, max_length=FREE_JOINTS)]
-    """Time constant T of each free joint [s]: with what it carries, but for a last joint with
-    `drive_inertia`, whose drive alone it is."""
+    """Time constant T of each free joint with what it carries [s]."""
     cycle: Estimate
     """t_c of the servo, for `unshaped` and `kst` [s]."""
     amplitude: float = Field(default=AMPLITUDE, ge=1e-6, le=10.0)
     """a of the shaping law [rad]."""
     width: float = Field(default=INTERVAL_WIDTH, ge=1e-6, le=10.0)
     """b of the shaping law [rad]."""
-    drive_inertia: DriveInertia | None = None
-    """Inertia of the drive of the last joint; None for a log without pendulum and its masses."""
     fit: ActuatorFit | None = None
     """Fit to the run log; None for an assumed actuator."""
 

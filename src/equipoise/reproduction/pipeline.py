@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
 from equipoise.artefacts import StrPath
 from equipoise.control.bound_policy import BUILT_IN
@@ -37,12 +37,11 @@ from equipoise.reproduction.results import (
     RUN,
     SWING,
     TWIN_EVALUATION,
-    PipelineStage,
     ReproductionRecord,
     Results,
     digests,
 )
-from equipoise.reproduction.synthetic_swing import SyntheticSwing, synthetic_swing
+from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.rig.simulate import simulate_run
 from equipoise.settings import Settings
 from equipoise.worlds.evaluation import Evaluation, evaluate
@@ -97,13 +96,13 @@ def reproduce(
     settings = shortened(settings or Settings()) if quick else settings or Settings()
     workers = workers or available_cores()
     world = TWIN if _has_twin(arm) else MODEL
-    stages: list[PipelineStage] = []
+    stages: dict[str, float] = {}
 
     def stage(name: str, work: Callable[[], T]) -> T:
         report(name, None, "")
         begin = time.perf_counter()
         value = work()
-        stages.append(PipelineStage(name=name, wall=round(time.perf_counter() - begin, 2)))
+        stages[name] = round(time.perf_counter() - begin, 2)
         report(name, 1.0, "")
         return value
 
@@ -112,8 +111,7 @@ def reproduce(
         value.save(out / file, command="reproduce", inputs=inputs)
         return value
 
-    synthetic = SyntheticSwing()
-    given = stage("swing", lambda: swing or synthetic_swing(synthetic, seed))
+    given = stage("swing", lambda: swing or synthetic_swing(seed))
     write_swing(out / SWING, given)
     # The identification reads the file in the folder, so that a figure shows the same data.
     recorded = replace(read_swing(out / SWING), source=given.source, released=given.released)
@@ -123,10 +121,23 @@ def reproduce(
         lambda: identify(recorded, settings.identification),
         swing=recorded.sha256,
     )
+    # Without a selection, or with few episodes, the first learner is taken as it is.
+    selected = not quick and settings.selection.every > 0
     policy = saved(
         "train",
         POLICY,
-        lambda: _trained(pendulum, arm, settings, quick, seed, workers, report),
+        lambda: (
+            train_to_target(
+                pendulum,
+                arm,
+                settings,
+                target=TARGET if selected else 0.0,
+                learners=LEARNERS if selected else 1,
+                seed=seed,
+                workers=workers,
+                observer=TrainingProgress(settings, report),
+            ).policy
+        ),
         pendulum=pendulum.digest,
     )
 
@@ -168,9 +179,9 @@ def reproduce(
         workers=workers,
         swing=given.source,
         swing_sha256=given.sha256,
-        simulated=synthetic if swing is None else None,
+        simulated=swing is None,
         files={},
-        stages=tuple(stages),
+        stages=stages,
     )
     results = Results(record, recorded, pendulum, policy, evaluation, twin_evaluation, run)
     record = record.model_copy(update={"files": digests(results)})
@@ -185,24 +196,6 @@ def shortened(settings: Settings) -> Settings:
         section, _, key = name.partition(".")
         tree[section][key] = min(tree[section][key], value)
     return Settings.model_validate(tree)
-
-
-def _trained(
-    pendulum: Pendulum,
-    arm: Arm,
-    settings: Settings,
-    quick: bool,
-    seed: int,
-    workers: int,
-    report: Show,
-) -> TabularPolicy:
-    # Without a selection, or with few episodes, the first learner is taken as it is.
-    wanted: dict[str, Any] = {"target": 0.0, "learners": 1}
-    if not quick and settings.selection.every > 0:
-        wanted = {"target": TARGET, "learners": LEARNERS}
-    progress = TrainingProgress(settings, report)
-    given: dict[str, Any] = {"seed": seed, "workers": workers, "observer": progress}
-    return train_to_target(pendulum, arm, settings, **wanted, **given).policy
 
 
 def _has_twin(arm: Arm) -> bool:

@@ -5,70 +5,64 @@ the release, the zero and the pendulum.
 """
 
 from math import pi
-from typing import Any
+from typing import Final
 
 import numpy as np
-from pydantic import Field
 
 from equipoise import paper
-from equipoise.artefacts import Value
 from equipoise.identification.recording import Trajectory, simulate_swing
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.settings import FINEST_ENCODER
+
+SIMULATED_C: Final = 0.15
+"""Viscous friction over inertia, b / I [1/s]. Recorded pendulums with an encoder on the spindle
+show 0.05 to 0.6."""
+SIMULATED_HOLD: Final = 1.2
+"""Time before the release [s]."""
+TREMOR: Final = 0.01
+"""Amplitude of the hand's tremor [rad]."""
 
 
-class SyntheticSwing(Value):
-    """Parameters of a simulated free swing, which identification has to recover."""
-
-    period: float = Field(default=paper.FREE_SWING_PERIOD, ge=0.01, le=100.0)
-    """Period of small swings [s]; the paper's."""
-    c: float = Field(default=0.15, ge=0.0, le=1e3)
-    """Viscous friction over inertia, b / I [1/s]. Recorded pendulums with an encoder on the spindle
-    show 0.05 to 0.6."""
-    theta: float = Field(default=0.8, gt=0.0, le=pi)
-    """Angle from hanging at the release [rad], large enough for a swing that is not sinusoidal."""
-    hold: float = Field(default=1.2, ge=0.0, le=1e3)
-    """Time before the release [s]."""
-    tremor: float = Field(default=0.01, ge=0.0, le=1.0)
-    """Amplitude of the hand's tremor [rad]."""
-    duration: float = Field(default=10.0, gt=0.0, le=1e4)
-    """Recorded time after the release [s]: a dozen periods."""
-    rate_hz: float = Field(default=1000.0, gt=0.0, le=1e5)
-    """Sampling rate [Hz]."""
-    counts_per_rev: int = Field(default=8192, gt=0, le=FINEST_ENCODER)
-    """Encoder counts per revolution, after x4: a common encoder of 2048 lines."""
-    noise: float = Field(default=5e-4, ge=0.0, le=1.0)
-    """Standard deviation of the angle's noise per sample [rad]: vibration, play."""
-    zero_offset: float = Field(default=0.005, ge=-pi, le=pi)
-    """Encoder reading of the hanging pendulum [rad]: friction stopped it beside the vertical when
-    it was referenced."""
-
-
-def synthetic_swing(swing: SyntheticSwing, seed: int = 0) -> Trajectory:
+def synthetic_swing(
+    seed: int = 0,
+    *,
+    period: float = paper.FREE_SWING_PERIOD,
+    hold: float = SIMULATED_HOLD,
+    noise: float = 5e-4,
+) -> Trajectory:
     """Simulate the recording of a swing that a hand releases.
 
     Args:
-        swing: The pendulum, the hand and the encoder.
         seed: Seed of the hand and of the noise.
+        period: Period of small swings [s]; by default the paper's.
+        hold: Time before the release [s].
+        noise: Standard deviation of the angle's noise per sample [rad]: vibration, play.
 
     Returns:
         The recording, without the time of the release.
     """
-    w2 = (2.0 * pi / swing.period) ** 2
+    rate = 1000.0  # [Hz]
+    release = 0.8  # [rad] from hanging: large enough for a swing that is not sinusoidal
+    zero = 0.005  # [rad]: friction stopped the pendulum beside the vertical when referenced
     # The pivot is at rest, so that its coupling k is irrelevant.
-    encoder = {"duration", "rate_hz", "counts_per_rev", "noise", "zero_offset"}
-    options: dict[str, Any] = swing.model_dump(include=encoder)
-    options |= {"theta0": swing.theta, "seed": seed}
-    free = simulate_swing(PendulumParameters(w2=w2, k=0.0, c=swing.c), **options)
-    held = np.arange(round(swing.hold * swing.rate_hz)) / swing.rate_hz
+    free = simulate_swing(
+        PendulumParameters(w2=(2.0 * pi / period) ** 2, k=0.0, c=SIMULATED_C),
+        theta0=release,
+        duration=10.0,  # [s]: a dozen periods
+        rate_hz=rate,
+        counts_per_rev=8192,  # a common encoder of 2048 lines, after x4
+        noise=noise,
+        zero_offset=zero,
+        seed=seed,
+    )
+    held = np.arange(round(hold * rate)) / rate
     # The tremor fades with the square of the remaining time, so that the release is at rest.
-    left = 1.0 - held / swing.hold if swing.hold > 0.0 else held
+    left = 1.0 - held / hold if hold > 0.0 else held
     rng = np.random.default_rng([seed, 1])
     phase = rng.uniform(0.0, 2.0 * pi, 2)
     hand = np.sin(2.0 * pi * 1.7 * held + phase[0]) + 0.5 * np.sin(2.0 * pi * 4.1 * held + phase[1])
-    angle = swing.theta + swing.zero_offset + swing.tremor * left**2 * hand
-    angle += swing.noise * rng.standard_normal(held.size)
+    angle = release + zero + TREMOR * left**2 * hand
+    angle += noise * rng.standard_normal(held.size)
     step = free.resolution
     theta = np.concatenate((np.floor(angle / step + 0.5) * step, free.values))
-    time = np.concatenate((held, swing.hold + free.time))
+    time = np.concatenate((held, hold + free.time))
     return Trajectory(time=time, theta=theta, resolution=step, source=free.source)

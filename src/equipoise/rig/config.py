@@ -54,11 +54,6 @@ class RigSettings(Value):
     pivot_mm: tuple[Millimetres, Millimetres, Millimetres] | None = None
     """Pivot of the pendulum in the flange frame [mm]; by default the arm's own. On an iiwa, x is
     minus the distance from the axis of A7, and z the height of a media flange: 0, 35 or 61."""
-    pendulum_mass_kg: float | None = Field(default=None, ge=1e-3, le=14.0)
-    """Mass of the pendulum [kg], weighed; with the bracket's, the inertia of A7's drive can be
-    identified."""
-    bracket_mass_kg: float | None = Field(default=None, ge=0.0, le=14.0)
-    """Mass of bracket and encoder from the flange to the pivot [kg], weighed."""
     counts_per_rev: int = Field(default=8192, ge=64, le=2**24)
     """Encoder counts per revolution, after x4."""
     encoder_sign: Literal[1, -1] = 1

@@ -149,11 +149,19 @@ def excite(
         ArmError: The masses of the arm are unknown, or home is close to a limit.
         SettingsError: The world is unknown.
     """
-    from equipoise.worlds.twin import excitation
+    from equipoise.worlds.twin.excitation import PERIOD, excitation
+    from equipoise.worlds.twin.twin import Twin
 
     twin = world if isinstance(world, World) else read_world(world)
     parameters = pendulum_on(pendulum, twin.settings)
-    record = excitation.excite(arm, twin.settings, parameters, seed, duration)
+    simulated, sent = Twin(arm, parameters, twin.settings, seed=seed), excitation(arm, duration)
+    rows: list[tuple[float, Array, float, float, float]] = []
+    for q in sent:
+        now = simulated.now
+        simulated.send(q)
+        simulated.advance(PERIOD)
+        rows.append((now, *simulated.measured(), *simulated.encoder()))
+    time, measured, measured_at, counts, counted_at = map(np.array, zip(*rows, strict=True))
     return RunLog.simulated(
         RunConditions(
             arm=arm,
@@ -171,9 +179,9 @@ def excite(
         ),
         RunEnd(outcome=Outcome.EXCITED),
         {},
-        stream={"time": record.stream_time, "q": _all_joints(arm, record.stream_q)},
-        replies={"time": record.reply_time, "q": _all_joints(arm, record.reply_q)},
-        encoder={"time": record.encoder_time, "counts": record.counts},
+        stream={"time": time, "q": _all_joints(arm, sent)},
+        replies={"time": measured_at, "q": _all_joints(arm, measured)},
+        encoder={"time": counted_at, "counts": counts},
     )
 
 

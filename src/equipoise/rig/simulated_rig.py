@@ -1,7 +1,7 @@
 """Simulated rig: the twin with an operator's hand and button, in time.
 
 On it an emulated cabinet and an emulated encoder board run, or robot and encoder in process
-(`equipoise.robots.twin.robot`). Virtual time drives it by `clock.attach(bench.advance)`, real time
+(`equipoise.robots.twin`). Virtual time drives it by `clock.attach(bench.advance)`, real time
 by calls of `advance` with the time: the rig catches up in whole milliseconds. Equal seeds and equal
 acts at equal times give equal motion.
 

@@ -27,11 +27,6 @@ from equipoise.model.worlds import MODEL, read_world
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS
 from equipoise.worlds.evaluation import Done, Evaluation, evaluate
 
-MARGIN: Final = 10.0
-"""Ratio of the claimed failure probability to that of the policy for which the number of trials is
-chosen [-]."""
-GRANTED_SHARE: Final = 0.95
-"""Minimum probability that such a policy is granted its claim [-]."""
 ROUND_NUMBERS: Final = (
     *(digit * 10**power for power in range(6) for digit in (1, 2, 5)),
     MOST_TRIALS,
@@ -152,10 +147,10 @@ def trials_for(probability: float, confidence: float) -> int:
         >>> trials_for(0.99, 0.95), trials_for(0.999, 0.95)
         (1000, 10000)
     """
-    better = 1.0 - (1.0 - probability) / MARGIN
+    better = 1.0 - (1.0 - probability) / 10.0
     for trials in ROUND_NUMBERS:
         least = least_successes(trials, probability, confidence)
-        if float(binom.sf(least - 1, trials, better)) >= GRANTED_SHARE:
+        if float(binom.sf(least - 1, trials, better)) >= 0.95:
             return trials
     raise InputError(
         f"a probability of {probability:.10g} at a confidence of {confidence:.10g} takes more than "

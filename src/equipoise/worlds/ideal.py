@@ -4,6 +4,7 @@ With the actuator `ideal` this is the paper's simulation; with any other, the ar
 delay, servo and drive, and the controller observes through an encoder.
 """
 
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,7 +19,7 @@ from equipoise.model.elementary import BATCH_SIZE, at
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import philox, uniform
 from equipoise.model.worlds import IDEAL, MODEL, TwinSettings, World
-from equipoise.worlds.interface import Array, ClosedLoop, Setup, Simulation, TrialColumns
+from equipoise.worlds.interface import Array, ClosedLoop, Setup, Simulation
 from equipoise.worlds.plant import (
     TRACKED,
     BatchState,
@@ -100,13 +101,14 @@ class PlantSimulation(Simulation):
         """Return a closed loop for `reset`."""
         return PlantLoop(self)
 
-    def run_piece(self, policy: PolicyKernel, duration: float, trials: Trials) -> TrialColumns:
+    def run_piece(
+        self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
+    ) -> None:
         """Run trials of a compiled policy in this thread; see `Simulation.run`."""
-        plant, rows = self.params, np.arange(len(trials.steps))
+        plant, taken = self.params, np.array(rows, np.int64)
         batch, max_steps = new_batch_state(), round(duration / plant.controller.h)
         keys = self.seed, self.stream
-        run_trials(plant, batch, policy, self.pendulum, trials, rows, max_steps, *keys)
-        return trials.steps, trials.cause, trials.sum_x2
+        run_trials(plant, batch, policy, self.pendulum, trials, taken, max_steps, *keys)
 
 
 class IdealSimulation(PlantSimulation):

@@ -28,11 +28,9 @@ from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.settings import Settings
-from equipoise.worlds.trials import IntArray, Trial, Trials, draw_trials
+from equipoise.worlds.trials import Trial, Trials, draw_trials
 
 Array = npt.NDArray[np.float64]
-TrialColumns = tuple[IntArray, IntArray, Array]
-"""Steps, causes of the end and sums of x^2 [m^2] of some trials, each of shape (n,)."""
 Finished = Callable[[Sequence[int]], None]
 """Receives the rows of trials that have just finished."""
 
@@ -165,11 +163,10 @@ class Simulation(ABC):
         settings, spread = self.setup.settings, self.setup.spread
         return draw_trials(count, settings, self.seed, self.stream, spread, first)
 
-    def run_piece(self, policy: PolicyKernel, duration: float, trials: Trials) -> TrialColumns:
-        """Run trials of a compiled policy in this thread, and return their results.
-
-        Only a world with a `PIECE` has it; see `run`.
-        """
+    def run_piece(
+        self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
+    ) -> None:
+        """Run trials of a compiled policy in this thread; only with a `PIECE`; see `run`."""
         raise NotImplementedError
 
     def run(
@@ -204,11 +201,9 @@ class Simulation(ABC):
         share = -(-len(rows) // (self.BATCH * workers)) * self.BATCH
         size = min(self.PIECE, max(share, 1))
         pieces = [rows[first : first + size] for first in range(0, len(rows), size)]
-        run = partial(self.run_piece, kernel, duration)
-        for i, results in completed(run, [trials.rows(piece) for piece in pieces], workers):
-            piece = pieces[i]
-            trials.steps[piece], trials.cause[piece], trials.sum_x2[piece] = results
-            done(piece)
+        run = partial(self.run_piece, kernel, trials, duration=duration)
+        for i, _ in completed(run, pieces, workers):
+            done(pieces[i])
 
 
 def predicted(loop: ClosedLoop) -> Array:

@@ -81,14 +81,9 @@ SPEED_LIMIT_CAUSE: Final = SAFETY_STOP + SPEED_CODE
 """Cause of failure where the task limits the flange's speed: that of the guard of a rig."""
 
 # Rows of the block of states.
-X: Final = 0
-X_DOT: Final = 1
-PHI: Final = 2
-PHI_DOT: Final = 3
+X, X_DOT, PHI, PHI_DOT = range(4)
 TRACKED: Final = 4
-STATE_SIZE: Final = 5
-PARAMETERS: Final = 5
-"""Rows of the block of pendulums: the numbers of `PendulumParameters`."""
+"""Row of the tracked acceleration u' of the last step."""
 
 
 class LoopParams(NamedTuple):
@@ -209,8 +204,8 @@ def new_batch_state() -> BatchState:
 
     return BatchState(
         controller=new_controller_state(),
-        pendula=rows(PARAMETERS),
-        state=rows(STATE_SIZE),
+        pendula=rows(5),
+        state=rows(5),
         cause=np.zeros(BATCH_SIZE, np.int64),
         q=rows(6),
         dq=rows(6),

@@ -62,11 +62,6 @@ class Trials(NamedTuple):
         variation = DomainRandomization(*(float(of[row]) for of in (*factors, self.zero)))
         return Trial(int(self.number[row]), (x, x_dot, phi, phi_dot), variation)
 
-    def rows(self, rows: Sequence[int]) -> "Trials":
-        """Return a copy of some trials."""
-        columns: Any = [values[rows] for values in self]
-        return Trials(*columns)
-
     def of_tables(self, tables: Sequence[int]) -> "Trials":
         """Return these trials for each of several tables, one table after the other.
 

@@ -13,8 +13,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, SwingFit
 from equipoise.model.worlds import IDEAL, MODEL, read_world
 from equipoise.outcomes import Outcome
-from equipoise.reproduction.results import PipelineStage, ReproductionRecord, Results, digests
-from equipoise.reproduction.synthetic_swing import SyntheticSwing
+from equipoise.reproduction.results import ReproductionRecord, Results, digests
 from equipoise.settings import resolve
 from equipoise.worlds.evaluation import Evaluation, TrialResults
 
@@ -219,12 +218,9 @@ def results(
             workers=2,
             swing=trajectory.source,
             swing_sha256="sha256:" + 64 * "a",
-            simulated=None if given else SyntheticSwing(),
+            simulated=not given,
             files={},
-            stages=(
-                PipelineStage(name="train", wall=8.25),
-                PipelineStage(name="evaluate", wall=0.5),
-            ),
+            stages={"train": 8.25, "evaluate": 0.5},
         ),
         swing=trajectory,
         pendulum=identified,

@@ -79,48 +79,6 @@ def test_a_press_is_latched_and_down_is_told_until_it_is_up():
     assert [line.flags for line in readings(hand.advance(0.002))] == [Flags.PRESSED, 0]
 
 
-def test_faults_do_what_they_say():
-    hand = Hand()
-
-    def ramp(time):
-        return 2.0 * time
-
-    hand.advance(0.1, ramp)
-    hand.board.frozen = True
-    still = {line.counts for line in readings(hand.advance(0.1, ramp))}
-    assert len(still) == 1
-    hand.board.frozen = False
-    before = readings(hand.advance(0.001, ramp))[0].counts
-    hand.board.jump(-500)
-    assert readings(hand.advance(0.001, ramp))[0].counts == pytest.approx(before - 500 + 3, abs=2)
-    hand.board.zero()
-    assert abs(readings(hand.advance(0.001, ramp))[0].counts) <= 4
-    hand.board.meet_illegal()
-    assert [line.flags for line in readings(hand.advance(0.002, ramp))] == [Flags.ILLEGAL, 0]
-    seq = readings(hand.advance(0.001, ramp))[0].seq
-    hand.board.skip(5)
-    assert readings(hand.advance(0.006, ramp))[0].seq == seq + 6
-    hand.board.silent = True
-    assert hand.advance(0.1, ramp) == []
-    hand.board.silent = False
-    assert len(hand.advance(0.1, ramp)) == 100
-
-
-def test_wrong_sign_wrong_counts_and_lost_counts():
-    def turn(time):
-        return pi * time
-
-    def after(change):
-        hand = Hand()
-        hand.advance(0.001)
-        change(hand.board)
-        return readings(hand.advance(0.999, turn))[-1].counts
-
-    assert after(lambda board: setattr(board, "sign", -1)) == pytest.approx(-4096, abs=1)
-    assert after(lambda board: setattr(board, "factor", 0.5)) == pytest.approx(2048, abs=1)
-    assert after(lambda board: setattr(board, "loss", 0.01)) == pytest.approx(4096 * 0.99, abs=2)
-
-
 def test_a_restart_begins_everything_anew():
     hand = Hand(offset_us=5_000_000)
     hand.advance(1.0, lambda time: time)

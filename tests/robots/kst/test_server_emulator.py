@@ -1,7 +1,6 @@
 """The emulated KST server does what the real one was seen to do, its faults included."""
 
 import math
-from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -78,18 +77,6 @@ def test_main_thread_is_deaf_while_a_servo_runs(servo, command):
     assert servo.say(STOP, wait=0.5) == b"done\n", "what waited has been erased"
 
 
-def test_command_between_stop_and_the_end_of_the_servo_waits_for_it(servo):
-    servo.client.write(f"{STOP}\n{START}\n".encode())
-    servo.wait(0.001)
-    assert servo.client.read() == b"done\n"
-    assert servo.body.running
-    servo.wait(0.003)
-    assert not servo.body.running
-    assert servo.client.read() == b"done\n"
-    servo.wait(0.01)
-    assert servo.body.running
-
-
 def test_stop_is_acknowledged_before_the_servo_ends(servo):
     servo.client.write(f"{STOP}\n".encode())
     servo.wait(0.001)
@@ -110,20 +97,9 @@ def test_nan_of_c_kills_the_reader_and_leaves_the_servo_on(servo):
     assert servo.body.measured()[0] == pytest.approx(0.2)
 
 
-def test_numbers_before_one_that_cannot_be_read_are_obeyed(servo):
-    servo.say("jp_0.3_nan_0.2_")
-    assert servo.body.targets[-1] == (0.3, *HOME[1:])
-
-
 def test_nan_of_java_becomes_the_target(servo):
     assert servo.say(line("jpJP", ["NaN", *HOME[1:]])) == HOME_LINE
     assert math.isnan(servo.body.targets[-1][0])
-
-
-def test_endless_line_is_never_answered(servo):
-    assert servo.say("x" * 5000) == b""
-    assert servo.say("getJointsPositions") == b""
-    assert servo.body.running
 
 
 def test_client_that_vanishes_leaves_the_servo_on_and_nobody_is_served_again(servo):
@@ -165,15 +141,6 @@ def test_dropped_answer_was_obeyed(servo):
 def test_refusals_are_nak(servo):
     servo.server.faults = Faults(refuse=1.0)
     assert servo.say(line("jpJP", HOME)) == b"nak\n"
-
-
-def test_deaf_server_obeys_nothing_and_the_servo_goes_on(servo):
-    servo.server.faults = Faults(deaf=True)
-    assert servo.say(line("jpJP", moved(q1=0.1)), STOP, wait=0.2) == b""
-    assert servo.body.measured() == HOME
-    assert servo.body.running
-    servo.server.faults = replace(servo.server.faults, deaf=False)
-    assert servo.say("getJointsPositions") == HOME_LINE
 
 
 def test_connection_that_is_cut_leaves_the_servo_on(servo):

@@ -8,7 +8,7 @@ import pytest
 from equipoise.model.actuator import AMPLITUDE, CYCLE, INTERVAL_WIDTH, speed_of_peak
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.worlds import TwinSettings
-from equipoise.robots.kst.slow_link import flange_speed
+from equipoise.robots.kst.plugin import flange_speed
 from equipoise.worlds.twin.servo_model import (
     make_servo_params,
     new_servo_state,

@@ -24,7 +24,7 @@ from equipoise.errors import OutsideError
 from equipoise.film import write_film
 from equipoise.model.worlds import MODEL
 from equipoise.printable import printable
-from equipoise.reproduction.results import RECORD, Results, load, verdict
+from equipoise.reproduction.results import RECORD, Results, load
 from equipoise.worlds.formatting import percent
 
 if TYPE_CHECKING:
@@ -102,7 +102,6 @@ def page(
         settings=results.policy.settings,
         evaluations=[e for e in (results.twin_evaluation, results.evaluation) if e],
         on_twin=results.run.conditions.world != MODEL,
-        verdict=verdict(results),
         provenance=provenance,
         images=images,
         missing=missing,

@@ -11,7 +11,7 @@ from equipoise.model.worlds import MODEL, TwinSettings
 from equipoise.outcomes import Outcome
 from equipoise.reproduction.results import Results, truth
 from equipoise.settings import BoxSettings, Settings
-from equipoise.worlds.formatting import format_end, percent
+from equipoise.worlds.formatting import format_end, percent, plus_minus
 
 Row = tuple[str, ...]
 
@@ -24,6 +24,9 @@ def comparison(results: Results) -> Iterator[Row]:
     yield "Robot", "3, 4.3", "a real seven-joint arm", f"a simulated {policy.arm.name}, {where}"
     period = f"{results.pendulum.period:.4f} s"
     yield "Period of the free swing", "3.2", f"around {paper.FREE_SWING_PERIOD:g} s", period
+    pendulum = results.pendulum
+    for name, one in {"w2 = m g l / I [1/s²]": pendulum.w2, "c = b / I [1/s]": pendulum.c}.items():
+        yield name, "3.2", "not given", plus_minus(one.value, one.interval)
     boxes, actions = BoxSettings().count, len(paper.ACTIONS)
     ours = f"{len(policy.Q)} boxes × {len(policy.actions)} accelerations"
     yield "Table", "4.1", f"{boxes} boxes × {actions} accelerations", ours
@@ -36,7 +39,7 @@ def comparison(results: Results) -> Iterator[Row]:
     unknown = "no delay in simulation; not given for the robot"
     yield "Latency from command to motion", "4.2, 4.3", unknown, latency
     yield "Training episodes", "4.2", f"{paper.EPISODES:,}", f"{policy.episodes:,}"
-    wall = sum(stage.wall for stage in results.record.stages if stage.name == "train")
+    wall = results.record.stages.get("train", 0.0)
     yield "Training time", "4.4", "“few minutes”", f"{wall:.3g} s for {policy.steps:,} steps"
     seconds = f"{paper.SECONDS_BALANCED:g} s"
     runs = f"{len(trials.survival)} trials on the training plant and one recorded run"

@@ -1,7 +1,7 @@
 """What the phases of a run share: its parts, its measurements, its motion, its latch."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,9 @@ from equipoise.outcomes import End, Phase, describe
 from equipoise.rig.phases.readings import ArmReadings, EncoderReadings, SetpointHistory
 from equipoise.safety.rules import FROM_MEASURED, STOP_DECELERATION, SafetyParams
 from equipoise.settings import BoxSettings
+
+if TYPE_CHECKING:
+    from equipoise.rig.phases.stopping import Stopping
 
 Array = npt.NDArray[np.float64]
 Setpoints = tuple[tuple[float, ...], ...]
@@ -129,7 +132,7 @@ class RunContext:
 
     phase: RunPhase
     """The phase."""
-    stopping: RunPhase
+    stopping: "Stopping"
     """Phase after a stop."""
     before: RunPhase
     """Phase before the stop."""

@@ -10,8 +10,6 @@ from equipoise.printable import printable
 from equipoise.rig.phases.context import Excitation, RunContext, RunPhase, Setpoints
 from equipoise.rig.phases.release import Lifting
 
-IDENTIFIED: Final = "identified"
-"""Name of the message with the identified actuator."""
 REST_AFTER_EXCITATION: Final = 0.3
 """Record after the excitation [s]."""
 
@@ -79,7 +77,7 @@ class Exciting(RunPhase):
             except Exception as error:  # the arm comes to rest, whatever failed
                 end = End(Outcome.UNIDENTIFIED, {"text": printable(str(error))})
                 return run.stop_and_rest(end, now)
-            run.notify(IDENTIFIED, text)
+            run.notify("identified", text)
             run.assume(response)
             run.go(Lifting(run))
         return run.still()

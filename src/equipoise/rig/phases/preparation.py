@@ -78,46 +78,30 @@ class Referencing(RunPhase):
 
     def enter(self) -> None:
         """Begin without a zero."""
-        self._rest, self.run.encoder.zero = _Rest(), None
+        self.run.encoder.zero = None
+        self._since = self._newest = 0.0
+        self._low = self._high = self._sum = self._number = 0
         self.run.notify("hang", "Let the pendulum hang freely, and steady it with a finger.")
 
     def take_sample(self, sample: Sample) -> None:
-        """Notice whether the pendulum rests."""
-        self._rest.add(sample.time, sample.counts)
+        """Notice since when the count has stayed within one."""
+        low, high = min(self._low, sample.counts), max(self._high, sample.counts)
+        if self._number == 0 or high - low > 1:
+            self._since, self._sum, self._number = sample.time, 0, 0
+            low = high = sample.counts
+        self._low, self._high, self._newest = low, high, sample.time
+        self._sum, self._number = self._sum + sample.counts, self._number + 1
 
     def tick(self, now: float) -> Setpoints:
         """Ask once the pendulum rests; take the reference on the answer."""
-        run, rest = self.run, self._rest
-        if not rest.lasted >= REST_TIME:
+        run = self.run
+        if not self._newest - self._since >= REST_TIME:
             run.answers, run.pressed = (), False
         elif not run.answers:
             still = "The pendulum hangs still. Take your hand away, then press its button or Enter."
             run.ask("reference", still, (OK,))
         elif run.pressed or run.answer == OK:
-            run.encoder.zero = rest.mean
+            run.encoder.zero = self._sum / self._number
             run.joints.reference_torques()
             run.go(SelfTesting(run, Referencing))
         return run.still()
-
-
-class _Rest:
-    """Time for which the count has stayed within one."""
-
-    def __init__(self) -> None:
-        self.lasted = 0.0
-        self._since: float | None = None
-        self._low = self._high = self._sum = self._number = 0
-
-    @property
-    def mean(self) -> float:
-        """Mean of the counts since then."""
-        return self._sum / self._number
-
-    def add(self, time: float, counts: int) -> None:
-        low, high = min(self._low, counts), max(self._high, counts)
-        if self._since is None or high - low > 1:
-            self._since, self._sum, self._number = time, 0, 0
-            low = high = counts
-        self._low, self._high = low, high
-        self._sum, self._number = self._sum + counts, self._number + 1
-        self.lasted = time - self._since

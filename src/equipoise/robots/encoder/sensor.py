@@ -88,20 +88,10 @@ class LineEncoder:
         Raises:
             LinkError: The sensor is not connected, and no number is expected.
         """
-        if self._banner is None and self._expected is not None:
-            return self._expected
-        return self.banner.counts_per_rev
-
-    @property
-    def banner(self) -> Banner:
-        """Identification of the board.
-
-        Raises:
-            LinkError: The sensor is not connected.
-        """
-        if self._banner is None:
+        counts = self._expected if self._banner is None else self._banner.counts_per_rev
+        if counts is None:
             raise LinkError(f"{self._name} is not connected; connect it first")
-        return self._banner
+        return counts
 
     @property
     def description(self) -> str:

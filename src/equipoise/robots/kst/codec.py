@@ -120,7 +120,7 @@ def parse_reply(line: bytes) -> Word | tuple[float, ...]:
         if all(map(math.isfinite, values)):
             return values
     raise LinkError(
-        f"expected done, nak, interrupted or finite numbers that end in _, got {_shown(line)}; "
+        f"expected done, nak, interrupted or finite numbers that end in _, got {line[:120]!r}; "
         "nothing more can be trusted: connect again"
     )
 
@@ -131,17 +131,8 @@ def expect_done(line: bytes, command: str) -> None:
     Raises:
         LinkError: The line is anything else.
     """
-    reply = parse_reply(line)
-    if reply == "nak":
-        raise LinkError(
-            f"the server refused {command} (nak); look at the message on the smartPAD, then start "
-            "the server and connect again"
-        )
-    if reply != "done":
-        raise LinkError(
-            f"expected done as the answer to {command}, got {_shown(line)}; requests and answers "
-            "are out of step: connect again"
-        )
+    if parse_reply(line) != "done":
+        raise _out_of_step(line, "done", command)
 
 
 def expect_numbers(line: bytes, count: int, command: str) -> tuple[float, ...]:
@@ -152,10 +143,7 @@ def expect_numbers(line: bytes, count: int, command: str) -> tuple[float, ...]:
     """
     reply = parse_reply(line)
     if isinstance(reply, str) or len(reply) != count:
-        raise LinkError(
-            f"expected {count} numbers as the answer to {command}, got {_shown(line)}; requests "
-            "and answers are out of step: connect again"
-        )
+        raise _out_of_step(line, f"{count} numbers", command)
     return reply
 
 
@@ -210,5 +198,8 @@ def numbers_reply(values: Sequence[float]) -> bytes:
     return "".join(f"{java_number(value)}_" for value in values).encode() + b"\n"
 
 
-def _shown(line: bytes) -> str:
-    return repr(line[:120].decode("latin-1"))
+def _out_of_step(line: bytes, expected: str, command: str) -> LinkError:
+    return LinkError(
+        f"expected {expected} as the answer to {command}, got {line[:120].decode('latin-1')!r}; "
+        "look at the message on the smartPAD, then start the server and connect again"
+    )

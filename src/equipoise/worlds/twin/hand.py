@@ -27,25 +27,19 @@ FORCE: Final = 10.0
 """Maximum force of a hand at the middle of the rod [N]. Assumed."""
 TONES: Final = 8
 """Number of sines in a tremor."""
-TREMOR_HZ: Final = (4.0, 10.0)
-"""Minimum and maximum frequency of a tremor [Hz]."""
-TREMOR: Final = (radians(0.05), radians(0.3))
-"""Minimum and maximum root mean square of a tremor [rad]."""
-DRIFT_HZ: Final = (0.05, 0.3)
-"""Minimum and maximum frequency of the slow drift [Hz]."""
-DRIFT: Final = (radians(0.1), radians(1.0))
-"""Minimum and maximum amplitude of the slow drift [rad]."""
-LIFTING: Final = (1.5, 3.0)
-"""Minimum and maximum time from hanging to upright [s]."""
-HOLDING: Final = (2.0, 20.0)
-"""Minimum and maximum duration of the hold upright [s]."""
-OPENING: Final = (0.005, 0.030)
-"""Minimum and maximum opening time of the fingers [s]."""
-DRAG_OPENING: Final = (0.05, 0.4)
-"""Minimum and maximum opening time of dragging fingers [s]."""
-PUSH: Final = (radians(5.0), radians(40.0))
-"""Minimum and maximum change of rate by a push [rad/s]; after the largest, 40/8.4 deg ahead, the
-pendulum could still be caught."""
+RANGES: Final = {
+    "tremor frequency": (4.0, 10.0),  # [Hz]
+    "tremor": (radians(0.05), radians(0.3)),  # root mean square [rad]
+    "drift frequency": (0.05, 0.3),  # [Hz]
+    "drift": (radians(0.1), radians(1.0)),  # amplitude [rad]
+    "lifting": (1.5, 3.0),  # time from hanging to upright [s]
+    "holding": (2.0, 20.0),  # time upright [s]
+    "opening": (0.005, 0.030),  # time of the fingers [s]
+    "dragging": (0.05, 0.4),  # that of dragging fingers [s]
+    # Change of rate [rad/s]; after the largest, 40/8.4 deg ahead, the pendulum could be caught.
+    "push": (radians(5.0), radians(40.0)),
+}
+"""Minimum and maximum of what `draw_hand_params` draws."""
 PUSH_TIME: Final = 0.05
 """Duration of a push [s]."""
 
@@ -73,12 +67,7 @@ class HandParams(NamedTuple):
     @property
     def clumsy(self) -> bool:
         """Whether the hand pushes or drags."""
-        return self.push != 0.0 or self.opening > OPENING[1]
-
-    def tremble(self, time: float) -> tuple[float, float]:
-        """Return the tremor of the hand [rad], and its rate [rad/s]."""
-        angle, speed = self.frequency * time + self.phase, self.amplitude * self.frequency
-        return float(self.amplitude @ np.sin(angle)), float(speed @ np.cos(angle))
+        return self.push != 0.0 or self.opening > RANGES["opening"][1]
 
 
 def draw_hand_params(
@@ -91,19 +80,24 @@ def draw_hand_params(
         side: Side of the lift (default: drawn).
         clumsy: Probability of a push or a drag at the release.
     """
-    size, weights = random.uniform(*TREMOR), random.uniform(0.5, 1.0, TONES)
+    size, weights = random.uniform(*RANGES["tremor"]), random.uniform(0.5, 1.0, TONES)
     tremor = size * (weights / np.linalg.norm(weights)) * sqrt(2.0)
-    drift = random.uniform(*DRIFT) * np.array([0.6, 0.4])
+    drift = random.uniform(*RANGES["drift"]) * np.array([0.6, 0.4])
     either: Side = "front" if random.random() < 0.5 else "back"
     kind = random.random()
     fumbled, pushed = kind < clumsy, kind < 0.5 * clumsy
-    opening = random.uniform(*(DRAG_OPENING if fumbled and not pushed else OPENING))
-    push = random.uniform(*PUSH) * (1.0 if random.random() < 0.5 else -1.0)
+    opening = random.uniform(*(RANGES["dragging"] if fumbled and not pushed else RANGES["opening"]))
+    push = random.uniform(*RANGES["push"]) * (1.0 if random.random() < 0.5 else -1.0)
     return HandParams(
         side=either if side is None else side,
-        lifting=float(random.uniform(*LIFTING)),
-        holding=float(random.uniform(*HOLDING)),
-        frequency=2.0 * pi * np.r_[random.uniform(*TREMOR_HZ, TONES), random.uniform(*DRIFT_HZ, 2)],
+        lifting=float(random.uniform(*RANGES["lifting"])),
+        holding=float(random.uniform(*RANGES["holding"])),
+        frequency=2.0
+        * pi
+        * np.r_[
+            random.uniform(*RANGES["tremor frequency"], TONES),
+            random.uniform(*RANGES["drift frequency"], 2),
+        ],
         amplitude=np.r_[tremor, drift],
         phase=random.uniform(0.0, 2.0 * pi, TONES + 2),
         opening=float(opening),
@@ -215,7 +209,9 @@ class Hand:
         s = min(max((now - self._begin) / self._duration, 0.0), 1.0)
         way = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
         speed = 30.0 * s**2 * (1.0 - s) ** 2 / self._duration
-        off, off_dot = manner.tremble(now - self._begin)
+        tremor = manner.frequency * (now - self._begin) + manner.phase
+        off = float(manner.amplitude @ np.sin(tremor))
+        off_dot = float((manner.amplitude * manner.frequency) @ np.cos(tremor))
         distance = self._to - self._from
         rate = distance * speed + speed * off + way * off_dot
         return self._from + distance * way + way * off, rate

@@ -34,15 +34,9 @@ steps of a millisecond. With its default of 20 ms a sticking pendulum creeps."""
 END_TIME: Final = 0.005
 """Time constant with which the end of a joint's range stops it [s]; with MuJoCo's default of 20 ms
 a joint at full speed overshoots by 3 degrees."""
-DRY_SHARE: Final = 0.999
-"""Impedance of dry friction as a constraint of MuJoCo [-]; its default is 0.9."""
 TOLERANCE: Final = 1e-14
 """Tolerance of the solver. MuJoCo's 1e-8 is relative to the inertia of the whole arm; the dry
 friction of a pendulum of 0.15 kg can be smaller and would be lost."""
-DIAGONAL: Final = (0, 3, 5)
-"""Numbers of xx, yy and zz among the entries of an inertia."""
-SOLVER_BYTES: Final = 1 << 17
-"""Memory of the solver [bytes]; a chain without contacts needs little."""
 
 
 def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any:
@@ -77,7 +71,7 @@ def set_pendulum(model: Any, data: Any, pendulum: PendulumParameters) -> None:
     m = model.body_mass[body]
     rod = rod_inertial(pendulum.w2, m)
     I = m * GRAVITY * rod.com[2] / pendulum.w2
-    model.body_ipos[body], model.body_inertia[body] = rod.com, np.take(rod.inertia, DIAGONAL)
+    model.body_ipos[body], model.body_inertia[body] = rod.com, np.take(rod.inertia, (0, 3, 5))
     # MuJoCo's torque is -(damping + dampingpoly |rate|) rate.
     model.dof_damping[phi], model.dof_dampingpoly[phi, 0] = pendulum.c * I, pendulum.drag * I
     model.dof_frictionloss[phi] = pendulum.coulomb * I
@@ -99,7 +93,7 @@ def _loaded(arm: Arm, outward: float, bracket: float, m: float) -> Any:
     _weigh(spec.body("pendulum"), rod)
     phi = spec.joint("phi")
     phi.solref_friction = [DRY_TIME, 1.0]
-    phi.solimp_friction = [DRY_SHARE, DRY_SHARE, *phi.solimp_friction[2:]]
+    phi.solimp_friction = [0.999, 0.999, *phi.solimp_friction[2:]]  # MuJoCo's default is 0.9
     return spec.compile()
 
 
@@ -179,7 +173,7 @@ def _weighed(arm: Arm) -> Any:
     """Return the scene without shapes, with the masses of the arm's links."""
     mj = mujoco()
     spec = scene(arm)
-    spec.memory = SOLVER_BYTES
+    spec.memory = 1 << 17  # [bytes]; a chain without contacts needs little
     spec.compiler.boundmass, spec.compiler.boundinertia = 0.0, 0.0
     spec.option.tolerance = TOLERANCE
     spec.option.gravity = [0.0, 0.0, -GRAVITY]

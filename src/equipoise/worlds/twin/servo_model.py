@@ -36,9 +36,7 @@ from equipoise.worlds.twin.physics import TICK, mass_matrix
 Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-VELOCITY: Final = 0
-PD: Final = 1
-TRAJECTORY40: Final = 2
+VELOCITY, PD, TRAJECTORY40 = range(3)
 INNERS: Final[tuple[Inner, ...]] = ("velocity", "pd", "trajectory40")
 TRAJECTORY_TIME: Final = 0.040
 """The server's `setMinimumTrajectoryExecutionTime` [s]."""
@@ -46,9 +44,7 @@ SLOTS: Final = 512
 """Maximum transport time of a setpoint [ms]: twice the longest transport."""
 
 # Entries of `Cabinet.clock`.
-NOW: Final = 0
-NEWEST: Final = 1
-SATURATED: Final = 2
+NOW, NEWEST, SATURATED = range(3)
 
 
 class ServoParams(NamedTuple):

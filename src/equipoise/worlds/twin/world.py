@@ -1,5 +1,6 @@
 """Trials on the digital twin: worlds `twin:NAME` and `twin:FILE`."""
 
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -20,7 +21,6 @@ from equipoise.worlds.interface import (
     Measurement,
     Setup,
     Simulation,
-    TrialColumns,
 )
 from equipoise.worlds.plant import scaled
 from equipoise.worlds.trials import Trial, Trials, draw_trials
@@ -91,18 +91,19 @@ class TwinSimulation(Simulation):
         """Return a closed loop for `reset`."""
         return TwinLoop(self)
 
-    def run_piece(self, policy: PolicyKernel, duration: float, trials: Trials) -> TrialColumns:
+    def run_piece(
+        self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
+    ) -> None:
         """Run trials of a compiled policy in this thread; see `Simulation.run`."""
         max_steps = round(duration / self.params[0].h)
         try:
             loop = self._idle.pop()  # of a thread that has finished
         except IndexError:
             loop = self.loop()
-        for row in range(len(trials.steps)):
+        for row in rows:
             result = loop.run(policy, trials.trial(row), max_steps)
             trials.steps[row], trials.cause[row], trials.sum_x2[row] = result
         self._idle.append(loop)
-        return trials.steps, trials.cause, trials.sum_x2
 
 
 class TwinLoop(ClosedLoop):
@@ -160,7 +161,7 @@ class TwinLoop(ClosedLoop):
             twin.advance(self.params.h / SETPOINTS_PER_TICK)
             measured, stamp = twin.measured()
             record.measure(stamp, measured)
-        chosen = choose_actuator(self._simulation.actuators, *record.values()).chosen
+        chosen = int(np.argmin(choose_actuator(self._simulation.actuators, *record.values())))
         self.params, self._trial = self._simulation.params[chosen], self._trials[chosen]
         self.chosen = chosen
 

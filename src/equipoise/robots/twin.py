@@ -8,13 +8,15 @@ nothing fails; broken links are modelled by the drivers with their emulators.
 from collections import deque
 from collections.abc import Sequence
 from math import ceil
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from equipoise.errors import LinkError
+from equipoise.model.arms.arm import Arm
 from equipoise.model.encoder import counts_from_theta
-from equipoise.rig.interfaces import Array, Clock, Reply, Sample, checked_setpoint
+from equipoise.rig.interfaces import AngleSensor, Array, Clock, Reply, Sample, checked_setpoint
+from equipoise.rig.plugins import Emulated, RobotPlugin, SensorPlugin, Session, robot_plugin
 from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.worlds.twin.physics import TICK
 from equipoise.worlds.twin.sensors import ROUNDING
@@ -196,3 +198,29 @@ class TwinEncoder:
         counts = self._counted() - self._switched_on
         sample = Sample(time, counts, pressed=down and not before, illegal=False, missing=0)
         self._samples.append((bench.now + self._age, sample))
+
+
+def emulate_robot(
+    rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: int
+) -> Emulated[Any]:
+    """Return the arm of a simulated rig as a robot without a link."""
+    return Emulated(TwinRobot(rig, session.clock))
+
+
+def emulate_sensor(
+    rig: SimulatedRig, clock: Clock, counts_per_rev: int, sign: int, seed: int
+) -> Emulated[AngleSensor]:
+    """Return the spindle of a simulated rig as a sensor without a link."""
+    return Emulated(TwinEncoder(rig, clock))
+
+
+def flange_speed(arm: Arm, period: float) -> float:
+    """Return the speed limit [m/s] of the cabinet that the twin models, KUKA's with KST."""
+    rule = robot_plugin("kst").flange_speed
+    return float("inf") if rule is None else rule(arm, period)
+
+
+ROBOT: Final = RobotPlugin(emulate=emulate_robot, link_share=0.0, flange_speed=flange_speed)
+"""Registered as `twin`."""
+SENSOR: Final = SensorPlugin(emulate=emulate_sensor)
+"""Registered as `twin`."""

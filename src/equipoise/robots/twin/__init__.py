@@ -1,1 +1,0 @@
-"""The digital twin: arm, cabinet, pendulum and encoder, simulated by a physics engine."""
