@@ -1,6 +1,5 @@
 """Recordings: every column that is read, every file that is refused."""
 
-import gzip
 from math import pi
 
 import numpy as np
@@ -126,28 +125,19 @@ def test_a_trajectory_cannot_be_written_to():
 REFUSED = {
     "nothing": "",
     "no samples": "time_s,theta_rad\n",
-    "one sample": "time_s,theta_rad\n0,1\n",
     "other columns": "t,angle\n0,1\n",
-    "no time": "theta_rad\n0\n",
     "two quantities": "time_s,theta_rad,theta_deg\n0,1,2\n1,1,2\n",
-    "two times": "time_s,time_ms,theta_rad\n0,0,1\n1,1000,2\n",
-    "no header": "0.0,1.5\n0.1,1.4\n",
     "NaN": "time_s,theta_rad\n0,1\n0.1,nan\n",
-    "infinity": "time_s,theta_rad\n0,1\n0.1,inf\n",
     "a word": "time_s,theta_rad\n0,1\n\n0.1,high\n",
     "a missing cell": "time_s,theta_rad\n0,1\n0.1\n",
     "decimal commas between commas": "time_s,theta_rad\n0,000,1,25\n0,010,1,24\n",
-    "blanks as separators": "time_s theta_rad\n0 1\n",
     "repeated samples": "time_s,theta_rad\n0,1\n0.1,2\n0.1,3\n",
     "unsorted samples": "time_s,theta_rad\n0,1\n0.2,2\n\n0.1,3\n",
     "counts of an unknown encoder": "time_s,counts\n0,1\n0.1,2\n",
     "milliseconds since 1970 as seconds": "time_s,theta_rad\n1.7e12,1\n1.7001e12,2\n",
-    "a rate beyond any gyro": "time_s,rate_rad_s\n0,1\n1,1e12\n",
     "a control character": "time_s,\x00theta_rad\n0,1\n",
     "UTF-16": SAME.encode("utf-16"),
-    "UTF-16 without a mark": SAME.encode("utf-16-le"),
     "Latin-1": "time_s,theta_rad,Länge\n0,1,ü\n".encode("latin-1"),
-    "gzip": gzip.compress(SAME.encode(), mtime=0),
     "a spreadsheet": b"PK\3\4\x14\x00\x06\x00",
 }
 

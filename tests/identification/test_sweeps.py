@@ -3,7 +3,6 @@
 import os
 from math import exp, log, pi, radians, sqrt
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -22,51 +21,22 @@ pytestmark = pytest.mark.compiled_only
 # Recordings.
 
 
-class Recorded(NamedTuple):
-    """A real recording, from where it is free."""
-
-    name: str
-    free_from: float
-    """When the hand has let go [s]."""
-    last: float
-    """Last start [s]: two periods are left."""
-    length: float
-    """Length of a window [s]."""
-    w2: float
-    """Reference of w2 over all of it [1/s^2]."""
-    within: float
-    """Largest relative difference of w2: that of a short window at small amplitude."""
-
-
 RECORDED = [
-    Recorded("free_swing_furuta_01.csv", 0.544, 3.85, 5.0, 120.0, 6e-3),
-    Recorded("free_swing_furuta_03.csv", 0.286, 3.85, 5.0, 120.0, 8e-3),
-    Recorded("gyro_wheel.csv", 0.0, 1.75, 5.0, 19.38, 3e-3),
-    Recorded("free_swing_arm_55s.csv", 0.0, 51.0, 4.0, 64.07, 3e-3),
+    # name, when the hand has let go [s], last start [s] (two periods are left), length of a
+    # window [s], w2 [1/s^2], largest relative difference (a short window at small amplitude)
+    ("free_swing_furuta_01.csv", 0.544, 3.85, 5.0, 120.0, 6e-3),
+    ("free_swing_furuta_03.csv", 0.286, 3.85, 5.0, 120.0, 8e-3),
+    ("gyro_wheel.csv", 0.0, 1.75, 5.0, 19.38, 3e-3),
+    ("free_swing_arm_55s.csv", 0.0, 51.0, 4.0, 64.07, 3e-3),
 ]
 
 
-def starts_are_not_refused(recorded, starts):
-    whole = read_swing(Path(DATA) / recorded.name)
-    for start in starts:
-        kept = (whole.time >= start) & (whole.time < start + recorded.length)
-        pendulum = identify(
-            Trajectory(
-                time=whole.time[kept],
-                theta=None if whole.theta is None else whole.theta[kept],
-                theta_dot=None if whole.theta_dot is None else whole.theta_dot[kept],
-                resolution=whole.resolution,
-                source=f"{recorded.name} from {start:.3f} s",
-                released=True,
-            )
-        )
-        assert abs(pendulum.w2.value / recorded.w2 - 1.0) < recorded.within, f"from {start:.3f} s"
-
-
 @needs_recordings
-@pytest.mark.parametrize("recorded", RECORDED, ids=lambda recorded: recorded.name)
-def test_no_start_of_a_recorded_swing_is_refused(recorded):
-    starts_are_not_refused(recorded, np.linspace(recorded.free_from, recorded.last, 4))
+@pytest.mark.parametrize(("name", "free_from", "last", "length", "w2", "within"), RECORDED)
+def test_no_start_of_a_recorded_swing_is_refused(name, free_from, last, length, w2, within):
+    for start in np.linspace(free_from, last, 4):
+        pendulum = identify(read_swing(Path(DATA) / name, start=start, end=start + length))
+        assert pendulum.w2.value == pytest.approx(w2, rel=within), f"from {start:.3f} s"
 
 
 # Simulated swings.
@@ -102,45 +72,12 @@ def any_swing(seed):
     return recorded, w2, None if coulomb else c
 
 
-def no_swing_is_refused(seeds):
-    for seed in seeds:
+def test_no_simulated_swing_of_100_to_175_degrees_is_refused():
+    for seed in range(15):
         recorded, w2, c = any_swing(seed)
         pendulum = identify(recorded)
         # Viscous friction in place of dry one costs a percent of w2; coarse counts 0.1 %.
         assert abs(pendulum.w2.value / w2 - 1.0) < (0.02 if c is None else 1e-3), recorded.source
-
-
-def test_no_simulated_swing_of_100_to_175_degrees_is_refused():
-    no_swing_is_refused(range(15))
-
-
-def near_the_top(seed):
-    """Return a swing that begins anywhere on its way from just below the top, and its w2."""
-    rng = np.random.default_rng([5, seed])
-    w2 = rng.uniform(25.0, 140.0)
-    period = 2.0 * pi / sqrt(w2)
-    swing = simulate_swing(
-        PendulumParameters(w2, 0.0, exp(rng.uniform(log(0.01), log(0.3)))),
-        theta0=radians(rng.uniform(150.0, 176.0)),
-        duration=10.0 * period,
-        rate_hz=1000.0,
-        counts_per_rev=16384,
-        seed=seed,
-    )
-    begin = int(rng.uniform(0.0, 3.0) * period * 1000.0)
-    return Trajectory(
-        time=swing.time[begin:],
-        theta=swing.theta[begin:],
-        resolution=swing.resolution,
-        released=True,
-    ), w2
-
-
-# The first two were refused with a cubic over a third of the period for the first state.
-@pytest.mark.parametrize("seed", [3, 27, 40])
-def test_a_swing_that_begins_fast_and_nearly_reaches_the_top_is_not_refused(seed):
-    recorded, w2 = near_the_top(seed)
-    assert identify(recorded).w2.value == pytest.approx(w2, rel=1e-3)
 
 
 # Intervals.

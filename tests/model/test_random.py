@@ -1,8 +1,6 @@
-"""Philox against the published known answers, and its numbers against their distributions.
+"""Philox against the published known answers, and normal numbers against their distribution.
 
-Statistics run on fixed seeds, so that they never fail by luck on code that has not changed. A fair
-generator with other seeds gives a p-value below 1e-5, or a z-score above 5 (which is rarer), in one
-of the some 70 tests with a chance below 1e-3.
+Statistics run on fixed seeds, so that they never fail by luck on code that has not changed.
 """
 
 from math import sqrt
@@ -41,20 +39,6 @@ def words(counter, key):
     return tuple(int(number) for number in philox(seed_of(key), *counter))
 
 
-@kernel
-def filled(out, seed, learner, stream, by_index):
-    """Fill a block of words, one row for each step (or index)."""
-    for i in range(out.shape[0]):
-        step, index = (0, i) if by_index else (i, 0)
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = philox(seed, step, index, learner, stream)
-
-
-def block(count=COUNT, seed=0, learner=0, stream=1, by_index=False):
-    out = np.zeros((count, 4), np.int64)
-    filled(out, seed, learner, stream, by_index)
-    return out
-
-
 @pytest.mark.parametrize(
     ("counter", "key", "answer"),
     # Random123, tests/kat_vectors, "philox4x32 10".
@@ -80,75 +64,9 @@ def test_compiled_words_are_those_of_python_integers(seed, counter):
     assert words(counter, (seed & TOP, seed >> 32)) == plain(philox)(seed, *counter)
 
 
-@pytest.mark.parametrize("place", range(5))
-def test_each_of_seed_step_index_learner_and_stream_matters(place):
-    numbers = [3, 1, 4, 1, 5]
-    seen = set()
-    for _ in range(200):
-        seen.add(tuple(int(number) for number in philox(*numbers)))
-        numbers[place] += 1
-    assert len(seen) == 200
-
-
-def test_each_bit_of_counter_and_key_turns_half_of_the_words_bits():
-    def bits(numbers):
-        return np.array([[n >> i & 1 for i in range(32)] for n in numbers]).ravel()
-
-    rng = np.random.default_rng(1)
-    turned = []
-    for _ in range(20):
-        counter, key = rng.integers(0, WORD, 4).tolist(), rng.integers(0, WORD, 2).tolist()
-        base = bits(words(counter, key))
-        for place in range(6):
-            for bit in range(0, 32, 5):
-                other = [*counter, *key]
-                other[place] ^= 1 << bit
-                turned.append(np.sum(base != bits(words(other[:4], other[4:]))))
-    # Binomial with n = 128, p = 1/2: mean 64, variance 32.
-    z = (np.mean(turned) - 64) / sqrt(32 / len(turned))
-    assert abs(z) < Z_SCORE
-    assert np.var(turned) == pytest.approx(32, rel=0.2)
-    assert min(turned) > 64 - 6 * sqrt(32)
-
-
-@pytest.mark.compiled_only
-@pytest.mark.parametrize("by_index", [False, True])
-@pytest.mark.parametrize("column", range(4))
-def test_words_are_uniform(column, by_index):
-    numbers = block(by_index=by_index)[:, column] / WORD
-    assert stats.kstest(numbers, "uniform").pvalue > P_VALUE
-    counts = np.bincount((numbers * 256).astype(int), minlength=256)
-    assert stats.chisquare(counts).pvalue > P_VALUE
-    for power in (1, 2, 3):
-        mean, square = 1 / (power + 1), 1 / (2 * power + 1)
-        sigma = sqrt((square - mean**2) / COUNT)
-        assert abs(np.mean(numbers**power) - mean) < Z_SCORE * sigma
-
-
 def correlation_z(a, b):
     """Return the z-score of a correlation that is zero where `a` and `b` are independent."""
     return np.corrcoef(a, b)[0, 1] * sqrt(len(a))
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        {"seed": 1},
-        {"seed": WORD},
-        {"learner": 1},
-        {"stream": 2},
-        {"stream": 12},
-        {"by_index": True},
-    ],
-    ids=str,
-)
-@pytest.mark.compiled_only
-def test_seeds_learners_streams_and_episodes_are_independent(other):
-    here, there = block()[1:] / WORD, block(**other)[1:] / WORD
-    for column in range(4):
-        assert abs(correlation_z(here[:, column], there[:, column])) < Z_SCORE
-        both = np.histogram2d(here[:, column], there[:, column], bins=8)[0]
-        assert stats.chisquare(both.ravel()).pvalue > P_VALUE
 
 
 def test_no_two_purposes_share_a_stream():
@@ -178,17 +96,18 @@ def test_a_pair_is_that_of_box_and_muller(word0, word1):
 
 
 @kernel
-def normals(numbers, out):
-    """Make pairs of normal numbers of words."""
-    for i in range(numbers.shape[0]):
-        out[i, 0], out[i, 1] = normal_pair(numbers[i, 0], numbers[i, 1])
-        out[i, 2], out[i, 3] = normal_pair(numbers[i, 2], numbers[i, 3])
+def normals(out, seed):
+    """Make pairs of normal numbers of the words of each step."""
+    for i in range(out.shape[0]):
+        a, b, c, d = philox(seed, i, 0, 0, 1)
+        out[i, 0], out[i, 1] = normal_pair(a, b)
+        out[i, 2], out[i, 3] = normal_pair(c, d)
 
 
 @pytest.mark.compiled_only
 def test_pairs_are_standard_normal_and_independent():
     out = np.zeros((COUNT, 4))
-    normals(block(seed=2), out)
+    normals(out, 2)
     for column in out.T:
         assert stats.kstest(column, "norm").pvalue > P_VALUE
         # Moments of a standard normal number and their standard errors.

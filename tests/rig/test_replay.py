@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from equipoise.control.policy import shipped_policy
-from equipoise.errors import ArtefactError
 from equipoise.logs.run_log import RunLog
 from equipoise.rig.simulate import simulate_run
 from tests.faults.harness import FaultHarness, Scenario, Trigger
@@ -35,13 +34,13 @@ def run(rig_log):
 
 def test_a_whole_course_comes_out_bit_for_bit(run):
     found = replay(run, shipped_policy())
-    assert found == (len(run.tables["tick"]), True, 0.0, None)
+    assert found == (len(run.tables["tick"]), True, None)
 
 
 def test_a_log_that_breaks_off_comes_out_as_far_as_it_goes(broken_off):
     run = RunLog.load(broken_off, damaged=True)
     found = replay(run, shipped_policy())
-    assert found == (len(run.tables["tick"]), False, 0.0, None)
+    assert found == (len(run.tables["tick"]), False, None)
 
 
 def test_the_first_difference_is_named_with_its_tick(run):
@@ -53,35 +52,12 @@ def test_the_first_difference_is_named_with_its_tick(run):
     assert first.replayed == run.tables["tick"]["u"][tick]
 
 
-def test_a_setpoint_that_was_not_sent_is_found(run):
-    place = int(np.searchsorted(run.tables["stream"]["time"], run.tables["tick"]["time"][500])) + 1
-    q = run.tables["stream"]["q"][place] + 1e-12 * np.eye(7)[3]
-    first = replay(changed(run, "stream", place, q=q), shipped_policy()).difference
-    assert (first.tick, first.what) == (500, "second setpoint of joint 4")
-    assert replay(
-        changed(run, "stream", place, q=q), shipped_policy(), tolerance=1e-11
-    ).largest == pytest.approx(1e-12, rel=1e-3)
-
-
-def test_another_policy_or_actuator_is_refused(run, small_policy):
-    with pytest.raises(ArtefactError, match="give the policy that ran"):
-        replay(run, small_policy)
-    with pytest.raises(ArtefactError, match="give the actuator that ran"):
-        replay(run, shipped_policy(), small_policy.actuator)
-
-
 def test_a_run_on_a_twin_comes_out_bit_for_bit():
     log = simulate_run(shipped_policy(), world="twin:harsh", seed=4, duration=1.0)
-    assert replay(log, shipped_policy()) == (len(log.time), True, 0.0, None)
+    assert replay(log, shipped_policy()) == (len(log.time), True, None)
     other = changed(log, "tick", 30, u=log.u[30] + 0.5)
     first = replay(other, shipped_policy()).difference
     assert (first.tick, first.what) == (30, "u")
-
-
-def test_a_run_on_the_model_does_not_hold_what_a_replay_needs(small_policy):
-    log = simulate_run(small_policy, duration=0.2)
-    with pytest.raises(ArtefactError, match="replay a run on a twin or a rig"):
-        replay(log, small_policy)
 
 
 STALLS = {
@@ -108,4 +84,4 @@ def test_a_run_with_stalls_replays_to_the_bit(tmp_path, stall):
     assert (rows < 2 * ticks) is (stall in ("second setpoint", "link"))
     replayed = replay(log, scenario.policy)
     assert replayed.difference is None
-    assert (replayed.ticks, replayed.largest) == (ticks, 0.0)
+    assert replayed.ticks == ticks

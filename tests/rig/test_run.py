@@ -5,7 +5,6 @@ import pytest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.control.ticks import OperatorMessage
-from equipoise.errors import InputError
 from equipoise.identification.actuator import identify_motion
 from equipoise.logs.recorder import Recorder, read_events
 from equipoise.logs.run_log import RunLog
@@ -19,7 +18,6 @@ from equipoise.rig.plugins import ignore
 from equipoise.rig.request import RunRequest, describe_fit
 from equipoise.rig.run import OperatorChannel, run_virtually
 from equipoise.rig.run_controller import PHASES
-from tests.logs.made_up import full_disk
 from tests.rig.replayed import replay
 
 pytestmark = pytest.mark.compiled_only
@@ -156,15 +154,6 @@ def test_a_dry_run_moves_nothing(tmp_path):
     assert len(RunLog.load(out, damaged=True).tables["stream"]) == 0
 
 
-def test_a_log_that_a_full_disk_cut_is_not_passed_over_in_silence(tmp_path):
-    whole = tmp_path / "whole.mcap"
-    on_the_twin(request(dry_run=True), whole)
-    spy = Spy()
-    with full_disk(whole.stat().st_size - 50):
-        on_the_twin(request(dry_run=True), tmp_path / "run.mcap", spy)
-    assert spy.names[-1] == "warning"
-
-
 class Script:
     """Types all it has to say at once."""
 
@@ -225,11 +214,6 @@ def test_a_stop_that_came_with_the_last_answer_is_heard_in_the_first_tick():
     outcome = run_virtually(wanted, None, rig=rig, operator=script)
     assert (outcome.outcome, outcome.lasted) == ("operator", 0.0)
     assert "stopped by the operator (stop)" in script.told
-
-
-def test_a_policy_for_another_arm_is_refused():
-    with pytest.raises(InputError, match="policy and arm"):
-        on_the_twin(request(settings=RigSettings(arm="iiwa14")))
 
 
 # The speed of the flange.

@@ -6,11 +6,9 @@ from scipy.integrate import solve_ivp
 
 from equipoise import paper
 from equipoise.control.policy import TabularPolicy
-from equipoise.model.random import SELECTION, TARGET_TEST, TEST
 from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.rig.simulate import DEPLOYMENT, simulate_run
 from equipoise.worlds.plant import make_loop_params
-from equipoise.worlds.trials import draw_trials
 from tests.worlds.recorded import on_the_plant, run_all
 
 
@@ -26,15 +24,6 @@ def test_equal_seed_gives_equal_bits_and_another_seed_another_run(run, small_pol
     assert other.conditions.pendulum != run.conditions.pendulum
 
 
-def test_the_log_says_what_ran(run, small_policy):
-    conditions = run.conditions
-    assert conditions.policy == small_policy.digest
-    assert conditions.arm == small_policy.arm
-    assert conditions.joints == tuple(joint.name for joint in small_policy.arm.joints)
-    assert conditions.settings == small_policy.settings
-    assert (conditions.seed, conditions.duration, conditions.h) == (5, 0.6, small_policy.h)
-
-
 def test_it_starts_as_a_release_leaves_the_pendulum(run):
     x, x_dot, phi, phi_dot = run.conditions.start
     assert (x, x_dot) == (0.0, 0.0)
@@ -44,12 +33,6 @@ def test_it_starts_as_a_release_leaves_the_pendulum(run):
     # Home is found to the tolerance of the posture's iteration, 1e-12.
     first = (run.x[0], run.x_dot[0], run.phi[0], run.phi_dot[0])
     np.testing.assert_allclose(first, run.conditions.start, atol=1e-9)
-
-
-def test_it_shares_its_numbers_with_no_other_trial(small_policy, run):
-    for stream in (SELECTION, TARGET_TEST, TEST):
-        others = draw_trials(50, small_policy.settings, 5, stream, spread=1.0)
-        assert not np.any(np.isclose(others.start[:, 2], run.conditions.start[2]))
 
 
 def test_each_command_is_that_of_the_table(run, small_policy):
@@ -93,13 +76,6 @@ def test_what_the_policy_saw_is_the_truth(run, small_policy):
     home = arm.pose(arm.home_free).position[0]
     flange = [arm.pose(arm.without_held(q)).position[0] for q in run.truth.q]
     np.testing.assert_allclose(np.array(flange) - home, run.truth.x, atol=1e-12)
-
-
-def test_the_ideal_model_has_neither_a_rig_nor_an_actuator(run):
-    conditions = run.conditions
-    assert (conditions.actuator, conditions.counts_per_rev) == ("ideal", None)
-    assert (conditions.world_settings, conditions.zero_error) == (None, None)
-    assert len(run.stream.time) == len(run.replies.time) == len(run.encoder.time) == 0
 
 
 def test_the_tracked_acceleration_is_the_change_of_the_pivots_velocity(run, small_policy):

@@ -65,20 +65,6 @@ def test_a_servo_follows_all_seven_joints_after_the_transport():
     assert np.abs(shown(bench) - target).max() < 5e-3
 
 
-def test_without_a_servo_targets_do_nothing_and_a_new_one_begins_at_the_measured_joints():
-    bench, clock = stand()
-    before = shown(bench)
-    bench.body.target(before + 0.3)
-    wait(clock, 0.3)
-    assert np.abs(shown(bench) - before).max() < 5e-3
-    bench.body.servo(True)
-    bench.body.target(before + 0.05)
-    bench.body.servo(False)
-    bench.body.servo(True)
-    wait(clock, 0.3)
-    assert np.abs(shown(bench) - before).max() < 5e-3
-
-
 def swept(bench, clock, until):
     """Sweep joint 1 at 0.5 rad/s."""
     bench.body.servo(True)

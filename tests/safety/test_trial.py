@@ -13,14 +13,13 @@ from equipoise.control.control_step import (
     make_controller_params,
     new_controller_state,
 )
-from equipoise.control.grid import SAFETY_STOP
 from equipoise.jit import kernel
 from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import read_world
-from equipoise.outcomes import SAFETY_RULES, TRIAL_OUTCOMES, Outcome
+from equipoise.outcomes import SAFETY_RULES, Outcome
 from equipoise.safety import rules
 from equipoise.safety.rules import (
     NO_VIOLATION,
@@ -37,7 +36,6 @@ from equipoise.safety.rules import (
     newest_before,
     next_error_time,
     overloaded_joint,
-    stopping_reach,
     update_monitor,
 )
 from equipoise.safety.trial import (
@@ -311,14 +309,3 @@ def test_an_arm_is_expected_where_it_was_sent_before_its_reaction(measured_at, e
     assert setpoint_violation(tick.watching, ARM.home_free + joint(4, 0.034), 1.0) == NO_VIOLATION
     said = {tick(measured_at=measured_at) for _ in range(6)}
     assert (Outcome.FOLLOWING in said) == error_time
-
-
-def test_a_code_names_the_rule():
-    assert TRIAL_OUTCOMES[SAFETY_STOP:] == SAFETY_RULES
-    assert TRIAL_OUTCOMES[SAFETY_STOP + rules.TRACK_CODE] is Outcome.TRACK
-
-
-def test_the_reach_of_a_stop_is_that_of_the_issue():
-    T, u, v, x = 0.03, 2.0, 0.5, 0.1
-    expected = x + v * T + 0.5 * u * T**2 + (v + u * T) ** 2 / 8.0
-    assert stopping_reach(x, v, T, u) == pytest.approx(expected)

@@ -15,10 +15,6 @@ from equipoise.control.ticks import OperatorMessage, TickInputs, TickOutput
 from equipoise.logs.columns import tables
 from equipoise.outcomes import describe
 
-BUFFERED: Final = 10.0
-"""Time span of the rows that a ring holds [s]."""
-OPERATOR_BUFFER: Final = 256
-"""Capacity of each ring between operator and loop [rows]."""
 RATES: Final[Mapping[str, float]] = {
     "tick": 100.0,
     "stream": 200.0,
@@ -197,9 +193,9 @@ def _memory_layout(joints: int) -> np.dtype[Any]:
     """Return the memory of a recorder: counters, pulse, and the rows of each ring."""
     kinds = tables(joints)
     counters = ("counters", np.int64, (len(RINGS), 3))
-    rows = [(name, kinds[name], round(rate * BUFFERED)) for name, rate in RATES.items()]
+    rows = [(name, kinds[name], round(10.0 * rate)) for name, rate in RATES.items()]
     words = {"notices": EVENT, "typed": WORD, "console": ANSWER}
-    operator = [(name, kind, OPERATOR_BUFFER) for name, kind in words.items()]
+    operator = [(name, kind, 256) for name, kind in words.items()]
     pulse, question = ("pulse", PULSE), ("question", EVENT, 1)
     return np.dtype([counters, pulse, question, *rows, *operator])
 

@@ -2,7 +2,7 @@
 
 `ideal` is the paper's plant, whose arm has no delay; `model` is the training plant, with the
 identified actuator. `twin:nominal` and others of `WORLDS` are named, frozen parameter sets of the
-digital twin, each with what is known and what is guessed about it; `twin:FILE` is a TOML file of
+digital twin; `twin:FILE` is a TOML file of
 differences to nominal.
 
 A twin's pendulum has the identified friction: viscous, dry and drag. A world may override dry
@@ -139,39 +139,20 @@ class PivotFriction(Value):
     """Origin of the dry friction."""
     drag_from: FrictionSource
     """Origin of the drag."""
-    own_coulomb: Number
-    """Identified dry friction of the pendulum over inertia [1/s^2]; zero if not identified."""
-    own_drag: Number
-    """Identified quadratic drag of the pendulum over inertia [1/rad]."""
 
     def on(self, pendulum: "PendulumParameters") -> "PendulumParameters":
         """Return a pendulum with the overridden frictions."""
-        overrides = {
-            name: float(getattr(self, name))
-            for name in ("coulomb", "drag")
-            if getattr(self, f"{name}_from") != "pendulum"
-        }
-        return pendulum._replace(**overrides)
+        coulomb = pendulum.coulomb if self.coulomb_from == "pendulum" else self.coulomb
+        drag = pendulum.drag if self.drag_from == "pendulum" else self.drag
+        return pendulum._replace(coulomb=coulomb, drag=drag)
 
-    def describe(self, world: str) -> str:
-        """Return the frictions as text, with their units and origins.
-
-        Args:
-            world: Name of the world.
-        """
-        identified = "as identified"
-        if self.coulomb_from == "world":
-            origin = f"set by {world}; the pendulum has {self.own_coulomb:.3g}"
-        elif self.coulomb_from == "assumed":
-            origin = f"assumed by {world}; not identified for this pendulum"
-        else:
-            origin = identified
-        text = f"dry friction {self.coulomb:.3g} 1/s^2 ({origin})"
-        if self.drag == self.own_drag == 0.0:
-            return text
-        if self.drag_from == "world":
-            identified = f"set by {world}; the pendulum has {self.own_drag:.3g}"
-        return f"{text}, drag {self.drag:.3g} 1/rad ({identified})"
+    @property
+    def text(self) -> str:
+        """Both frictions with their units and origins."""
+        return (
+            f"dry friction {self.coulomb:.3g} 1/s^2 ({self.coulomb_from}), "
+            f"drag {self.drag:.3g} 1/rad ({self.drag_from})"
+        )
 
 
 def pivot_friction(pendulum: "Pendulum", settings: TwinSettings) -> PivotFriction:
@@ -195,8 +176,6 @@ def pivot_friction(pendulum: "Pendulum", settings: TwinSettings) -> PivotFrictio
         drag=drag,
         coulomb_from=coulomb_from,
         drag_from=drag_from,
-        own_coulomb=pendulum.coulomb.value,
-        own_drag=pendulum.drag.value,
     )
 
 
@@ -236,76 +215,25 @@ class World(NamedTuple):
     """Parameters of the twin."""
 
 
-class WorldPreset(NamedTuple):
-    """Frozen parameter set of the digital twin."""
-
-    changes: Mapping[str, Any]
-    """Differences to the defaults of `TwinSettings`."""
-    known: str
-    """What is known about such a cabinet, with its source."""
-    guessed: str
-    """What is guessed about it."""
-
-
-WORLDS: Final[Mapping[str, WorldPreset]] = {
-    "nominal": WorldPreset(
-        {},
-        known="The server's shaping law and cycle, from its source; the masses of the links. The "
-        "rotor inertias are those of the predecessor of the iiwa, the KUKA LWR.",
-        guessed="10 ms of transport. The drives reach a destination within a cycle, through a "
-        "first-order lag of 8 ms.",
-    ),
-    "harsh": WorldPreset(
-        {
-            "transport": 0.030,
-            "counts_per_rev": 4096,
-            "assumed_coulomb": 0.3,
-            "zero_error": radians(0.4),
-            "inertia_sigma": 0.04,
-            "friction_sigma": 0.4,
-        },
-        known="As nominal.",
-        guessed="As nominal, with 30 ms of transport, half the encoder's counts, three times the "
-        "dry friction, and twice the errors of zero, inertia and friction.",
-    ),
-    "light-rotors": WorldPreset(
-        {"rotor_inertia": LIGHT_ROTOR},
-        known="As nominal; published rotor inertias are 20 to 160 times as large.",
-        guessed="Rotor inertias of 0.02 kg m^2, so that the load disturbs the drives of the wrist.",
-    ),
-    "bare": WorldPreset(
-        {"rotor_inertia": 0.0},
-        known="As nominal; a joint without a rotor does not exist.",
-        guessed="No rotor inertia: the drive of A7 knows the 0.0003 kg m^2 of its link alone, a "
-        "tenth of bracket and pendulum.",
-    ),
-    "pd": WorldPreset(
-        {"inner": "pd"},
-        known="As nominal.",
-        guessed="The drives control the position, critically damped at 125 rad/s. Behind the law "
-        "they reach a destination in 16 ms instead of 1 ms.",
-    ),
-    "trajectory40": WorldPreset(
-        {"inner": "trajectory40"},
-        known="As nominal; the server's source requests a minimum trajectory execution time of "
-        "40 ms.",
-        guessed="The drives take these 40 ms to each destination.",
-    ),
-    "smart60": WorldPreset(
-        {"shaped": False, "transport": 0.044, "inner": "pd"},
-        known="A program with KUKA's SmartServo sets destinations without the shaping law of KST. "
-        "A total delay of about 60 ms is reported, without a published measurement.",
-        guessed="Its split: 44 ms of transport, and drives that control the position, critically "
-        "damped at 125 rad/s, 16 ms behind a ramp. SmartServo plans its own trajectories.",
-    ),
-    "fri": WorldPreset(
-        {"shaped": False, "transport": 0.003, "inner": "pd"},
-        known="KUKA's FRI takes a position every 1 to 5 ms, without a shaping law.",
-        guessed="A setpoint takes effect after 2 to 4 ms. The drives control the position, "
-        "critically damped at 125 rad/s, 16 ms behind a ramp.",
-    ),
+WORLDS: Final[Mapping[str, Mapping[str, Any]]] = {
+    "nominal": {},
+    "harsh": {
+        "transport": 0.030,
+        "counts_per_rev": 4096,
+        "assumed_coulomb": 0.3,
+        "zero_error": radians(0.4),
+        "inertia_sigma": 0.04,
+        "friction_sigma": 0.4,
+    },
+    "light-rotors": {"rotor_inertia": LIGHT_ROTOR},
+    "bare": {"rotor_inertia": 0.0},
+    "pd": {"inner": "pd"},
+    "trajectory40": {"inner": "trajectory40"},
+    "smart60": {"shaped": False, "transport": 0.044, "inner": "pd"},
+    "fri": {"shaped": False, "transport": 0.003, "inner": "pd"},
 }
-"""Frozen parameter sets by name."""
+"""Frozen parameter sets of the digital twin by name: differences to the defaults of `TwinSettings`.
+What is known and what is guessed about each stands in docs/how-to/digital-twin.md."""
 
 
 EFFECTS: Final[Mapping[str, Mapping[str, float]]] = {
@@ -349,7 +277,7 @@ def read_world(name: str) -> World:
         raise SettingsError(f"there is no world {quoted(name)}; choose {IDEAL}, {MODEL}, {twins}")
     which = name.removeprefix(PREFIX)
     if which in WORLDS:
-        return World(PREFIX + which, TwinSettings.model_validate(WORLDS[which].changes))
+        return World(PREFIX + which, TwinSettings.model_validate(WORLDS[which]))
     file = Path(which)
     try:
         which.encode()
@@ -362,7 +290,7 @@ def read_world(name: str) -> World:
             f"there is no world {quoted(name)}: no set of that name, and no such file; choose one "
             f"of {', '.join(WORLDS)}, or give a TOML file"
         )
-    differences = {**WORLDS["nominal"].changes, **read_toml(file, "the numbers of a world")}
+    differences = read_toml(file, "the numbers of a world")
     try:
         return World(name, TwinSettings.model_validate(differences))
     except ValidationError as error:

@@ -31,10 +31,6 @@ MAX_UNANSWERED: Final = 0.020
 """Time without a reply after which no setpoint is sent until the replies have come [s], while the
 arm moves: a link that stands still delivers all setpoints at once, and the arm then goes to the
 last one at its highest speed. A round trip takes 1 to 4 ms."""
-LOOP_STALLED: Final = "The computer stood still: `equipoise rig doctor` looks for the cause."
-"""Warning of a stall of the loop."""
-PUNCTUAL: Final = frozenset({Phase.ARMED, Phase.STOPPING})
-"""Phases in which late ticks count though Enter does not stop; they count in all that move."""
 PHASES: Final = tuple(Phase)
 """Phases by the index that logs use."""
 
@@ -75,7 +71,8 @@ class RunController(RunContext):
         missed = missed_ticks(inputs.lateness, h)
         late = max(inputs.lateness - missed * h, 0.0)
         if inputs.paused(h):
-            self.begin_anew(missed, inputs.unsent, LOOP_STALLED)
+            warning = "The computer stood still: `equipoise rig doctor` looks for the cause."
+            self.begin_anew(missed, inputs.unsent, warning)
         self._take_measurements(inputs)
         self._take_lines(inputs.lines)
         self.result, self.job = inputs.result, None
@@ -150,7 +147,7 @@ class RunController(RunContext):
     def _safety_inputs(self, now: float, lateness: float) -> SafetyInputs:
         """Return the inputs of the safety rules, with the estimate of the tick before."""
         joints, balancing = self.joints, self.phase.kind is Phase.BALANCING
-        punctual = self.phase.moves or self.phase.kind in PUNCTUAL
+        punctual = self.phase.moves or self.phase.kind in (Phase.ARMED, Phase.STOPPING)
         if joints.known_since == inf or (not punctual and missed_ticks(lateness, self.h)):
             joints.known_since = now  # a late loop reads late; nothing moves meanwhile
         # The lateness of the loop itself is not the robot's delay.

@@ -19,7 +19,7 @@ from equipoise.artefacts import Name, Value, first_fault, shortened, value_diges
 from equipoise.errors import ArmError
 from equipoise.jit import function_pointer
 from equipoise.model.arms.chain import FREE_JOINTS, Chain, Floats, Triple, links, wrist_centre
-from equipoise.model.arms.compiler import FRAME_SIZE, PARTS, ArmFunctions, KinematicsFunction, load
+from equipoise.model.arms.compiler import FRAME_SIZE, PARTS, KinematicsFunction, load
 from equipoise.model.elementary import BATCH_SIZE
 
 T = TypeVar("T")
@@ -180,7 +180,8 @@ class Arm(_Described):
             raise ValueError(f"held joint is {held}; give a number from 1 to {n}")
         free = n - (held is not None)
         if free != FREE_JOINTS:
-            raise ValueError(f"{free} free joints, expected six; {_which_to_hold(self.joints)}")
+            names = ", ".join(joint.name for joint in self.joints)
+            raise ValueError(f"{free} free joints, expected six; hold one of seven ({names})")
         if len(self.home) != n:
             raise ValueError(f"home has {len(self.home)} angles; give one for each of {n} joints")
         if held is not None and not isclose(self.home[held - 1], self.held_angle, abs_tol=1e-9):
@@ -259,7 +260,7 @@ class Arm(_Described):
         )
         q_block[::BATCH_SIZE] = (float(angle) for angle in q)
         dq_block[::BATCH_SIZE] = (float(rate) for rate in dq)
-        _functions(self).kinematics(q_block, dq_block, frame, 1)
+        _functions(self)[0](q_block, dq_block, frame, 1)
         position, R, twist, bias, J = np.split(np.array(frame[::BATCH_SIZE]), PARTS[1:])
         return Kinematics(position, R.reshape(3, 3), twist, bias, J.reshape(6, FREE_JOINTS))
 
@@ -270,13 +271,6 @@ class Arm(_Described):
     def compiled(self) -> ArmKernel:
         """Return the arm for kernels; the first call compiles or loads its kinematics."""
         return _compiled(self)
-
-
-def _which_to_hold(joints: Sequence[Joint]) -> str:
-    if len(joints) != FREE_JOINTS + 1:
-        return "give an arm with six joints, or with seven of which one is held"
-    names = ", ".join(f"{number} ({joint.name})" for number, joint in enumerate(joints, start=1))
-    return f"hold one of {names}"
 
 
 def _shape(arm: Arm, *, limits: bool) -> str:
@@ -290,7 +284,7 @@ def _shape(arm: Arm, *, limits: bool) -> str:
 
 
 @functools.lru_cache(maxsize=64)
-def _functions(arm: Arm) -> ArmFunctions:
+def _functions(arm: Arm) -> tuple[KinematicsFunction, KinematicsFunction]:
     return load(arm.chain)
 
 

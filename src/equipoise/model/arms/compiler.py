@@ -28,7 +28,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -44,15 +44,6 @@ KinematicsFunction = Callable[[Any, Any, Any, int], None]
 [rad/s] and writes the records of the first `lanes` lanes."""
 
 
-class ArmFunctions(NamedTuple):
-    """Generated functions of an arm."""
-
-    kinematics: KinematicsFunction
-    """Writes whole records."""
-    motion: KinematicsFunction
-    """Writes position, rotation and twist of the records, with the same bits."""
-
-
 POSITION, ROTATION, TWIST, BIAS, JACOBIAN = PARTS = (0, 3, 12, 18, 24)
 """First row of each part of a record."""
 FRAME_SIZE: Final = 60
@@ -64,8 +55,6 @@ COMMITTED: Final = ("iiwa7", "iiwa14")
 """Names of the arms whose modules are part of the package."""
 COMMITTED_FOLDER: Final = Path(__file__).parent / "generated"
 """Folder of these modules."""
-
-INDEX: Final = re.compile(r"\[[^]]*\]")
 
 Axes = tuple[Vector, Vector, Vector]
 """Columns of a rotation."""
@@ -189,7 +178,9 @@ def source(chain: Chain) -> str:
 
 def operations(lines: Iterable[str]) -> int:
     """Return the number of sums, differences and products in lines of a generated function."""
-    formulas = (INDEX.sub("", line) for line in lines if "#" not in line and " = " in line)
+    formulas = (
+        re.sub(r"\[[^]]*\]", "", line) for line in lines if "#" not in line and " = " in line
+    )
     counts = {" + ": 1, " - ": 1, " * ": 1, "fma(": 2}
     return sum(formula.count(sign) * n for formula in formulas for sign, n in counts.items())
 
@@ -199,21 +190,23 @@ def _function(name: str, rows: str, lines: Iterable[str]) -> str:
     return FUNCTION.format(name=name, rows=rows, body=body)
 
 
-def load(chain: Chain) -> ArmFunctions:
-    """Return the functions of a chain: plain functions of a real file."""
+def load(chain: Chain) -> tuple[KinematicsFunction, KinematicsFunction]:
+    """Return the functions of a chain, plain functions of a real file.
+
+    Returns:
+        `kinematics`, which writes whole records, and `motion`, which writes position, rotation and
+        twist with the same bits.
+    """
     if chain.name in COMMITTED:
         module = importlib.import_module(f"equipoise.model.arms.generated.{chain.name}")
         if chain.digest == module.DIGEST:
-            return _functions(module)
+            return module.kinematics, module.motion
     path = cache_folder("arms") / f"{chain.digest.removeprefix('sha256:')}.py"
     text = source(chain)
     if not path.exists() or path.read_bytes() != text.encode():
         write_whole(path, text)
-    return _functions(_imported(path))
-
-
-def _functions(module: Any) -> ArmFunctions:
-    return ArmFunctions(module.kinematics, module.motion)
+    module = _imported(path)
+    return module.kinematics, module.motion
 
 
 @functools.cache

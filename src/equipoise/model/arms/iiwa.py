@@ -12,7 +12,7 @@ tangential: A1 does most of the motion and the arm is far from its limits on the
 """
 
 from math import radians
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 
 from equipoise.artefacts import write_whole
 from equipoise.errors import ArmError
@@ -36,27 +36,20 @@ MEDIA_FLANGES: Final = (0.0, 0.035, 0.061)
 """Heights of KUKA's media flanges: none, electric or pneumatic, touch pneumatic [m]."""
 
 
-class _Model(NamedTuple):
-    d: tuple[float, float, float, float]
-    """Base to shoulder, shoulder to elbow, elbow to wrist, wrist to flange [m]."""
-    speed_deg: tuple[float, ...]
-    """Velocity limits [deg/s]."""
-    torque: tuple[float, ...]
-    """Torque limits [N m]."""
-
-
 _MODELS: Final = {
-    7: _Model(
-        d=(0.34, 0.40, 0.40, 0.126),
-        speed_deg=(98.0, 98.0, 100.0, 130.0, 140.0, 180.0, 180.0),
-        torque=(176.0, 176.0, 110.0, 110.0, 110.0, 40.0, 40.0),
+    7: (
+        (0.34, 0.40, 0.40, 0.126),
+        (98.0, 98.0, 100.0, 130.0, 140.0, 180.0, 180.0),
+        (176.0, 176.0, 110.0, 110.0, 110.0, 40.0, 40.0),
     ),
-    14: _Model(
-        d=(0.36, 0.42, 0.40, 0.126),
-        speed_deg=(85.0, 85.0, 100.0, 75.0, 130.0, 135.0, 135.0),
-        torque=(320.0, 320.0, 176.0, 176.0, 110.0, 40.0, 40.0),
+    14: (
+        (0.36, 0.42, 0.40, 0.126),
+        (85.0, 85.0, 100.0, 75.0, 130.0, 135.0, 135.0),
+        (320.0, 320.0, 176.0, 176.0, 110.0, 40.0, 40.0),
     ),
 }
+"""Lengths from base to shoulder, elbow, wrist and flange [m], velocity limits [deg/s] and torque
+limits [N m] of each size."""
 
 
 def iiwa(size: Literal[7, 14], *, media_flange: float = 0.0) -> Arm:
@@ -78,8 +71,7 @@ def iiwa(size: Literal[7, 14], *, media_flange: float = 0.0) -> Arm:
     if media_flange not in MEDIA_FLANGES:
         heights = ", ".join(f"{height:g}" for height in MEDIA_FLANGES)
         raise ArmError(f"media flange of {media_flange:g} m; choose one of {heights} m")
-    model = _MODELS[size]
-    base, upper_arm, forearm, hand = model.d
+    (base, upper_arm, forearm, hand), speeds_deg, torques = _MODELS[size]
     # d runs along the joint's own axis, which is the twisted z of the frame before it.
     along_y = (0.0, 0.0, -upper_arm, 0.0, forearm, 0.0, 0.0)
     joints = tuple(
@@ -94,7 +86,7 @@ def iiwa(size: Literal[7, 14], *, media_flange: float = 0.0) -> Arm:
             torque=torque,
         )
         for number, (y, alpha, limit, speed, torque) in enumerate(
-            zip(along_y, ALPHA_DEG, LIMIT_DEG, model.speed_deg, model.torque, strict=True), start=1
+            zip(along_y, ALPHA_DEG, LIMIT_DEG, speeds_deg, torques, strict=True), start=1
         )
     )
     return Arm(

@@ -10,18 +10,12 @@ from collections.abc import Sequence
 from math import acos, atan2, hypot
 from typing import Final, NamedTuple
 
-from equipoise.model.arms.arm import Arm, Inertial, Joint
+from equipoise.model.arms.arm import Arm, Joint
 from equipoise.model.arms.chain import Triple, rpy_from_rotation
 from equipoise.model.arms.scene import SIZES
 
-MOMENTS: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-"""Attributes of <inertia>, in the order of `Inertial.inertia`."""
 PENDULUM: Final = "pendulum"
 """Name of the pendulum's link and joint."""
-SHELL: Final = "0.9 0.9 0.92 1"
-"""Colour of the arm, RGBA."""
-BLUE: Final = "0.0 0.45 0.7 1"
-"""Colour of the pendulum, RGBA."""
 UPRIGHT: Final = (0.0, 1.0, 0.0)
 """Axis of the pendulum, base y at home."""
 
@@ -72,7 +66,7 @@ def describe_links(arm: Arm, *, pendulum: bool = False) -> list[UrdfLink]:
 def write_urdf(arm: Arm, *, pendulum: bool = False) -> str:
     """Return an arm as the text of a URDF file; `read_urdf` with `tip="flange"` reads it again.
 
-    URDF cannot hold acceleration limits, the home posture and the held joint.
+    Left out are masses, acceleration limits, the home posture and the held joint.
 
     Args:
         arm: The arm.
@@ -85,13 +79,15 @@ def write_urdf(arm: Arm, *, pendulum: bool = False) -> str:
     for link in links:
         element = ElementTree.SubElement(robot, "link", name=link.name)
         following = next((other.xyz for other in links if other.parent == link.name), None)
-        moving = joints.get(link.joint)
-        if moving is not None and moving.link is not None:
-            _inertial(element, moving.link)
         if link.name == PENDULUM:
-            _rod(element, (0.0, 0.0, SIZES.rod_length), SIZES.rod, BLUE)
+            _rod(element, (0.0, 0.0, SIZES.rod_length), SIZES.rod, "0.0 0.45 0.7 1")
         elif following is not None and hypot(*following) > 0.0:
-            _rod(element, following, 0.6 * SIZES.link if link.turns else SIZES.bracket, SHELL)
+            _rod(
+                element,
+                following,
+                0.6 * SIZES.link if link.turns else SIZES.bracket,
+                "0.9 0.9 0.92 1",
+            )
     for link in links:
         _joint(robot, link, joints.get(link.joint))
     ElementTree.indent(robot)
@@ -113,16 +109,8 @@ def _joint(robot: ElementTree.Element, link: UrdfLink, joint: Joint | None) -> N
         ElementTree.SubElement(element, "limit", texts)
 
 
-def _inertial(link: ElementTree.Element, of: Inertial) -> None:
-    element = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(element, "origin", xyz=_text(of.com), rpy="0 0 0")
-    ElementTree.SubElement(element, "mass", value=repr(of.mass))
-    moments = {name: repr(moment) for name, moment in zip(MOMENTS, of.inertia, strict=True)}
-    ElementTree.SubElement(element, "inertia", moments)
-
-
 def _rod(link: ElementTree.Element, end: Triple, radius: float, colour: str) -> None:
-    """Add a cylinder from the link's origin to `end` [m]."""
+    """Add a cylinder from the link's origin to `end` [m], of a colour in RGBA."""
     x, y, z = end
     length = hypot(x, y, z)
     visual = ElementTree.SubElement(link, "visual")

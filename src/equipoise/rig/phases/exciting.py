@@ -2,16 +2,12 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Final
 
 from equipoise.control.actuator_choice import MotionRecord
 from equipoise.outcomes import End, Outcome, Phase
 from equipoise.printable import printable
 from equipoise.rig.phases.context import Excitation, RunContext, RunPhase, Setpoints
 from equipoise.rig.phases.release import Lifting
-
-REST_AFTER_EXCITATION: Final = 0.3
-"""Record after the excitation [s]."""
 
 
 class Exciting(RunPhase):
@@ -64,7 +60,7 @@ class Exciting(RunPhase):
             run.q, run.dq = second, tuple(speeds.tolist())
             return first, second
         over = (row - len(plan.setpoints)) * 0.5 * h
-        if over > REST_AFTER_EXCITATION and not self._measured:
+        if over > 0.3 and not self._measured:
             self._measured = True
             run.job = partial(plan.identify, *self._motion.values())
             run.notify("notice", "The arm is identified; this takes some seconds.")

@@ -1,15 +1,10 @@
 """The operator lifts the pendulum, holds it still, and releases it."""
 
-from typing import Final
-
 from equipoise.control.ticks import Sample
 from equipoise.outcomes import Phase
 from equipoise.rig.phases.balancing import Balancing
 from equipoise.rig.phases.context import RunContext, RunPhase, Setpoints
 from equipoise.rig.release import ReleaseDetector, ReleaseState
-
-NUDGE_INTERVAL: Final = 5.0
-"""Interval of the reminders to release an armed pendulum [s]."""
 
 
 class Lifting(RunPhase):
@@ -64,7 +59,7 @@ class Armed(RunPhase):
     def tick(self, now: float) -> Setpoints:
         """Wait for the release, in which the policy begins."""
         run, state = self.run, self._detector.state
-        interval = round(NUDGE_INTERVAL / run.h)
+        interval = round(5.0 / run.h)  # 5 s
         if self.ticks % interval == interval - 1:
             run.notify("nudge", "Let go. If it stands by itself, nudge it.")
         if state is ReleaseState.HELD:
