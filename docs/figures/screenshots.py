@@ -76,6 +76,10 @@ def take_console(folder: Path) -> Path:
                     if run.process.poll() is not None:
                         raise SystemExit("\n".join(run.lines))
                     press_now(page, "Yes") or press_now(page, "OK")
+                    for phase, act in (("lifting", "lift"), ("armed", "release")):
+                        if phase in shown(page, "#equipoise-state")[0]:
+                            rig.process.stdin.write(f"{act}\n")
+                            rig.process.stdin.flush()
                     time.sleep(0.2)
                 time.sleep(BALANCED)
                 save(page, "console")

@@ -121,10 +121,3 @@ def test_it_survives_a_client_that_vanishes_and_does_what_is_typed():
         assert len(pressed) > 0
         assert it.process.poll() is None
         assert it.end() == 0
-
-
-def test_a_port_that_is_taken_is_told(equipoise):
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        ran = equipoise("rig", "emulate", "--port", str(taken.getsockname()[1]))
-    assert ran.code == 3
-    assert "cannot listen" in ran.err

@@ -2,8 +2,6 @@
 
 import dataclasses
 import json
-import socketserver
-import threading
 import unicodedata
 from importlib.metadata import EntryPoint
 from itertools import count
@@ -43,8 +41,7 @@ def check(ran, *, shown=SHOWN):
 def test_output_escapes_whatever_it_is_given(capsys):
     output = Output(as_json=False)
     ways = (
-        lambda: output.say(HOSTILE),
-        lambda: output.say(Text(HOSTILE)),
+        lambda: output.tell(Text(HOSTILE)),
         lambda: output.tell(HOSTILE),
         lambda: output.warn(HOSTILE),
         lambda: output.result(**{HOSTILE: HOSTILE}),
@@ -107,12 +104,6 @@ def test_a_log(equipoise, twin_log, rig_log, verb):
             assert ran.json
 
 
-def test_a_recording(equipoise, tmp_path):
-    name = f"evil{ESCAPES}.csv"
-    (tmp_path / name).write_text("time_s,theta_rad\n0,0\n1,1\n")
-    check(equipoise("identify", name))
-
-
 def test_settings_worlds_and_rigs(equipoise, tmp_path):
     key = json.dumps(HOSTILE)
     (tmp_path / "bad.toml").write_text(f"{key} = 1\n", encoding="utf-8")
@@ -124,20 +115,6 @@ def test_settings_worlds_and_rigs(equipoise, tmp_path):
         check(equipoise(*arguments), shown=r"evil\x1b[2J\x1b]0;owned\x07")
 
 
-def test_a_robot_server(equipoise):
-    class Server(socketserver.BaseRequestHandler):
-        def handle(self):
-            self.request.recv(1000)
-            self.request.sendall(HOSTILE.encode() + b"\n")
-            self.request.recv(1000)
-
-    with socketserver.TCPServer(("127.0.0.1", 0), Server) as server:
-        threading.Thread(target=server.handle_request, daemon=True).start()
-        robot = f"kst://127.0.0.1:{server.server_address[1]}"
-        check(equipoise("rig", "doctor", "--robot", robot, "--seconds", "0.05"), shown=r"evil")
-
-
-ENDS = ("sys.exit(0)", f"raise BaseException({ESCAPES!r})", "raise GeneratorExit", "1 / 0")
 numbers = count()
 
 
@@ -145,48 +122,39 @@ numbers = count()
 def guest(tmp_path):
     """Write a module of code that ends the program; return its name."""
 
-    def write(text, end):
+    def write(text):
         name = f"hostile_guest_{next(numbers)}"  # a module is imported once
+        end = f"raise BaseException({ESCAPES!r})"
         (tmp_path / f"{name}.py").write_text(f"import sys\ndef end(*_):\n    {end}\n{text}\n")
         return name
 
     return write
 
 
-@pytest.mark.parametrize("end", ENDS[:2], ids=("exit", "base"))
 @pytest.mark.parametrize(
     ("text", "command"),
     [
         ("end()", "evaluate {}:end"),
-        ("__getattr__ = end", "evaluate {}:missing"),
         ("class P:\n    act, __init__ = end, end", "evaluate {}:P"),
-        ("end()", "train --reward {}:end"),
         ("def r(state, u, after, failed):\n    return end()", "train --reward {}:r"),
         ("def l(tables, transition, params):\n    end()", "train --learner {}:l"),
     ],
 )
-def test_code_of_a_guest(equipoise, guest, tmp_path, text, command, end):
-    ran = equipoise(*command.format(guest(text, end)).split())
+def test_code_of_a_guest(equipoise, guest, tmp_path, text, command):
+    ran = equipoise(*command.format(guest(text)).split())
     check(ran, shown="hostile_guest")
     assert ran.code == 2
     assert not list(tmp_path.glob("*.json"))
 
 
-@pytest.mark.parametrize("end", ENDS[2:], ids=("generator", "error"))
 @pytest.mark.parametrize(
     "command",
-    [
-        "deploy --robot own://x --encoder serial://x",
-        "rig doctor --robot own://x --seconds 0.05",
-    ],
+    ["deploy --robot own://x --encoder serial://x", "rig doctor --robot own://x --seconds 0.05"],
 )
-def test_a_plugin_of_a_robot(equipoise, guest, monkeypatch, command, end):
-    for text in (
-        "end()",
-        "from equipoise.rig.plugins import *\nPLUGIN = RobotPlugin(end, end)",
-    ):
-        entry = EntryPoint("own", f"{guest(text, end)}:PLUGIN", "equipoise.robots")
-        monkeypatch.setattr(plugins, "entry_points", lambda group, entry=entry: [entry])
-        ran = equipoise(*command.split())
-        check(ran, shown="own")
-        assert ran.code == 2
+def test_a_plugin_of_a_robot(equipoise, guest, monkeypatch, command):
+    text = "from equipoise.rig.plugins import *\nPLUGIN = RobotPlugin(end, end)"
+    entry = EntryPoint("own", f"{guest(text)}:PLUGIN", "equipoise.robots")
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [entry])
+    ran = equipoise(*command.split())
+    check(ran, shown="own")
+    assert ran.code == 2

@@ -137,17 +137,6 @@ def test_an_angle_in_passing_gives_way_to_what_is_told(seat):
         assert shown.index("\r") < shown.index("Armed. Let go.")
 
 
-def test_half_a_typed_answer_is_not_overwritten_by_the_angle(seat):
-    terminal, console = seat()
-    with single_keys():
-        console.notify(OperatorMessage("home", "Is this home?", ("y", "n")))
-        terminal.type("y")
-        console.read_input()
-        terminal.shows()
-        console.live("at home", 0.1)
-        assert terminal.shows() == ""
-
-
 def test_a_terminal_that_is_closed_is_no_error(seat):
     terminal, console = seat()
     with single_keys():

@@ -6,14 +6,10 @@ Slow imports (Numba, SciPy, MuJoCo, Matplotlib) follow in the verb that needs th
 
 import io
 import os
-import signal
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
-from typing import TextIO
 
 from equipoise.errors import CLOSED_PIPE, INTERRUPTED, EquipoiseError, OutsideError
-from equipoise.printable import printable
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -26,61 +22,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code: 0 done, 1 the result is bad, 2 wrong use or bad input, 3 the outside world
         failed, 130 interrupted, 141 the reader of the output has gone.
     """
+    from equipoise.cli.app import app
+    from equipoise.cli.output import complain
+
     # Characters that the terminal cannot show must not end a verb.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
+    code = 0
     try:
-        code = _run(sys.argv[1:] if arguments is None else arguments)
-        if code == INTERRUPTED and arguments is None:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)  # the interpreter is about to end
+        try:
+            app(args=list(sys.argv[1:] if arguments is None else arguments), prog_name="equipoise")
+        except SystemExit as end:
+            if isinstance(end.__context__, BrokenPipeError):
+                raise end.__context__ from None
+            code = end.code if isinstance(end.code, int) else int(bool(end.code))
         sys.stdout.flush()
-    except OSError as error:
-        if not _rejects(sys.stdout):
-            raise
-        if isinstance(error, BrokenPipeError):
-            return CLOSED_PIPE
-        with suppress(OSError):
-            message = f"error: cannot write to standard output: {error.strerror}; make room"
-            print(message, file=sys.stderr)
-        return OutsideError.exit_code
-    return code
-
-
-def _run(arguments: Sequence[str]) -> int:
-    from equipoise.cli.app import app
-    from equipoise.cli.output import complain
-
-    try:
-        app(args=list(arguments), prog_name="equipoise")
     except EquipoiseError as error:
         complain(str(error), "error: ")
         return error.exit_code
-    except MemoryError:
-        complain("there is not enough memory; ask for less, or free some", "error: ")
-        return OutsideError.exit_code
     except KeyboardInterrupt:
         return INTERRUPTED
-    except SystemExit as end:
-        if isinstance(end.__context__, BrokenPipeError):
+    except OSError as error:
+        # Otherwise the interpreter tries at its end to write the rest again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if isinstance(error, BrokenPipeError):
             return CLOSED_PIPE
-        if end.code is None or isinstance(end.code, int):
-            return end.code or 0
-        print(printable(str(end.code)), file=sys.stderr)
-        return 1
-    return 0
-
-
-def _rejects(stream: TextIO) -> bool:
-    """Return whether a stream rejects output; discard the rest of the output if so."""
-    if not isinstance(stream, io.TextIOWrapper):
-        return False
-    try:
-        os.write(stream.fileno(), b"\n")  # text that failed once is gone, so `flush` may succeed
-    except OSError:
-        # Otherwise the interpreter tries again at its end, and complains.
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)
-        return True
-    return False
+        complain(f"cannot write to standard output: {error}; make room", "error: ")
+        return OutsideError.exit_code
+    return code

@@ -19,11 +19,6 @@ from equipoise.cli.reproduce import reproduce
 from equipoise.cli.show import show
 from equipoise.cli.train import train
 
-PIPELINE = (reproduce, identify, train, evaluate, refine, play)
-"""Verbs without a robot."""
-ROBOT = (deploy, console)
-"""Verbs for runs on a robot."""
-
 group = partial(
     typer.Typer,
     no_args_is_help=True,
@@ -39,8 +34,8 @@ app = group(
 rig = group(help="Check, emulate and use a rig: doctor, emulate, record.")
 log = group(help="Read the log of a run: show, explain, export.")
 members = (
-    (app, "Pipeline", PIPELINE),
-    (app, "The robot", ROBOT),
+    (app, "Pipeline", (reproduce, identify, train, evaluate, refine, play)),
+    (app, "The robot", (deploy, console)),
     (rig, None, (doctor, emulate, record)),
     (log, None, (show, explain, export)),
 )

@@ -10,9 +10,9 @@ def console(output: Output, *, page: opt.Page) -> None:
     """Show the runs on this computer in the browser, with all buttons, until Ctrl-C.
 
     Open the printed address, token included. The console shows each run of
-    deploy --robot and each rig emulate that you have started on this computer,
-    and waits for the next one. STOP and the space bar stop the arm. A run does
-    not depend on the console.
+    deploy --robot that you have started on this computer, and waits for the
+    next one. STOP and the space bar stop the arm. A run does not depend on the
+    console.
     """
     from equipoise.apps.console.server import serve
 

@@ -3,6 +3,7 @@
 One program for a simulated run, an emulated rig and a real rig.
 """
 
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import Field
 
 from equipoise.cli import options as opt
-from equipoise.cli.output import Output
+from equipoise.cli.output import Output, signals
 from equipoise.cli.verb import Options, verb
 from equipoise.errors import InputError
+from equipoise.user_code import guest_code
 
 if TYPE_CHECKING:
     from equipoise.rig.request import RunRequest
@@ -25,7 +27,7 @@ class Run(Options):
     """World of a simulated run: twin:nominal, twin:harsh, twin:FILE, or model."""
     duration: Annotated[float | None, Field(ge=0.01, le=3600.0)] = None
     """Duration [s]; by default 60, or 10 with --excite."""
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    seed: opt.Seed = 0
     """Seed of the simulation."""
     excite: bool = False
     """Move every joint about home instead, the pendulum hanging."""
@@ -72,13 +74,10 @@ def deploy(
         raise InputError("--excite moves a simulated arm; give it --arm and --pendulum alone")
     if not on_a_rig and on_rig != OnRig():
         raise InputError("--dry-run, --t1, --identify, --anyway and --console need --robot")
-    from equipoise.cli.rig_run import ACTUATOR, run_on_rig
-
-    beside = (ACTUATOR,) if on_rig.identify else ()
-    out = files.file("run.mcap", policy, task.pendulum, rig.rig, suffix=".mcap", beside=beside)
+    identified = ("-actuator.json",) if on_rig.identify else ()
+    out = files.file("run.mcap", policy, task.pendulum, rig.rig, suffix=".mcap", beside=identified)
     if on_a_rig:
-        request = _request(output, policy, run, task, rig, on_rig)
-        run_on_rig(output, request, out, console=on_rig.console)
+        _run_on_rig(output, _request(output, policy, run, task, rig, on_rig), out, on_rig.console)
         return
 
     from equipoise.outcomes import Outcome
@@ -101,9 +100,6 @@ def deploy(
         world=log.conditions.world,
         outcome=log.outcome,
         lasted_s=log.lasted,
-        duration_s=log.conditions.duration,
-        ticks=len(log.time),
-        setpoints=len(log.stream.time),
         run=out,
         code=0 if run.excite else int(log.outcome != Outcome.LASTED),
         then="identify RUN" if run.excite else "log explain RUN",
@@ -150,4 +146,48 @@ def _request(
         alternatives=carried[1:],
         identify=identify_motion if on_rig.identify else None,
         anyway=on_rig.anyway,
+    )
+
+
+def _run_on_rig(output: Output, request: "RunRequest", out: Path, console: bool) -> None:
+    """Run on an emulated or a real rig, write the log, and print the result."""
+    from equipoise.cli.terminal_operator import TerminalOperator, single_keys
+    from equipoise.rig.connection import world_of
+    from equipoise.rig.preflight import check_request
+    from equipoise.rig.processes import run_in_processes
+    from equipoise.rig.run import run_virtually
+
+    check_request(request)
+    in_virtual_time = bool(world_of(request.robot))
+    if console and in_virtual_time:
+        raise InputError(
+            f"--console shows a run in real time, and {request.robot} runs in virtual time; start "
+            "equipoise rig emulate, and give the --robot and --encoder that it prints"
+        )
+    if in_virtual_time:
+        with signals() as stopped, guest_code(f"the driver of {request.robot}"):
+            end = run_virtually(request, out, TerminalOperator(output, stopped))
+    else:
+        with ExitStack() as stack:
+            if console:
+                from equipoise.apps.console.server import console_process
+
+                output.tell(f"  console  {stack.enter_context(console_process())}")
+            stack.enter_context(single_keys())
+            operator = TerminalOperator(output)
+            end = run_in_processes(request, out, operator, operator.live)
+    actuator = None
+    if end.identified is not None:
+        actuator = out.with_name(out.stem + "-actuator.json")
+        end.identified.save(actuator, command="deploy", inputs={})
+    names = ("outcome", "reason", "stoppable", "zero", "missed", "late", "compute")
+    output.result(
+        world=request.robot,
+        lasted_s=end.lasted,
+        **{name: getattr(end, name) for name in names},
+        identified=end.identified and end.identified.summary,
+        actuator=actuator,
+        run=out,
+        code=end.exit_code,
+        then="log explain RUN",
     )

@@ -4,24 +4,11 @@ import os
 import select
 import sys
 import time
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
-from math import remainder, tau
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from pydantic import Field
 
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output, signals
 from equipoise.cli.verb import Options, verb
-
-if TYPE_CHECKING:
-    from equipoise.robots.emulation import Emulation
-
-HOST = "127.0.0.1"
-SHOWN = 0.02
-"""Time between two states of the rig in a console [s]."""
 
 
 class Emulated(Options):
@@ -33,14 +20,12 @@ class Emulated(Options):
     """iiwa7, iiwa14, another registered arm, a URDF or a rig.toml."""
     pendulum: Path | None = None
     """Pendulum; by default the shipped one."""
-    port: Annotated[int, Field(ge=0, lt=2**16)] = 30001
+    port: opt.Port = 30001
     """Port of the robot; 0 selects a free one."""
     encoder_link: Path | None = None
     """Further name of the encoder's terminal."""
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    seed: opt.Seed = 0
     """Seed of all random numbers."""
-    console: bool = False
-    """Show the rig in the browser, with a button for each action."""
 
 
 @verb
@@ -56,11 +41,11 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     from equipoise.rig.clocks import SystemClock
     from equipoise.robots.emulation import Emulation
 
-    began = time.monotonic()
+    began, host = time.monotonic(), "127.0.0.1"
 
     def say(words: str) -> None:
-        output.say(f"{time.monotonic() - began:8.1f} s  {words}")
-        sys.stdout.flush()
+        output.tell(f"{time.monotonic() - began:8.1f} s  {words}")
+        output.stream.flush()
 
     settings = read_world(emulated.world).settings
     emulation = Emulation(
@@ -79,59 +64,17 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     def ready(number: int) -> None:
         # The emulated cabinet takes the first core: the loop of the run stays on the last one.
         realtime.prepare(core=0)
-        address = f"kst://{HOST}:{number}"
+        address = f"kst://{host}:{number}"
         then = f"deploy --robot {address} --encoder {encoder}"
         output.result(robot=address, encoder=encoder, actions=sorted(emulation.acts), then=then)
-        sys.stdout.flush()
+        output.stream.flush()
 
-    with _shown(output, emulated.console, emulation) as show, signals() as stopped:
+    with signals() as stopped:
 
         def stop() -> bool:
-            for word in _typed():
-                if word in emulation.acts:
-                    emulation.acts[word]()
-                else:
-                    output.warn(f"{word!r} is not one of {', '.join(emulation.acts)}")
-            show()
+            if select.select([sys.stdin], [], [], 0.0)[0]:
+                for word in os.read(sys.stdin.fileno(), 1024).decode(errors="replace").split():
+                    emulation.acts.get(word, lambda word=word: say(f"unknown action {word!r}"))()
             return stopped.is_set()
 
-        emulation.run(HOST, emulated.port, stop, listening=ready)
-
-
-@contextmanager
-def _shown(output: Output, wanted: bool, emulation: "Emulation") -> "Generator[Callable[[], None]]":
-    """Show the rig in a console, if wanted; yield a function to call each millisecond."""
-    if not wanted:
-        yield lambda: None
-        return
-    from equipoise.apps.console.publisher import publishing
-    from equipoise.apps.console.server import console_process
-    from equipoise.logs.shared import RunInfo
-
-    bench, arm, due = emulation.bench, emulation.arm, 0.0
-    info = RunInfo(
-        title="emulated rig", pid=os.getpid(), arm=arm, actions=tuple(emulation.acts), stop="estop"
-    )
-
-    with publishing(info) as publisher, console_process() as address:
-
-        def show() -> None:
-            nonlocal due
-            if bench.now < due:
-                return
-            due = bench.now + SHOWN
-            publisher.show(bench.now, bench.q, remainder(bench.phi, tau))
-            for word in publisher.words():
-                output.say(f"console: {word}")
-                publisher.say(bench.now, word)
-                emulation.acts[word]()
-
-        output.tell(f"  console  {address}")
-        yield show
-
-
-def _typed() -> list[str]:
-    """Return the words that were typed since the last call."""
-    if not select.select([sys.stdin], [], [], 0.0)[0]:
-        return []
-    return os.read(sys.stdin.fileno(), 1024).decode(errors="replace").split()
+        emulation.run(host, emulated.port, stop, listening=ready)

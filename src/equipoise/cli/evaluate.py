@@ -57,6 +57,7 @@ def evaluate(
     out = files.file("evaluation.json", policy, task.pendulum)
 
     from equipoise.control.bound_policy import BUILT_IN
+    from equipoise.progress import counted
     from equipoise.worlds.evaluation import evaluate
 
     chosen = task.read(policy)
@@ -65,7 +66,7 @@ def evaluate(
     changed = settings.evaluation.model_validate({**dict(settings.evaluation), **changes})
     output.warn(opt.shortfall(chosen))
     total = changed.trials * (1 + len(BUILT_IN) * trials.baselines)
-    with output.trials(chosen, trials.world, total) as done:
+    with output.progress() as show:
         evaluation = evaluate(
             chosen,
             settings.model_copy(update={"evaluation": changed}),
@@ -74,7 +75,7 @@ def evaluate(
             seed=random.seed,
             with_baselines=trials.baselines,
             workers=random.threads,
-            done=done,
+            done=counted("evaluate", total, show),
         )
     inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
     evaluation.save(out, command="evaluate", inputs=inputs)
@@ -114,13 +115,15 @@ def certify(
         raise InputError("a claim fixes seed and actuator; leave out --seed and --actuator")
     out = files.file("certificate.json", policy, task.pendulum)
 
+    from equipoise.progress import counted
     from equipoise.worlds import certification
 
     chosen, length = task.read(policy), 60.0 if trials.duration is None else trials.duration
     claim = certification.make_claim(
         probability, duration=length, world=trials.world, trials=trials.trials
     )
-    with output.trials(chosen, claim.world, claim.trials) as done:
+    with output.progress() as show:
+        done = counted("evaluate", claim.trials, show)
         certificate = certification.certify(chosen, claim, workers=random.threads, done=done)
     certificate.save(out, command="evaluate", inputs={"policy": chosen.digest})
     output.result(

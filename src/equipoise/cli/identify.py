@@ -11,6 +11,21 @@ from equipoise.cli.verb import Options, verb
 from equipoise.errors import InputError
 
 
+class Swing(Options):
+    """The recording."""
+
+    start: float | None = None
+    """Begin here [s]; by default at the detected release."""
+    end: float | None = None
+    """End here [s]."""
+    counts_per_rev: int | None = None
+    """Encoder counts per revolution, after x4."""
+    from_upright: bool = False
+    """The recorded angle is zero when upright."""
+    columns: str | None = None
+    """Names of all columns in order, e.g. time_s,theta_deg."""
+
+
 class Model(Options):
     """Friction, and measurements for I and b."""
 
@@ -31,7 +46,7 @@ def identify(
     output: Output,
     recording: Path,
     *,
-    swing: opt.Swing,
+    swing: Swing,
     model: Model,
     changes: opt.Changes,
     files: opt.Files,

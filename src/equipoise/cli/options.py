@@ -1,7 +1,6 @@
 """Options that several verbs share, in groups, and the values that they name."""
 
 import os
-import shlex
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,6 +16,10 @@ if TYPE_CHECKING:
     from equipoise.model.arms.arm import Arm
     from equipoise.model.pendulum import Pendulum
     from equipoise.settings import Settings
+
+
+Seed = Annotated[int, Field(ge=0, lt=2**32)]
+Port = Annotated[int, Field(ge=0, lt=2**16)]
 
 
 class Changes(Options):
@@ -35,21 +38,6 @@ class Changes(Options):
 
         given = [f"{name}={value}" for name, value in named.items() if value is not None]
         return resolve(self.recipe, self.settings, [*(self.set or ()), *given])
-
-
-class Swing(Options):
-    """The recording."""
-
-    start: float | None = None
-    """Begin here [s]; by default at the detected release."""
-    end: float | None = None
-    """End here [s]."""
-    counts_per_rev: int | None = None
-    """Encoder counts per revolution, after x4."""
-    from_upright: bool = False
-    """The recorded angle is zero when upright."""
-    columns: str | None = None
-    """Names of all columns in order, e.g. time_s,theta_deg."""
 
 
 class Task(Options):
@@ -85,7 +73,7 @@ class Task(Options):
 class Random(Options):
     """Random numbers and threads."""
 
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    seed: Seed = 0
     """Master seed; equal seeds give equal results."""
     workers: Annotated[int | None, Field(ge=1)] = None
     """Threads; by default one per core. Results do not depend on them."""
@@ -103,7 +91,7 @@ class Page(Options):
 
     listen: str = "127.0.0.1"
     """Listen on this address, for browsers on other computers; by default on none of theirs."""
-    port: Annotated[int, Field(ge=0, lt=2**16)] = 0
+    port: Port = 0
     """Port of the page; 0 selects a free one."""
 
 
@@ -185,7 +173,7 @@ def read_pendulum(path: Path | None) -> "Pendulum":
     """
     from equipoise.model.pendulum import Pendulum, shipped_pendulum
 
-    return shipped_pendulum() if path is None else Pendulum.load(_not_raw(path, ".csv"))
+    return shipped_pendulum() if path is None else Pendulum.load(path)
 
 
 def read_actuator(name: str | None) -> "Actuator | None":
@@ -198,14 +186,7 @@ def read_actuator(name: str | None) -> "Actuator | None":
 
     if name is None:
         return None
-    return IDEAL_ACTUATOR if name == "ideal" else Actuator.load(_not_raw(Path(name), ".mcap"))
-
-
-def _not_raw(path: Path, suffix: str) -> Path:
-    if path.suffix.lower() == suffix:
-        command = f"equipoise identify {shlex.quote(str(path))}"
-        raise InputError(f"{path} is a recording, expected what is made of it by: {command}")
-    return path
+    return IDEAL_ACTUATOR if name == "ideal" else Actuator.load(Path(name))
 
 
 def read_arm(name: str) -> "Arm":

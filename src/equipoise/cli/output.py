@@ -4,9 +4,6 @@ With `--json` stdout carries one object and nothing else. Text is never interpre
 control characters in text from files and wires are escaped (`equipoise.printable`).
 """
 
-import json
-import math
-import os
 import re
 import signal
 import sys
@@ -16,6 +13,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
+from pydantic_core import to_json
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.table import Table
@@ -26,15 +24,10 @@ from equipoise.printable import printable
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from equipoise.artefacts import Estimate
-    from equipoise.control.policy import TaskPolicy
-    from equipoise.progress import Show, StageProgress
-    from equipoise.worlds.evaluation import Done
+    from equipoise.progress import Show
 
 VERDICT_STYLES = {"good": "green", "warning": "yellow", "bad": "bold red"}
 """Styles of the verdicts of checks."""
-UNITS = ("s", "ms", "deg", "mm", "m")
-"""Units that end the name of a field, after an underscore."""
 
 
 class EscapingConsole(Console):
@@ -70,10 +63,6 @@ class Output:
         self._words = EscapingConsole(quiet=as_json)
         self._messages = EscapingConsole(stderr=True)
 
-    def say(self, what: Any = "", *, style: str | None = None) -> None:
-        """Print words or a table."""
-        self._words.print(what, style=style)
-
     def tell(self, what: Any) -> None:
         """Print a message for the operator; with `--json` on stderr."""
         (self._messages if self._as_json else self._words).print(what)
@@ -103,7 +92,8 @@ class Output:
         given = [value for value in values if value is not None]
         if self._as_json:
             dumped = {name: each for one in given for name, each in one.model_dump().items()}
-            print(json.dumps(_plain(dumped | fields), allow_nan=False), flush=True)
+            whole = to_json(dumped | fields, inf_nan_mode="null", fallback=str)
+            print(whole.decode(), flush=True)
         else:
             shown = {name: each for one in given for name, each in _labelled(one).items()}
             shown |= {_label(name): value for name, value in fields.items()}
@@ -118,11 +108,15 @@ class Output:
     def progress(self) -> "Generator[Show]":
         """Show the stages of the verb on stderr; Ctrl-C or a signal ends them.
 
+        Compilation is a stage of its own; machine code in the cache loads within seconds.
+
         Yields:
             Callback for the progress of each stage, for any thread; it raises where the work shall
             end.
         """
         from rich import progress
+
+        from equipoise.jit import watching_compilation
 
         bars = progress.Progress(
             progress.TextColumn("  {task.description:<12}", markup=False),
@@ -135,38 +129,28 @@ class Output:
             redirect_stdout=self._words.is_terminal,
         )
         stages: dict[str, progress.TaskID] = {}
-        lock = threading.Lock()
-        with bars, signals(raising=True) as stopped:
+        lock, compiled = threading.Lock(), 0
 
-            def show(stage: "StageProgress") -> None:
+        def update(stage: str, share: float | None, text: str) -> None:
+            with lock:
+                if stage not in stages:
+                    stages[stage] = bars.add_task(stage, text="")
+                total = None if share is None else 1.0
+                bars.update(stages[stage], text=text, total=total, completed=share or 0.0)
+
+        def count() -> None:
+            nonlocal compiled
+            compiled += 1
+            update("compile", None, f"{compiled} functions, once on this machine")
+
+        with bars, signals(raising=True) as stopped, watching_compilation(count):
+
+            def show(stage: str, share: float | None = None, text: str = "") -> None:
                 if stopped.is_set():
                     raise KeyboardInterrupt
-                with lock:
-                    if stage.stage not in stages:
-                        stages[stage.stage] = bars.add_task(stage.stage, text="")
-                    amounts: Any = {"total": stage.total, "completed": stage.completed}
-                    bars.update(stages[stage.stage], text=stage.text, **amounts)
+                update(stage, share, text)
 
             yield show
-
-    @contextmanager
-    def trials(self, policy: "TaskPolicy", world: str, total: int) -> "Generator[Done]":
-        """Compile kernels, then show the number of finished trials; both are stages.
-
-        Args:
-            policy: The policy.
-            world: Name of the world.
-            total: Number of trials.
-
-        Yields:
-            Callback for finished trials.
-        """
-        from equipoise.progress import compile_trials, compiling, counted
-
-        with self.progress() as show:
-            with compiling(show):
-                compile_trials(policy, world)
-            yield counted("evaluate", total, show)
 
     @contextmanager
     def busy(self, what: str) -> Generator[Callable[[str], None]]:
@@ -222,8 +206,7 @@ def _label(name: str) -> str:
         >>> _label("median_s"), _label("gap_at_start")
         ('median [s]', 'gap at start')
     """
-    head, _, unit = name.rpartition("_")
-    return (f"{head} [{unit}]" if head and unit in UNITS else name).replace("_", " ")
+    return re.sub("_(s|ms|deg|mm|m)$", r" [\1]", name).replace("_", " ")
 
 
 def _tables(fields: Mapping[str, Any]) -> list[Table]:
@@ -260,34 +243,8 @@ def _text(value: Any) -> str:
         case list() | tuple():
             return "\n".join(map(_text, value))
         case _ if hasattr(value, "interval"):
-            return _measured(value)
+            from equipoise.worlds.formatting import plus_minus
+
+            return f"{plus_minus(value.value, value.interval)} ({value.source})"
         case _:
             return printable(str(value))
-
-
-def _measured(estimate: "Estimate") -> str:
-    """Return an estimate with its 95 % interval, to two digits of its uncertainty."""
-    half = estimate.half_width
-    if not half > 0.0:
-        return f"{estimate.value:.4g} ({estimate.source})"
-    size = max(abs(estimate.value), half)
-    digits = min(math.floor(math.log10(size)) - math.floor(math.log10(half)) + 2, 6)
-    value, low, high = (f"{x:.{digits}g}" for x in (estimate.value, *estimate.interval))
-    return f"{value} (95 %: {low} to {high})"
-
-
-def _plain(value: Any) -> Any:
-    """Return a value as JSON takes it: paths as text, values that are not finite as null."""
-    match value:
-        case Mapping():
-            return {str(name): _plain(each) for name, each in value.items()}
-        case list() | tuple():
-            return [_plain(each) for each in value]
-        case float():
-            return value if math.isfinite(value) else None
-        case os.PathLike():
-            return os.fspath(value)
-        case _ if hasattr(value, "model_dump"):
-            return _plain(value.model_dump())
-        case _:
-            return value

@@ -5,6 +5,7 @@ from pathlib import Path
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output, signals
 from equipoise.cli.verb import Options, verb
+from equipoise.errors import InputError
 
 
 class Yours(Options):
@@ -16,20 +17,23 @@ class Yours(Options):
 
 @verb
 def play(output: Output, scene: str = "balance", *, yours: Yours, page: opt.Page) -> None:
-    """Balance the twin in the browser: push it, change the rig, train a table.
+    """Balance the twin in the browser: push it, change the rig.
 
-    SCENE is balance (default), why-it-falls, paper, zero-error, friction or
-    lqr. Open the printed address. Everyone who has it plays with the same
-    pendulum. It runs until Ctrl-C. Needs no robot and no recording.
+    SCENE is balance (default), why-it-falls, zero-error, friction or lqr. Open
+    the printed address. Everyone who has it plays with the same pendulum. It
+    runs until Ctrl-C. Needs no robot and no recording.
     """
     from equipoise.apps.console.play import play
-    from equipoise.apps.console.scenes import scene_named
+    from equipoise.apps.console.playground import SCENES
 
-    begin = scene_named(scene)
+    if scene not in SCENES:
+        raise InputError(f"there is no scene {scene!r}; choose one of {', '.join(SCENES)}")
     policy = None if yours.policy is None else opt.Task().read(yours.policy)
 
     def ready(address: str) -> None:
         output.result(playground=address)
 
     with signals() as stopped:
-        play(begin, ready, stopped.is_set, yours=policy, address=page.listen, port=page.port)
+        play(
+            SCENES[scene], ready, stopped.is_set, yours=policy, address=page.listen, port=page.port
+        )

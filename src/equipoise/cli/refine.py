@@ -11,8 +11,6 @@ from equipoise.cli.verb import Options, verb
 
 if TYPE_CHECKING:
     from equipoise.artefacts import Artefact
-    from equipoise.control.policy import TabularPolicy
-    from equipoise.identification.refine import Refinement, RefinementFindings
 
 
 class Retraining(Options):
@@ -45,14 +43,15 @@ def refine(
     out = files.file("refined.json", policy, run, beside=list(parts.values())[1:])
 
     from equipoise.control.policy import TabularPolicy
-    from equipoise.identification.refine import inspect
+    from equipoise.identification import refine as study
     from equipoise.logs.run_log import load_run
+    from equipoise.progress import TrainingProgress
 
     table = TabularPolicy.load(policy)
     log = load_run(run)
     output.warn(log.damage)
     with output.busy("identifying again"):
-        findings = inspect(table, log)
+        findings = study.inspect(table, log)
     made: dict[str, Artefact] = {}
     if findings.pendulum.digest != table.pendulum.digest:
         made["pendulum"] = findings.pendulum
@@ -60,7 +59,19 @@ def refine(
         made["actuator"] = findings.actuator
     refinement = None
     if retraining.train and findings.moves:
-        refinement = _retrain(output, table, findings, retraining.episodes, random)
+        settings = study.settings_of_retraining(table.settings, retraining.episodes)
+        with output.progress() as show:
+            refinement = study.retrain(
+                table,
+                findings.pendulum,
+                findings.actuator,
+                episodes=retraining.episodes,
+                seed=random.seed,
+                workers=random.threads,
+                comparing=lambda done, of: show("compare", done / of, ""),
+                testing=lambda done, of: show("test", done / of, ""),
+                observer=TrainingProgress(settings, show),
+            )
         made["policy"] = refinement.policy
         output.warn(refinement.policy.shortfall)
     inputs = {"policy": table.digest, "run": log.digest}
@@ -81,31 +92,3 @@ def refine(
         **paths,
         then="evaluate POLICY",
     )
-
-
-def _retrain(
-    output: Output,
-    policy: "TabularPolicy",
-    findings: "RefinementFindings",
-    episodes: int,
-    random: opt.Random,
-) -> "Refinement":
-    from equipoise.identification import refine as study
-    from equipoise.progress import StageProgress, TrainingProgress, compile_training, compiling
-
-    settings = study.settings_of_retraining(policy.settings, episodes)
-    with output.progress() as show:
-        with compiling(show):
-            compile_training(policy.arm, settings)
-
-        return study.retrain(
-            policy,
-            findings.pendulum,
-            findings.actuator,
-            episodes=episodes,
-            seed=random.seed,
-            workers=random.threads,
-            comparing=lambda done, of: show(StageProgress("compare", done, of)),
-            testing=lambda done, of: show(StageProgress("test", done, of)),
-            observer=TrainingProgress(settings, show),
-        )

@@ -1,13 +1,11 @@
 """`equipoise reproduce`: reproduces the whole paper, from a free swing to a report."""
 
-import time
 from pathlib import Path
 
 from equipoise.cli import options as opt
 from equipoise.cli.evaluate import trial_fields
 from equipoise.cli.output import Output
 from equipoise.cli.verb import Options, verb
-from equipoise.errors import InputError
 
 
 class Extent(Options):
@@ -19,6 +17,8 @@ class Extent(Options):
     """iiwa7, iiwa14, another registered arm, a URDF or a rig.toml."""
     swing: Path | None = None
     """Recorded swing, as identify reads it; by default a simulated one."""
+    counts_per_rev: int | None = None
+    """Encoder counts per revolution, after x4."""
 
 
 @verb
@@ -27,7 +27,6 @@ def reproduce(
     *,
     extent: Extent,
     changes: opt.Changes,
-    reading: opt.Swing,
     random: opt.Random,
     files: opt.Files,
 ) -> None:
@@ -38,19 +37,16 @@ def reproduce(
     HTML.
     """
     out = files.folder(Path("equipoise-report"))
-    if extent.swing is None and reading != opt.Swing():
-        raise InputError("options of a recording need one; give it with --swing")
-    begin = time.perf_counter()
 
     from equipoise.apps.report.page import build
     from equipoise.identification.recording import read_swing
-    from equipoise.progress import StageProgress
     from equipoise.reproduction.pipeline import reproduce
 
+    swing, counts = extent.swing, extent.counts_per_rev
     with output.progress() as show:
         found = reproduce(
             out,
-            swing=None if extent.swing is None else read_swing(extent.swing, **dict(reading)),
+            swing=None if swing is None else read_swing(swing, counts_per_rev=counts),
             arm=opt.read_arm(extent.arm),
             settings=changes.resolve(),
             seed=random.seed,
@@ -58,16 +54,11 @@ def reproduce(
             workers=random.threads,
             report=show,
         )
-        show(StageProgress("report"))
-        page = build(out, lambda name, share: show(StageProgress("report", share, text=name)))
+        page = build(out, lambda name, share: show("report", share, name))
     trials = trial_fields(found.evaluation.results)
     output.result(
         **trials,
         duration_s=found.evaluation.duration,
-        world=found.run.conditions.world,
-        lasted_s=found.run.lasted,
-        outcome=found.run.outcome,
-        wall_s=time.perf_counter() - begin,
         report=page,
         warnings=[found.policy.shortfall],
         code=int(trials["median_s"] < found.evaluation.duration),

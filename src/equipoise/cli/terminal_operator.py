@@ -7,6 +7,7 @@ import sys
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from math import degrees, isnan
+from threading import Event
 from typing import Any, Final
 
 from rich.text import Text
@@ -25,9 +26,6 @@ STYLES: Final = {
     "warning": "yellow",
     **{f"finding {status}": style for status, style in VERDICT_STYLES.items()},
 }
-DENIED: Final = "n"
-BACKSPACE: Final = "\b\x7f"
-"""Characters that delete the last one, on different keyboards."""
 SEQUENCE: Final = re.compile("\x1b(?:\\[[0-?]*[ -/]*[@-~]|O[ -~]|[ -~])?")
 """Escape sequence of a key without a character."""
 
@@ -35,9 +33,14 @@ SEQUENCE: Final = re.compile("\x1b(?:\\[[0-?]*[ -/]*[@-~]|O[ -~]|[ -~])?")
 class TerminalOperator:
     """A person at a terminal."""
 
-    def __init__(self, output: Output) -> None:
-        """Print to an output."""
-        self._output = output
+    def __init__(self, output: Output, stopped: Event | None = None) -> None:
+        """Print to an output.
+
+        Args:
+            output: The output.
+            stopped: Event of a signal, which stops the run in place of a key; nothing is typed.
+        """
+        self._output, self._stopped = output, stopped
         self._answers: tuple[str, ...] = ()
         self._typed = ""
         self._live = False
@@ -45,7 +48,9 @@ class TerminalOperator:
 
     def notify(self, event: Any) -> None:
         """Print an event."""
-        self._clear()
+        if self._live:
+            self._output.stream.write("\r" + " " * 48 + "\r")
+            self._live = False
         if event.name != "word":
             self._answers = tuple(event.answers)
         text = printable(event.text.replace("\a", ""))
@@ -59,10 +64,12 @@ class TerminalOperator:
         After the end of the input, questions are denied at once, except for a press of the
         pendulum's button, which needs no keyboard.
         """
+        if self._stopped is not None:
+            return ["stop"] if self._stopped.is_set() else []
         if self._ended:
             denied = bool(self._answers) and OK not in self._answers
             self._answers = () if denied else self._answers
-            return [DENIED] if denied else []
+            return ["n"] if denied else []
         came = ""
         while select.select([sys.stdin], [], [], 0.0)[0]:
             try:
@@ -84,7 +91,7 @@ class TerminalOperator:
         lines: list[str] = []
         shown = ""
         for key in came:
-            if key in BACKSPACE:
+            if key in "\b\x7f":  # on different keyboards
                 shown += "\b \b" if self._typed else ""
                 self._typed = self._typed[:-1]
             elif key == "\n":
@@ -107,11 +114,6 @@ class TerminalOperator:
         self._output.stream.write(f"\r  {phase:<12}{angle}   ")
         self._output.stream.flush()
         self._live = True
-
-    def _clear(self) -> None:
-        if self._live:
-            self._output.stream.write("\r" + " " * 48 + "\r")
-            self._live = False
 
 
 @contextmanager

@@ -1,6 +1,5 @@
 """`equipoise train`: trains a policy for a pendulum and an arm."""
 
-import time
 from pathlib import Path
 from typing import Annotated
 
@@ -63,9 +62,8 @@ def train(
 
     from equipoise.learning.target import TARGET, train_to_target
     from equipoise.learning.train import check_task
-    from equipoise.progress import TrainingProgress, compile_training, compiling
+    from equipoise.progress import TrainingProgress
 
-    begin = time.perf_counter()
     named = {f"learning.{n}": getattr(learning, n) for n in ("learner", "reward", "episodes")}
     settings = changes.resolve(**named)
     source, arm = opt.read_pendulum(pendulum), opt.read_arm(plant.arm)
@@ -75,9 +73,6 @@ def train(
         target = TARGET if settings.selection.every else 0.0
     output.warn(check_task(source, arm, settings, given, world=plant.world, target=target))
     with output.progress() as show:
-        with compiling(show):
-            compile_training(arm, settings)
-        progress = TrainingProgress(settings, show)
         trained = train_to_target(
             source,
             arm,
@@ -88,7 +83,7 @@ def train(
             world=plant.world,
             seed=random.seed,
             workers=random.threads,
-            observer=progress,
+            observer=TrainingProgress(settings, show),
         )
     best = trained.policy
     actuators = {f"actuator {i}": each.digest for i, each in enumerate(best.actuators, start=1)}
@@ -99,7 +94,6 @@ def train(
         learner=best.learner,
         episodes=best.episodes,
         steps=best.steps,
-        wall_s=time.perf_counter() - begin,
         tests={f"actuator {i}": test.model_dump() for i, test in enumerate(best.tests, start=1)},
         learners={
             str(each.learner): each.model_dump(exclude={"learner", "test"}) | each.test.model_dump()

@@ -26,8 +26,6 @@ class Pose(NamedTuple):
     """Time [s]."""
     q: Floats
     """Measured joints [rad], in simulation the true ones, shape (joints,)."""
-    commanded: Floats
-    """Commanded joints [rad], shape (joints,)."""
     x: float
     """Displacement of the flange [m]."""
     phi: float
@@ -47,8 +45,6 @@ class Motion(NamedTuple):
     """Times of the ticks [s], increasing, shape (n,)."""
     q: Floats
     """Joints [rad], as of `Pose`, shape (n, joints)."""
-    commanded: Floats
-    """Joints commanded for the end of the tick [rad], shape (n, joints)."""
     x: Floats
     """Displacement of the flange [m], shape (n,)."""
     phi: Floats
@@ -90,8 +86,8 @@ class Motion(NamedTuple):
         phi = np.unwrap(phi)
         if np.isfinite(phi).all():  # upright at the release is zero
             phi -= 2.0 * pi * np.round(phi[int(np.searchsorted(time, 0.0))] / (2.0 * pi))
-        u, commanded = np.nan_to_num(tick["u"]), np.asarray(tick["q"], np.float64)
-        return cls(time, q, commanded, x, phi, u, late, phases, conditions.h, began)
+        u = np.nan_to_num(tick["u"])
+        return cls(time, q, x, phi, u, late, phases, conditions.h, began)
 
     @property
     def end(self) -> float:
@@ -125,7 +121,6 @@ class Motion(NamedTuple):
         return Pose(
             time=time,
             q=_interpolated(time, self.time, self.q),
-            commanded=_interpolated(time, self.time + self.h, self.commanded),
             x=float(np.interp(time, self.time, self.x)),
             phi=float(np.remainder(phi + pi, 2.0 * pi) - pi) if isfinite(phi) else phi,
             u=float(self.u[row]),

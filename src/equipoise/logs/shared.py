@@ -43,13 +43,9 @@ class RunInfo(Value):
     arm: Arm
     """The arm."""
     phases: Annotated[tuple[Phase, ...], Field(max_length=64)] = ()
-    """Phases by their number in the ticks' column `state`; empty for an emulated rig."""
+    """Phases by their number in the ticks' column `state`."""
     duration: float | None = None
     """Requested duration of the balancing [s]."""
-    actions: Annotated[tuple[Name, ...], Field(max_length=64)] = ()
-    """Words that trigger an action at any time; empty for a run, which asks questions."""
-    stop: Name = "stop"
-    """Word that STOP sends."""
 
 
 @contextmanager

@@ -28,15 +28,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.inertials import link_inertials
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import MODEL
-from equipoise.progress import (
-    Show,
-    StageProgress,
-    TrainingProgress,
-    compile_training,
-    compile_trials,
-    compiling,
-    counted,
-)
+from equipoise.progress import Show, TrainingProgress, counted
 from equipoise.reproduction.results import (
     EVALUATION,
     PENDULUM,
@@ -82,7 +74,7 @@ def reproduce(
     seed: int = 0,
     quick: bool = False,
     workers: int | None = None,
-    report: Show = lambda _: None,
+    report: Show = lambda *_: None,
 ) -> Results:
     """Reproduce the paper from the swing to a run on the digital twin, and save every value.
 
@@ -107,11 +99,11 @@ def reproduce(
     stages: dict[str, float] = {}
 
     def stage(name: str, work: Callable[[], T]) -> T:
-        report(StageProgress(name))
+        report(name, None, "")
         begin = time.perf_counter()
         value = work()
         stages[name] = round(time.perf_counter() - begin, 2)
-        report(StageProgress(name, 1.0))
+        report(name, 1.0, "")
         return value
 
     def saved(name: str, file: str, work: Callable[[], S], **inputs: str) -> S:
@@ -129,8 +121,6 @@ def reproduce(
         lambda: identify(recorded, settings.identification),
         swing=recorded.sha256,
     )
-    with compiling(report):
-        compile_training(arm, settings)
     # Without a selection, or with few episodes, the first learner is taken as it is.
     selected = not quick and settings.selection.every > 0
     policy = saved(
@@ -175,8 +165,6 @@ def reproduce(
     )
     twin_evaluation = None
     if world == TWIN:
-        with compiling(report, "compile twin"):
-            compile_trials(policy, TWIN)
         twin_evaluation = saved(
             "evaluate twin",
             TWIN_EVALUATION,

@@ -1,13 +1,11 @@
-"""The playground without a browser: its rig, its scenes, and what it says."""
+"""The playground without a browser: its rig and its scenes."""
 
 from math import degrees, radians
 
 import numpy as np
 import pytest
 
-from equipoise.apps.console.playground import FALL, Playground
-from equipoise.apps.console.scenes import SCENES, Scene, scene_named
-from equipoise.errors import EquipoiseError
+from equipoise.apps.console.playground import FALL, SCENES, Playground, Scene
 
 pytestmark = pytest.mark.compiled_only
 
@@ -20,56 +18,38 @@ def played(playground, seconds):
 
 def test_it_stands_and_a_push_moves_it():
     playground, undisturbed = Playground(SCENES["balance"]), Playground(SCENES["balance"])
-    frame = played(playground, 10.0)
-    assert not frame.fallen
+    assert not played(playground, 10.0).fallen
     played(undisturbed, 10.0)
     playground.push(radians(15.0))
     rates = [played(each, 0.01) and each._loop.state()[3] for each in (playground, undisturbed)]
     assert rates[0] - rates[1] == pytest.approx(radians(15.0), rel=0.1)
     assert not played(playground, 5.0).fallen
-    assert "stood for 15 s" in playground.sentences(playground.advance())[0]
     playground.push(radians(200.0))
     assert played(playground, 1.0).fallen
 
 
 def test_a_delay_without_prediction_falls_and_with_it_stands():
     playground = Playground(SCENES["why-it-falls"])
-    frame = played(playground, 0.1)
-    while not frame.fallen:
-        assert playground.stood < 20.0
-        frame = playground.advance()
-    said = " ".join(playground.sentences(frame))
-    assert f"It fell after {playground.stood:.1f} s" in said
-    assert "an angle that is out of date" in said
+    while not playground.advance().fallen:
+        assert playground._tick * playground.h < 20.0
     assert abs(degrees(played(playground, 1.0).phi)) > 30.0  # the fall is shown
     played(playground, FALL)
-    assert playground.stood < 2.0  # and it begins again
+    assert playground._tick * playground.h < 2.0  # and it begins again
     playground.set(SCENES["why-it-falls"]._replace(predict=True))
     assert not played(playground, 30.0).fallen
 
 
 def test_the_sliders_are_the_rig():
-    scene = Scene(zero=radians(1.5), friction=1.0, delay=0.02)
-    playground = Playground(scene)
+    playground = Playground(Scene(zero=radians(1.5), friction=1.0, delay=0.02))
     assert playground._loop.zero == pytest.approx(radians(1.5))
     assert playground._loop.pendulum.coulomb == pytest.approx(1.0)
-    frame = played(playground, 20.0)
-    assert frame.bias == pytest.approx(radians(1.5), abs=radians(0.3))
-    assert "+1.5° off" in " ".join(playground.sentences(frame))
 
 
 def test_the_boxes_light_up_where_the_policy_is():
     playground = Playground(SCENES["balance"])
     frame = played(playground, 3.0)
-    assert playground.used.shape == (270,)
     assert playground.used[frame.box] == 1.0
     assert 3 <= np.count_nonzero(playground.used > 0.1) < 200
     playground.set(SCENES["lqr"])
     assert played(playground, 1.0).box == -1
     assert not playground.used.any()
-
-
-def test_an_unknown_scene_is_one_error():
-    assert scene_named("lqr") is SCENES["lqr"]
-    with pytest.raises(EquipoiseError, match="why-it-falls"):
-        scene_named("nothing")

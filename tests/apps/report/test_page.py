@@ -99,37 +99,30 @@ def test_the_numbers_are_those_of_the_results_and_of_the_paper(plain):
         "270 boxes × 8 accelerations",
         f"{paper.EPISODES:,}",
         "x passed -0.22 m",
-        "unknown-0.11°",  # error of the encoder's zero
     ):
         assert number in words, number
 
 
 @pytest.mark.parametrize(
-    ("changes", "there", "absent"),
+    ("changes", "there"),
     [
-        ({"quick": True}, "Quick run", "The film of the run is missing"),
-        ({"missing": "no OpenGL"}, "The film of the run is missing: no OpenGL", "Quick run"),
-        ({"lasted": 20.0, "cause": Outcome.TRACK}, "left the track after 20 s", "stood all"),
-        ({"given": "mine.csv"}, "equipoise reproduce --swing mine.csv", "one is simulated"),
-        ({"warnings": ["friction is odd"]}, "friction is odd", "mine.csv"),
-        ({"recipe": "paper"}, "no selection took place", "A later table is not always better"),
-        ({"world": MODEL}, "training plant replaces the robot", "a digital twin replaces"),
+        ({"quick": True}, "Quick run"),
+        ({"missing": "no OpenGL"}, "no OpenGL"),
+        ({"lasted": 20.0, "cause": Outcome.TRACK}, "left the track after 20 s"),
+        ({"warnings": ["friction is odd"]}, "friction is odd"),
     ],
 )
-def test_the_page_depends_on_the_results(changes, there, absent):
-    words = Reader(made(**changes)).text
-    assert there in words
-    assert absent not in words
+def test_the_page_depends_on_the_results(plain, changes, there):
+    assert there in Reader(made(**changes)).text
+    assert there not in Reader(plain).text
 
 
-def test_every_setting_is_there_with_unit_value_reason_and_the_other_recipes_value(plain):
+def test_every_setting_is_there_with_value_and_reason(plain):
     words = Reader(plain).text
     for section, model in Settings.model_fields.items():
         for key in model.annotation.model_fields:
             assert f"{section}.{key}" in words
-    assert "clik.K_p400 1/s^2Gain on the pose error. With K_d" in words
-    assert "evaluation.phi_high0.04363 rad (2.5°)" in words
-    assert "learning.mirroredyesno" in words
+    assert "clik.K_p400Gain on the pose error" in words
     for key in TwinSettings.model_fields:
         assert key in words
 
@@ -173,7 +166,6 @@ def test_the_page_is_built_from_the_folder_alone(folder, monkeypatch):
     assert path == folder / PAGE
     assert folder.parent.name not in text  # no path of this machine
     assert {f"{name}.svg" for name in FIGURES} < {p.name for p in (folder / "figures").iterdir()}
-    assert told == sorted(told, key=lambda one: one[1])
     assert told[-1] == (PAGE, 1.0)
 
 

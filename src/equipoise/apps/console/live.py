@@ -1,23 +1,19 @@
 """Live console of a run: the rig in 3-D, plots, messages, questions and their buttons.
 
-All browsers see the same. The one that has the controls may answer; any other takes them over by a
-button. Every browser can stop the run.
+All browsers see the same, and each can answer and stop the run.
 """
 
 import threading
 from collections import deque
-from contextlib import suppress
 from functools import partial
 from math import degrees, isfinite, nan
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from equipoise.apps.console.gauges import messages_list, note, question_card
-from equipoise.apps.console.panel import RigPanel
-from equipoise.apps.console.plots import QUANTITIES, Plots
+from equipoise.apps.console.scene import PLOTS, RigPage, card, messages_list, shown
 from equipoise.apps.console.watch import Observation, RunWatch
-from equipoise.apps.style import BLUE, GREEN, GREY, INK, VERMILION
+from equipoise.apps.style import BLUE, GREEN, GREY, INK, ORANGE, VERMILION
 from equipoise.control.ticks import OK
 from equipoise.logs.recorder import LoggedEvent
 from equipoise.outcomes import Phase
@@ -30,16 +26,11 @@ SPAN: Final = 10.0
 """Time shown in the plots [s]."""
 MESSAGES: Final = 40
 """Number of messages that are kept."""
-PHASE_COLOURS: Final = {
-    Phase.BALANCING: GREEN,
-    Phase.ARMED: GREEN,
-    Phase.STOPPING: VERMILION,
+COLOURS: Final = {
+    **{Phase.BALANCING: GREEN, Phase.ARMED: GREEN, Phase.STOPPING: VERMILION},
+    **{"fault": VERMILION, "stopping": VERMILION, "warning": "#8a5a00"},
 }
-"""Colours of the phases; the others are blue."""
-EVENT_COLOURS: Final = {"fault": VERMILION, "stopping": VERMILION, "warning": "#8a5a00"}
-"""Colours of messages by the names of their events; the others are black."""
-DENIAL: Final = "n"
-"""Answer that denies; any question with one word takes it too."""
+"""Colours of phases and of messages by the names of their events; others are blue and black."""
 
 
 class LivePage:
@@ -51,35 +42,30 @@ class LivePage:
         Args:
             server: The viser server.
         """
-        self._server, self._watch = server, None
+        self._server = server
+        self._watch: RunWatch | None = None
         self._lock = threading.RLock()
-        self._clients: dict[int, _ClientControls] = {}
-        self._holder: int | None = None
         self._question: LoggedEvent | None = None
+        self._buttons: list[Any] = []
         self._history: deque[tuple[float, ...]] = deque()
         self._messages: deque[LoggedEvent] = deque(maxlen=MESSAGES)
         self._began = self._ended = nan
         self.ended = False
         """Whether the run that is shown has ended."""
-        self._panel = RigPanel(server, "Equipoise console")
-        self._plots = Plots(server.gui, len(QUANTITIES), 50.0)
+        self._page = RigPage(server, "Equipoise console", plots=len(PLOTS))
+        self._asked = server.gui.add_html("", order=10, visible=False)
         with server.gui.add_folder("Messages", order=60):
             self._listed = server.gui.add_html("")
-        self._panel.say("no run", GREY, ["Waiting for a run on this computer."])
-        server.on_client_connect(self._connect)
-        server.on_client_disconnect(self._disconnect)
+        self._page.describe("no run", GREY, ["Waiting for a run on this computer."])
 
     def begin(self, watch: RunWatch) -> None:
         """Show another run from its begin."""
         with self._lock:
             self._watch, self.ended = watch, False
-            self._panel.show_arm(watch.info.arm)
+            self._page.show_arm(watch.info.arm)
             self._history.clear()
             self._messages.clear()
             self._began = self._ended = nan
-            self._panel.say("connecting", BLUE, [watch.info.title])
-            self._list_messages()
-            self._refresh()
 
     def show(self, now: Observation) -> None:
         """Show the state of the run."""
@@ -87,11 +73,10 @@ class LivePage:
             if self._watch is None:
                 return
             self._messages.extend(now.events)
-            if now.events:
-                self._list_messages()
-            x = self._panel.show(now.q, now.phi, commanded=now.commanded, u=now.u)
-            if self._history and now.time < self._history[-1][0]:  # a rig that began again
-                self._history.clear()
+            self._listed.content = messages_list(
+                (event.text or event.name, COLOURS.get(event.name, INK)) for event in self._messages
+            )
+            x = self._page.show(now.q, now.phi, now.u)
             if isfinite(now.late):
                 late = 1e3 * max(now.late, 0.0)
                 self._history.append((now.time, degrees(now.phi), 1e3 * x, now.u, late))
@@ -100,48 +85,27 @@ class LivePage:
                 self._began = self._began if isfinite(self._began) else now.time
                 self._ended = now.time
             self._describe(self._watch, now)
-            if now.question != self._question:
-                self._question = now.question
-                self._refresh()
+            self._ask(now.question)
 
     def end(self) -> None:
         """Show that the run has ended; its last picture stays."""
         with self._lock:
-            self._watch, self._question, self.ended = None, None, True
-            self._refresh()
+            self._watch, self.ended = None, True
+            self._ask(None)
 
     def stop(self) -> str:
         """Send a stop to the run; return a text for the STOP button. Never blocks."""
         watch = self._watch
         if watch is None:
             return "no run to stop"
-        watch.say(watch.info.stop)
+        watch.say("stop")
         return "stop sent"
-
-    def take_controls(self, client: int) -> None:
-        """Give the controls to a browser."""
-        with self._lock:
-            self._holder = client
-            self._refresh()
-
-    def answer(self, client: int, word: str, question: float) -> None:
-        """Send the answer of a browser, if it has the controls.
-
-        Args:
-            client: Number of the browser.
-            word: The answer, or an action.
-            question: Time of the question [s]; 0 for an action.
-        """
-        with self._lock:
-            if self._watch is not None and client == self._holder:
-                self._watch.say(word, question)
 
     def _describe(self, watch: RunWatch, now: Observation) -> None:
         """Show the state in words."""
-        name, colour = "emulated rig" if watch.info.actions else "before the motion", BLUE
+        name, colour, lines = "before the motion", BLUE, [watch.info.title]
         if now.phase is not None:
-            name, colour = now.phase.value, PHASE_COLOURS.get(now.phase, BLUE)
-        lines = [watch.info.title]
+            name, colour = now.phase.value, COLOURS.get(now.phase, BLUE)
         if isfinite(self._began):
             length = f" of {watch.info.duration:g} s" if watch.info.duration else ""
             lines.append(f"balanced {self._ended - self._began:.1f} s{length}")
@@ -150,17 +114,7 @@ class LivePage:
             lines.append(f"no tick for {now.silence:.2f} s; press the E-stop if the arm moves")
         if now.ended:
             name, colour = "ended", INK
-        if self._messages and now.question is None:
-            newest = self._messages[-1]
-            lines.append(newest.text or newest.name)
-        self._panel.say(name, colour, lines)
-
-    def _list_messages(self) -> None:
-        rows = [
-            ((event.text or event.name), EVENT_COLOURS.get(event.name, INK))
-            for event in self._messages
-        ]
-        self._listed.content = messages_list(rows)
+        self._page.describe(name, colour, lines)
 
     def _draw_plots(self) -> None:
         history = self._history
@@ -168,69 +122,31 @@ class LivePage:
             history.popleft()
         time, *rows = np.array(history).T
         rows[0] = np.unwrap(rows[0][::-1], period=360.0)[::-1]  # the newest one stays
-        self._plots.draw(time - time[-1], np.array(rows))
+        self._page.draw(time - time[-1], np.array(rows))
 
-    def _connect(self, client: "viser.ClientHandle") -> None:
-        with self._lock:
-            self._clients[client.client_id] = _ClientControls(client, self)
-            if self._holder not in self._clients:
-                self._holder = client.client_id
-            self._refresh()
+    def _ask(self, question: LoggedEvent | None) -> None:
+        """Show a question with its buttons."""
+        if question == self._question:
+            return
+        self._question = question
+        for button in self._buttons:
+            button.remove()
+        self._buttons, self._asked.visible = [], question is not None
+        if question is None:
+            return
+        look = f"font-size:16px;font-weight:600;border-left:5px solid {ORANGE};background:#fff7e6"
+        self._asked.content = card("question", shown(question.text), look)
+        for place, (word, label) in enumerate(answers(question).items()):
+            button = self._server.gui.add_button(label, order=11.0 + place)
+            answer = partial(self._answer, word, question.time)
+            button.on_click(lambda _, answer=answer: answer())
+            self._buttons.append(button)
 
-    def _disconnect(self, client: "viser.ClientHandle") -> None:
-        with self._lock:
-            self._clients.pop(client.client_id, None)
-            if self._holder == client.client_id:
-                self._holder = None
-            self._refresh()
-
-    def _refresh(self) -> None:
-        """Show the open question and the buttons of each browser."""
-        actions = self._watch.info.actions if self._watch is not None else ()
-        for controls in self._clients.values():
-            with suppress(RuntimeError):  # this browser has just gone
-                controls.show(self._question, actions, self._holder)
-
-
-class _ClientControls:
-    """Question and buttons of one browser."""
-
-    def __init__(self, client: "viser.ClientHandle", page: LivePage) -> None:
-        self._client, self._page = client, page
-        self._number = client.client_id
-        self._buttons: list[Any] = []
-        self._asked = client.gui.add_html("", order=10, visible=False)
-        self._note = client.gui.add_html("", order=30)
-        self._take = client.gui.add_button("Take the controls", color="orange", order=31)
-        self._take.on_click(lambda _: page.take_controls(self._number))
-
-    def show(
-        self, question: LoggedEvent | None, actions: tuple[str, ...], holder: int | None
-    ) -> None:
-        """Show a question with its buttons, or actions; without the controls they are disabled."""
-        mine = holder == self._number
-        whose = "You have" if mine else "Nobody has" if holder is None else "Another browser has"
-        with self._client.atomic():  # no question with the buttons of the one before
-            if question is not None:
-                self._asked.content = question_card(question.text)
-            self._asked.visible = question is not None
-            text = f"{whose} the controls. STOP works in every browser."
-            self._note.content, self._take.visible = note(text, "controls"), not mine
-            for button in self._buttons:
-                button.remove()
-            words = dict.fromkeys(actions) if question is None else answers(question)
-            asked = 0.0 if question is None else question.time
-            self._buttons = [
-                self._add(place, word, label or word, asked, mine)
-                for place, (word, label) in enumerate(words.items())
-            ]
-
-    def _add(self, place: int, word: str, label: str, question: float, mine: bool) -> Any:
-        look: Any = {"color": "gray" if word == DENIAL else "green", "disabled": not mine}
-        button = self._client.gui.add_button(label, order=11.0 + place, **look)
-        answer = partial(self._page.answer, self._number, word, question)
-        button.on_click(lambda _: answer())
-        return button
+    def _answer(self, word: str, question: float) -> None:
+        """Send an answer; the run takes the first one to the question of a time [s]."""
+        watch = self._watch
+        if watch is not None:
+            watch.say(word, question)
 
 
 def answers(question: LoggedEvent) -> dict[str, str]:
@@ -246,4 +162,4 @@ def answers(question: LoggedEvent) -> dict[str, str]:
     """
     labels = {"y": "Yes", "n": "No", OK: "OK"}
     words = {word: labels.get(word, f"Yes: {word}") for word in question.answers}
-    return words | ({DENIAL: "No"} if question.name == "checklist" else {})
+    return words | ({"n": "No"} if question.name == "checklist" else {})

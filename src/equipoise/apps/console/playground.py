@@ -1,37 +1,30 @@
-"""The playground without its page: a twin in real time, its policies, and a training beside it.
+"""The playground without its page: scenes, and a twin that balances in real time.
 
 The twin, the controller and the trials are those of an evaluation.
 """
 
-import threading
 from collections import deque
-from math import degrees, exp, sqrt
-from typing import Final, NamedTuple
+from math import degrees, exp, radians, sqrt
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.apps.console.scenes import PolicyChoice, Scene
 from equipoise.artefacts import Estimate
 from equipoise.control.bound_policy import load_policy
 from equipoise.control.control_step import horizon
 from equipoise.control.grid import TRUNCATED, box_indices, make_grid
-from equipoise.control.policy import LearningPoint, TabularPolicy, TaskPolicy, shipped_policy
-from equipoise.errors import EquipoiseError
-from equipoise.learning.train import TrainingObserver, train
-from equipoise.model.elementary import BATCH_SIZE
+from equipoise.control.policy import TabularPolicy, TaskPolicy, shipped_policy
 from equipoise.model.random import DEPLOYMENT
 from equipoise.model.worlds import World, read_world
 from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.paper import PHI_LIMIT_DEG, U_MAX, X_LIMIT
-from equipoise.settings import BoxSettings, resolve
+from equipoise.settings import BoxSettings
 from equipoise.worlds import predicted, setup_of
 from equipoise.worlds.twin.world import TwinSimulation
 
 Floats = npt.NDArray[np.float64]
 
-BASE: Final = read_world("twin:nominal")
-"""World that a scene changes."""
 BRAKE: Final = 5.0
 """Deceleration of the flange after a fall, over its velocity [1/s]."""
 FALL: Final = 2.0
@@ -42,68 +35,66 @@ FADE: Final = 2.0
 """Time constant with which a used box fades [s]."""
 
 
+class Scene(NamedTuple):
+    """A scene; the defaults are the shipped policy on the nominal twin."""
+
+    about: str = ""
+    """What to look at, in a few sentences."""
+    policy: Literal["shipped table", "LQR", "yours"] = "shipped table"
+    """Policy that balances; `yours` is the one of `--policy`."""
+    predict: bool = True
+    """Whether the policy sees the state at which its command takes effect."""
+    delay: float = 0.010
+    """Transport delay of the robot's commands [s]."""
+    zero: float = 0.0
+    """Error of the encoder's zero [rad]."""
+    friction: float = 0.1
+    """Dry friction of the pendulum over its inertia [1/s^2]."""
+    lean: float = radians(3.0)
+    """Angle from upright at the start [rad]."""
+
+
+SCENES: Final = {
+    "balance": Scene(
+        "The shipped table on the digital twin. Push the pendulum: how much can it take?"
+    ),
+    "why-it-falls": Scene(
+        "The same rig, but the policy sees the present, not the moment at which its command "
+        "arrives. Lower the delay: from where on does it stand? Then switch the prediction on.",
+        predict=False,
+        delay=0.030,
+    ),
+    "zero-error": Scene(
+        "The encoder's zero is 1.5 degrees off. Watch the flange: it drives to one side until the "
+        "controller has found the error.",
+        zero=radians(1.5),
+    ),
+    "friction": Scene(
+        "A sticky pivot. The pendulum rests beside upright, and the policy hunts around it.",
+        friction=1.0,
+    ),
+    "lqr": Scene(
+        "A linear regulator instead of a table: it answers small angles with small accelerations. "
+        "The table has eight, so that it is never quite at rest.",
+        policy="LQR",
+    ),
+}
+"""Scenes by name."""
+
+
 class Frame(NamedTuple):
     """State to show."""
 
     q: Floats
     """True joints [rad], shape (joints,)."""
-    commanded: Floats
-    """Commanded joints [rad], shape (joints,)."""
-    x: float
-    """Displacement of the flange [m]."""
     phi: float
     """Angle from upright [rad]."""
     u: float
     """Commanded acceleration [m/s^2]."""
-    bias: float
-    """Estimate of the encoder's zero error [rad]."""
     box: int
     """Box of the table that holds the policy's input; -1 without a table or outside."""
     fallen: str
     """Cause of the fall; empty while it stands."""
-
-
-class Training(TrainingObserver):
-    """Training of a table in a thread."""
-
-    def __init__(self, recipe: str, seed: int) -> None:
-        """Begin a training for the shipped pendulum with a recipe and a master seed."""
-        self.points: list[LearningPoint] = []
-        self.policy: TabularPolicy | None = None
-        self.error = ""
-        self.settings = resolve(recipe)
-        self._thread = threading.Thread(target=self._run, args=(seed,), daemon=True)
-        self._thread.start()
-
-    @property
-    def running(self) -> bool:
-        """Whether the training goes on."""
-        return self._thread.is_alive()
-
-    def report(self, learner: int, point: LearningPoint) -> None:
-        """Add a point of the learning curve."""
-        self.points.append(point)
-
-    def _run(self, seed: int) -> None:
-        shipped = shipped_policy()
-        try:
-            self.policy = train(
-                shipped.pendulum, shipped.arm, self.settings, seed=seed, observer=self
-            )
-        except EquipoiseError as error:
-            self.error = str(error)
-
-    def sentence(self) -> str:
-        """Return how far the training is, or its result."""
-        total, done = self.settings.learning.episodes, 0
-        if self.points:
-            done = self.points[-1].episodes
-        if self.running:
-            phase = "now the best of its tables is selected" if done >= total else "learning"
-            return f"{done:,} of {total:,} episodes: {phase}."
-        if self.policy is None:
-            return f"The training failed: {self.error}"
-        return f"Trained in {self.policy.episodes:,} episodes."
 
 
 class Playground:
@@ -116,40 +107,34 @@ class Playground:
             scene: The scene.
             yours: The policy of `yours`.
         """
-        self.policies: dict[PolicyChoice, TaskPolicy] = {
-            "robust": shipped_policy(),
-            "lqr": load_policy("lqr"),
-        }
-        """Policies that are ready, by name."""
+        self.policies = {"shipped table": shipped_policy(), "LQR": load_policy("lqr")}
+        """Policies by name."""
         if yours is not None:
             self.policies["yours"] = yours
         self._number = 0
         self.set(scene)
 
     def set(self, scene: Scene) -> None:
-        """Set another scene up, and begin again.
-
-        Raises:
-            KeyError: The policy of the scene is not ready.
-        """
-        policy = self.policies[scene.policy]
+        """Set another scene up, and begin again."""
+        policy, base = self.policies[scene.policy], read_world("twin:nominal").settings
         rig = {"transport": scene.delay, "coulomb": scene.friction, "zero_offset": scene.zero}
         exact = {"zero_error": 0.0, "inertia_sigma": 0.0, "friction_sigma": 0.0}
-        world = BASE.settings.model_copy(update=rig | exact)
         known = shipped_policy().actuator  # identified on the nominal twin, then moved along
-        moved = max(known.delay.value + scene.delay - BASE.settings.transport, 0.0)
+        moved = max(known.delay.value + scene.delay - base.transport, 0.0)
         actuator = known.model_copy(update={"delay": Estimate.around(moved, 0.0, "given")})
         controller = policy.settings.controller.model_copy(update={"predict": scene.predict})
         settings = policy.settings.model_copy(update={"controller": controller})
-        twin = World("playground", world)
+        twin = World("playground", base.model_copy(update=rig | exact))
         setup = setup_of(policy, twin, settings, actuator)
         self.scene, self.policy, self.arm = scene, policy, policy.arm
-        self.w2, self.h = policy.pendulum.parameters().w2, policy.h
+        parameters, self.h = policy.pendulum.parameters(), policy.h
         self.latency = horizon(policy.arm, actuator, controller.margin)
         """Time from a measurement to the effect of the command that answers it [s]."""
+        self.growth = exp(sqrt(parameters.w2) * self.latency)
+        """Factor by which a lean grows within the latency [-]."""
         self._simulation = TwinSimulation(twin, setup, seed=0, stream=DEPLOYMENT)
         self._loop = self._simulation.loop()
-        self._boxes = make_grid(BoxSettings(), policy.pendulum.parameters().k)
+        self._boxes = make_grid(BoxSettings(), parameters.k)
         self.u_of_box = None
         if isinstance(policy, TabularPolicy) and policy.settings.boxes == BoxSettings():
             self.u_of_box = policy.u_of_box.reshape(-1)
@@ -166,13 +151,10 @@ class Playground:
         self.policy.reset()
         self._tick, self._fell, self._cause = 0, 0, ""
         self._recent: deque[tuple[float, float]] = deque(maxlen=round(RECENT / self.h))
-        self.pushed = 0.0
-        """Last push [rad/s]."""
 
     def push(self, rate: float) -> None:
         """Push the pendulum, which changes its rate [rad/s]."""
         self._loop.push(rate)
-        self.pushed = rate
 
     def advance(self) -> Frame:
         """Advance by one tick; a fall is shown for `FALL`, then the pendulum is released again."""
@@ -196,43 +178,19 @@ class Playground:
             if self.u_of_box is not None and inside:
                 box = int(box_indices(seen[None, :], self._boxes)[0])
                 self.used[box] = 1.0
-        commanded = self.arm.with_held(loop.controller.q[::BATCH_SIZE])
-        bias = float(loop.controller.estimate[2 * BATCH_SIZE])
-        return Frame(loop.joints(), commanded, x, phi, u, bias, box, self._cause)
+        return Frame(loop.joints(), phi, u, box, self._cause)
 
-    @property
-    def stood(self) -> float:
-        """Time since the release, up to a fall [s]."""
-        return (self._fell if self._cause else self._tick) * self.h
-
-    def sentences(self, frame: Frame) -> list[str]:
-        """Return what one sees now, and why."""
-        scene, found = self.scene, list[str]()
-        if frame.fallen:
-            found.append(f"It fell after {self.stood:.1f} s ({frame.fallen}).")
+    def sentences(self) -> tuple[str, str]:
+        """Return how long it has stood and how far it moved, and what the latency does."""
+        stood = (self._fell if self._cause else self._tick) * self.h
+        motion = f"It has stood for {stood:.0f} s."
+        if self._cause:
+            motion = f"It fell after {stood:.1f} s ({self._cause})."
         elif len(self._recent) > 1:
             x, phi = np.abs(np.array(self._recent)).max(axis=0)
-            found.append(
-                f"It has stood for {self.stood:.0f} s, in the last {RECENT:g} s within "
-                f"±{degrees(phi):.1f}° and ±{1e3 * x:.0f} mm."
-            )
-        growth = 100.0 * (exp(sqrt(self.w2) * self.latency) - 1.0)
-        meanwhile = "The controller predicts the state at that time, and the policy acts on that."
-        if not scene.predict:
-            meanwhile = (
-                f"Meanwhile a lean grows by {growth:.0f} %: the policy acts on an angle that is "
-                "out of date."
-            )
-        found.append(
-            f"A command takes {1e3 * self.latency:.0f} ms to act, {1e3 * scene.delay:.0f} ms of "
-            f"them in transport. {meanwhile}"
+            motion += f" In the last {RECENT:g} s: ±{degrees(phi):.1f}°, ±{1e3 * x:.0f} mm."
+        latency = (
+            f"A command takes {1e3 * self.latency:.0f} ms to act; meanwhile a lean grows by "
+            f"{100.0 * (self.growth - 1.0):.0f} %."
         )
-        if scene.zero:
-            found.append(
-                f"The encoder's zero is {degrees(scene.zero):+.1f}° off; the controller's estimate "
-                f"is {degrees(frame.bias):+.1f}°."
-            )
-        rest = degrees(scene.friction / self.w2)
-        if rest > 0.1:
-            found.append(f"Dry friction can hold the pendulum {rest:.1f}° beside upright.")
-        return found
+        return motion, latency

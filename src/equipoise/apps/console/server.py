@@ -3,14 +3,13 @@
 The process belongs to nobody's loop. It stays off the processor core on which a run's loop stays.
 """
 
-import contextlib
 import multiprocessing
 import os
 import signal
 import sys
 import time
 from collections.abc import Callable, Generator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from importlib import resources
 from typing import Any, Final
 
@@ -21,11 +20,7 @@ from equipoise.errors import EquipoiseError, OutsideError
 from equipoise.logs.shared import live_runs, read_info
 
 PERIOD: Final = 0.04
-"""Time between two pictures [s]."""
-SEARCH_PERIOD: Final = 0.25
-"""Time between two searches for a run [s]."""
-START_TIMEOUT: Final = 60.0
-"""Longest start of the console's process [s]."""
+"""Time between two pictures, and between two searches for a run [s]."""
 NICE: Final = 10
 """Step of the priority below that of a loop and an emulated rig [-]."""
 LINGER: Final = 2.0
@@ -50,8 +45,7 @@ def serve(
 
     Raises:
         MissingExtraError: viser is not installed.
-        InputError: The address is invalid.
-        OutsideError: The port is not available.
+        OutsideError: The address or the port is not available.
     """
     stay_aside()
     page: LivePage | None = None
@@ -66,7 +60,7 @@ def serve(
         while not stopped():
             watch = _next_run(owner)
             if watch is None:
-                time.sleep(SEARCH_PERIOD)
+                time.sleep(PERIOD)
                 continue
             _show(page, watch, stopped)
             if owner is not None:
@@ -77,15 +71,13 @@ def serve(
 def _show(page: LivePage, watch: RunWatch, stopped: Callable[[], bool]) -> None:
     """Show a run until its end."""
     page.begin(watch)
-    due = time.monotonic()
     try:
         while True:
             now = watch.observe()
             page.show(now)
             if now.ended or stopped():
                 return
-            due = max(due + PERIOD, time.monotonic())
-            time.sleep(max(due - time.monotonic(), 0.0))
+            time.sleep(PERIOD)
     finally:
         page.end()
         watch.close()
@@ -94,7 +86,7 @@ def _show(page: LivePage, watch: RunWatch, stopped: Callable[[], bool]) -> None:
 def _next_run(owner: int | None) -> RunWatch | None:
     """Attach to the newest run without a console; None without one."""
     for folder in live_runs():
-        with contextlib.suppress(OSError, ValueError):
+        with suppress(OSError, ValueError):
             if owner is None or read_info(folder).pid == owner:
                 return RunWatch(folder)
     return None
@@ -110,7 +102,7 @@ def stay_aside() -> None:
 
 
 @contextmanager
-def console_process(address: str = LOOPBACK, port: int = 0) -> Generator[str]:
+def console_process() -> Generator[str]:
     """Run a console for the runs of this process, in a process of its own.
 
     Yields:
@@ -118,19 +110,22 @@ def console_process(address: str = LOOPBACK, port: int = 0) -> Generator[str]:
 
     Raises:
         MissingExtraError: viser is not installed.
-        InputError: The address is invalid.
         OutsideError: The console does not start.
     """
     require_viser()
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    process = context.Process(
-        target=_serve_child, args=(address, port, os.getpid(), theirs), daemon=True
-    )
+    process = context.Process(target=_serve_child, args=(os.getpid(), theirs), daemon=True)
     process.start()
     theirs.close()
+    said: Any = None
     try:
-        yield _address(ours)
+        with suppress(EOFError, OSError):
+            said = ours.recv() if ours.poll(60.0) else None  # [s]: a slow disk
+        if not isinstance(said, str):
+            cause = said or "it does not answer; try again, or leave --console out"
+            raise OutsideError(f"the console has not started: {cause}")
+        yield said
     finally:
         ours.close()  # the console ends by itself, once its browsers have seen the end
         process.join(2.0 * LINGER)
@@ -138,29 +133,15 @@ def console_process(address: str = LOOPBACK, port: int = 0) -> Generator[str]:
             process.kill()
 
 
-def _address(pipe: Any) -> str:
-    """Return the address of a console that starts; raise its error."""
-    try:
-        said = pipe.recv() if pipe.poll(START_TIMEOUT) else None
-    except (EOFError, OSError):
-        said = None
-    if isinstance(said, EquipoiseError):
-        raise said
-    if said is None:
-        raise OutsideError("the console has not started; try again, or leave --console out")
-    return str(said)
-
-
-def _serve_child(address: str, port: int, owner: int, pipe: Any) -> None:
+def _serve_child(owner: int, pipe: Any) -> None:
     """Serve the console in a process of its own, until the run ends or its process does."""
-    for name in ("SIGINT", "SIGHUP"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)  # they stop the run, seen here
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # they stop the run, seen here
 
     # viser prints; the terminal is the operator's.
     with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
         try:
-            serve(address, port, pipe.send, lambda: os.getppid() != owner or pipe.poll(), owner)
+            serve(LOOPBACK, 0, pipe.send, lambda: os.getppid() != owner or pipe.poll(), owner)
         except EquipoiseError as error:
-            with contextlib.suppress(OSError):
-                pipe.send(type(error)(str(error)))
+            with suppress(OSError):
+                pipe.send(OutsideError(str(error)))

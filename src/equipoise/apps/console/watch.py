@@ -28,11 +28,9 @@ class Observation(NamedTuple):
     silence: float
     """Time since the last tick [s]; 0 while the run does not tick."""
     phase: Phase | None
-    """Phase; None before the first tick, and of an emulated rig."""
+    """Phase; None before the first tick."""
     q: Floats | None
     """Measured joints [rad], shape (joints,); None while unknown."""
-    commanded: Floats | None
-    """Commanded joints [rad], shape (joints,); None before the first tick."""
     phi: float
     """Angle of the pendulum from upright [rad]; NaN while unknown."""
     u: float
@@ -63,8 +61,7 @@ class RunWatch:
         """
         self.info = shared.read_info(folder)
         """Description of the run."""
-        self.folder = folder
-        """Folder of the run."""
+        self._folder = folder
         self._console = (folder / shared.CONSOLE).open("r+b")
         if not shared.lock(self._console):
             self._console.close()
@@ -77,7 +74,7 @@ class RunWatch:
 
     def observe(self) -> Observation:
         """Return the state of the run now."""
-        ended = not shared.is_alive(self.folder)  # before the rows, so that the last ones are read
+        ended = not shared.is_alive(self._folder)  # before the rows, so that the last ones are read
         recorder = self._recorder
         ticks, replies = self._new("tick"), self._new("reply")
         measured = replies["q"][np.isfinite(replies["q"]).all(axis=1)]
@@ -90,7 +87,7 @@ class RunWatch:
         question, events = recorder.question(), read_events(self._new("event"))
         if last is None:
             return Observation(
-                *(nan, silence, None, self._q, None, nan, 0.0, nan, events, question, ended)
+                *(nan, silence, None, self._q, nan, 0.0, nan, events, question, ended)
             )
         phases, state = self.info.phases, int(last["state"])
         return Observation(
@@ -98,7 +95,6 @@ class RunWatch:
             silence=silence,
             phase=phases[state] if 0 <= state < len(phases) else None,
             q=self._q,
-            commanded=last["q"],
             phi=float(last["estimated_phi"]),
             u=float(last["u"]) if isfinite(last["u"]) else 0.0,
             late=float(np.max(ticks["late"])) if len(ticks) else nan,
@@ -111,8 +107,8 @@ class RunWatch:
         """Send a word to the run; any thread may call this.
 
         Args:
-            word: `stop`, an answer, or an action.
-            question: Time of the question that it answers [s]; 0 for a stop or an action.
+            word: `stop`, or an answer.
+            question: Time of the question that it answers [s]; 0 for a stop.
         """
         with self._speaking:
             self._recorder.console.push(question, word.encode()[:64])

@@ -1,29 +1,151 @@
 """Web server of a page with a 3-D scene: viser behind a gate, for browsers of this computer.
 
+viser serves page and websocket on one port, through `websockets.asyncio.server.serve`. The gate
+wraps the function that this server calls with each request, before it accepts a websocket:
+
+* The header `Host` names this server: a page of another server whose name leads here, by DNS
+  rebinding, is refused.
+* The address with the token, `/?token=...`, gives a cookie and leads to the page.
+* Each other request needs the cookie, and a websocket also the origin of this server.
+* The address of an action, such as `/stop`, calls a function at once, past viser's queues and
+  threads.
+* The content policy of the page forbids requests to any other server.
+
 viser's own sharing is off, and nothing is printed or logged: the terminal belongs to the operator,
 and whoever reaches the port chooses the words of a request.
 """
 
 import atexit
-import ipaddress
+import hmac
 import logging
 import os
+import secrets
 import socket
 from collections.abc import Callable, Generator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
+from http import HTTPStatus
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
+from urllib.parse import parse_qs, urlsplit
 
-from equipoise.apps.console.gate import Gate
-from equipoise.errors import InputError, MissingExtraError, OutsideError
+from equipoise.errors import MissingExtraError, OutsideError
 
 if TYPE_CHECKING:
     import viser
 
 LOOPBACK: Final = "127.0.0.1"
 """Address that only browsers on this computer reach."""
-EVERYWHERE: Final = ("0.0.0.0", "::")
-"""Addresses that stand for all addresses of this computer."""
+OWN_HEADER: Final = "X-Equipoise"
+"""Header that only a script of the page can send."""
+HEADERS: Final = {
+    # Sources that the page may use: its own server. viser's page has its scripts inside.
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; "
+        "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
+        "connect-src 'self' data: blob:; worker-src 'self' blob:; base-uri 'none'; "
+        "form-action 'none'; frame-ancestors 'none'"
+    ),
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+}
+"""Headers of all responses."""
+
+Actions = Mapping[str, Callable[[], str]]
+"""Functions by their addresses, such as `/stop`, for scripts of the page. They are called in the
+server's thread, do not block, and return a text for the script."""
+
+
+class Gate:
+    """Check of all requests to one server."""
+
+    def __init__(
+        self, host: str, actions: Actions, overlay: bytes, *, any_address: bool = False
+    ) -> None:
+        """Create a gate with a new token.
+
+        Args:
+            host: Name or address of the server, as in the address of the page.
+            actions: Functions for scripts of the page.
+            overlay: HTML at the end of the page.
+            any_address: Whether the server listens on all addresses of this computer.
+        """
+        self._hosts, self._any_address = {"localhost", host.strip("[]").lower()}, any_address
+        self.token = secrets.token_urlsafe(24)
+        """Token of the address."""
+        # Cookies ignore the port: the name is that of this server.
+        self._cookie = f"equipoise-{secrets.token_hex(4)}={self.token}"
+        self._actions, self._overlay = actions, overlay
+
+    def check(self, request: Any, serve: Callable[[Any], Any]) -> Any:
+        """Return the response to a request; None accepts a websocket.
+
+        Args:
+            request: Request of the package websockets.
+            serve: Returns viser's own response.
+        """
+        try:
+            response = self._response(request, serve)
+        except (ValueError, LookupError):  # an invalid address, or a header given twice
+            response = _respond(HTTPStatus.BAD_REQUEST, "This is not a valid request.")
+        if response is not None:
+            for name, value in HEADERS.items():
+                response.headers[name] = value
+        return response
+
+    def is_own(self, host: str) -> bool:
+        """Return whether a header `Host` names this server; tunnels may change the port."""
+        name = urlsplit(f"//{host}").hostname or ""
+        is_address = ":" in name or name.replace(".", "").isdigit()
+        return name in self._hosts or (self._any_address and is_address)
+
+    def _response(self, request: Any, serve: Callable[[Any], Any]) -> Any:
+        headers, address = request.headers, urlsplit(request.path)
+        is_websocket = bool(headers.get_all("Upgrade"))
+        given = parse_qs(address.query).get("token", [])
+        if self.is_own(headers["Host"]) and given and not is_websocket:
+            if hmac.compare_digest(given[0].encode(), self.token.encode()):
+                cookie = f"{self._cookie}; Path=/; HttpOnly; SameSite=Strict"
+                more = {"Location": "/", "Set-Cookie": cookie}
+                return _respond(HTTPStatus.SEE_OTHER, "", more)
+        elif self.is_own(headers["Host"]) and self._has_cookie(headers):
+            if is_websocket:
+                origin = urlsplit(headers.get("Origin", "")).netloc
+                if origin == headers["Host"]:
+                    return serve(request)
+            elif (action := self._actions.get(address.path)) is not None:
+                if OWN_HEADER in headers:
+                    return _respond(HTTPStatus.OK, action())
+            elif address.path in ("/", "/index.html"):
+                return self._serve_page(request, serve)
+            else:
+                return serve(request)
+        whole = "Open this page with its whole address, token included, as the terminal shows it."
+        return _respond(HTTPStatus.FORBIDDEN, whole)
+
+    def _has_cookie(self, headers: Any) -> bool:
+        cookies = [each for header in headers.get_all("Cookie") for each in header.split(";")]
+        own = self._cookie.encode()
+        return any(hmac.compare_digest(each.strip().encode(), own) for each in cookies)
+
+    def _serve_page(self, request: Any, serve: Callable[[Any], Any]) -> Any:
+        """Return viser's page with the overlay."""
+        with suppress(KeyError):
+            del request.headers["Accept-Encoding"]  # viser then sends plain text
+        response = serve(request)
+        response.body = response.body.replace(b"</body>", self._overlay + b"</body>")
+        del response.headers["Content-Length"]
+        response.headers["Content-Length"] = str(len(response.body))
+        return response
+
+
+def _respond(status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> Any:
+    from websockets.datastructures import Headers
+    from websockets.http11 import Response
+
+    body = text.encode()
+    own = {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))}
+    return Response(status.value, status.phrase, Headers(own | dict(headers or {})), body)
 
 
 def require_viser() -> Any:
@@ -40,18 +162,14 @@ def require_viser() -> Any:
 
 @contextmanager
 def serving(
-    address: str = LOOPBACK,
-    port: int = 0,
-    *,
-    actions: Mapping[str, Callable[[], str]] | None = None,
-    overlay: bytes = b"",
+    address: str = LOOPBACK, port: int = 0, *, actions: Actions | None = None, overlay: bytes = b""
 ) -> "Generator[tuple[viser.ViserServer, str]]":
     """Serve a viser scene; every request needs the token of the page's address.
 
     Args:
         address: Address of this computer to listen on.
         port: Port; 0 selects a free one.
-        actions: Functions by their addresses, as of `Gate`.
+        actions: Functions for scripts of the page.
         overlay: HTML at the end of the page.
 
     Yields:
@@ -59,14 +177,21 @@ def serving(
 
     Raises:
         MissingExtraError: viser is not installed.
-        InputError: The address is invalid.
-        OutsideError: The port is not available.
+        OutsideError: The address or the port is not available.
     """
     viser = require_viser()
-    port = _check(address, port)
-    shown = f"[{address}]" if ":" in address else address
-    shown = socket.gethostname() if address in EVERYWHERE else shown
-    gate = Gate(shown, actions, overlay, any_address=address in EVERYWHERE)
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    try:  # viser would try other ports without end
+        with socket.create_server((address, port), family=family) as probe:
+            port = int(probe.getsockname()[1])
+    except OSError as error:
+        raise OutsideError(
+            f"cannot listen on {address}, port {port}: {error.strerror}; give an address of this "
+            f"computer, such as {LOOPBACK}, or 0.0.0.0 for all of them, and a free port"
+        ) from None
+    everywhere = address in ("0.0.0.0", "::")
+    host = socket.gethostname() if everywhere else f"[{address}]" if ":" in address else address
+    gate = Gate(host, actions or {}, overlay, any_address=everywhere)
 
     class Server(viser.ViserServer):
         def request_share_url(self, verbose: bool = True) -> str | None:
@@ -77,7 +202,7 @@ def serving(
         server: Any = Server(address, port, verbose=False)
     atexit.unregister(server._websock_server.stop)  # it prints; `finally` stops the server
     try:
-        yield server, f"http://{shown}:{server.get_port()}/?token={gate.token}"
+        yield server, f"http://{host}:{server.get_port()}/?token={gate.token}"
     finally:
         with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
             server.stop()
@@ -109,31 +234,5 @@ def _guarding(gate: Gate) -> Generator[None]:
         server.serve = original
     if not guarded:
         raise OutsideError(
-            "Equipoise cannot guard this version of viser with its token; install another one "
-            "(1.1 was tested)"
+            "this version of viser cannot be guarded with a token; install version 1.1"
         )
-
-
-def _check(address: str, port: int) -> int:
-    """Return a free port of an address; viser would try others without end.
-
-    Raises:
-        InputError: The address is invalid.
-        OutsideError: The port is not available.
-    """
-    try:
-        family = socket.AF_INET6 if ipaddress.ip_address(address).version == 6 else socket.AF_INET
-    except ValueError:
-        raise InputError(
-            f"{address!r} is not an IP address of this computer, such as {LOOPBACK}, 0.0.0.0 for "
-            "all of them, or one from `ip address`"
-        ) from None
-    with socket.socket(family) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((address, port))
-        except OSError as error:
-            raise OutsideError(
-                f"cannot listen on {address}, port {port}: {error.strerror}; choose another"
-            ) from None
-        return int(probe.getsockname()[1])

@@ -45,7 +45,7 @@ OBSERVED_LINE: Final[dict[str, Any]] = {"color": style.INK, "linewidth": 0.8}
 
 @styled()
 def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
-    """Draw a recorded swing with its fit, a close-up of its start, and the residual.
+    """Draw a recorded swing with its fit, and the residual.
 
     As in the paper's figure 2 the recording is a continuous line and the fit a dashed one.
 
@@ -62,75 +62,50 @@ def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
     rate = fit.quantity == "rate"
     name, unit = ("angular velocity dθ/dt", "°/s") if rate else ("angle from hanging θ", "°")
     figure = new_figure(4.3, "Free swing: recording and fit (the paper's figure 2)")
-    ratios: Any = {"width_ratios": (5, 3), "height_ratios": (5, 2)}
-    axes: Any = figure.subplots(2, 2, sharex="col", sharey="row", **ratios)
-    begin, end = fit.window
-    period = (end - begin) / fit.periods
+    axes: Any = figure.subplots(2, 1, sharex=True, height_ratios=(5, 2))
+    top, bottom = axes
+    # A wide pale line below a thin dashed one: both stay visible where they coincide.
+    top.plot(time, recorded, color=style.SKY, linewidth=2.6, label="recording")
+    top.plot(time, fitted, color=style.INK, linestyle=(0, (4, 2)), label="fit")
+    bottom.plot(time, recorded - fitted, color=style.INK, linewidth=0.7)
     first, last = float(time[0]), float(time[-1])
-    close_up = max(first, begin - 0.5 * period), min(end, begin + 4.0 * period)
-    for column, span in enumerate([(first, last), close_up]):
-        top, bottom = axes[:, column]
-        shown = (time >= span[0]) & (time <= span[1])
-        # A wide pale line below a thin dashed one: both stay visible where they coincide.
-        top.plot(time[shown], recorded[shown], color=style.SKY, linewidth=2.6, label="recording")
-        top.plot(time[shown], fitted[shown], color=style.INK, linestyle=(0, (4, 2)), label="fit")
-        bottom.plot(time[shown], (recorded - fitted)[shown], color=style.INK, linewidth=0.7)
-        for panel in (top, bottom):
-            panel.set_xlim(*span)
-            for low, high in ((span[0], begin), (end, span[1])):
-                panel.axvspan(low, max(low, high), color=style.PALE, linewidth=0.0, zorder=0.5)
-        bottom.set_xlabel("time [s]")
-    axes[0, 0].set_title("whole recording; grey: not fitted")
-    axes[0, 1].set_title(f"first periods, from {begin:.2f} s")
-    axes[0, 0].set_ylabel(f"{name} [{unit}]")
-    axes[1, 0].set_ylabel(f"residual [{unit}]")
-    axes[1, 0].set_title(f"{fit.rms_deg:.2g} {unit} RMS".replace(" °", "°"))
-    handles = axes[0, 0].get_legend_handles_labels()
-    figure.legend(*handles, loc="outside lower center", ncols=2)
+    for panel in axes:
+        panel.set_xlim(first, last)
+        for low, high in ((first, fit.window[0]), (fit.window[1], last)):
+            panel.axvspan(low, max(low, high), color=style.PALE, linewidth=0.0, zorder=0.5)
+    top.set_title("grey: not fitted")
+    top.set_ylabel(f"{name} [{unit}]")
+    bottom.set_title(f"{fit.rms_deg:.2g} {unit} RMS".replace(" °", "°"))
+    bottom.set_ylabel(f"residual [{unit}]")
+    bottom.set_xlabel("time [s]")
+    figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
 
 
 @styled()
 def learning_curve(policy: TabularPolicy) -> "Figure":
-    """Draw the mean duration of the training episodes, and the candidates of the selection.
+    """Draw the mean duration of the training episodes, and mark the selected table.
 
     Args:
-        policy: The policy, with its learning curve and the results of its race.
+        policy: The policy, with its learning curve.
     """
-    tried, settings = policy.checkpoints, policy.settings
-    figure = new_figure(4.2 if tried else 2.4, "Learning curve")
-    axes: Any = figure.subplots(2 if tried else 1, 1, sharex=True, squeeze=False)[:, 0]
-    axes[0].stairs(*_mean_duration(policy), baseline=None, color=style.INK)
-    axes[0].set_ylabel("mean duration [s]")
-    limit = settings.learning.episode_duration
-    axes[0].set_ylim(0.0, 1.05 * limit)
-    axes[0].set_title(f"training episodes, truncated after {limit:g} s")
-    if tried:
-        episodes = [candidate.episodes for candidate in tried]
-        percent = [100.0 * candidate.survived / candidate.trials for candidate in tried]
-        trials = np.array([candidate.trials for candidate in tried])
-        area = 30.0 * trials[1:] / trials[0]
-        kept = f"kept: episode {episodes[0]:,}"
-        panel, diamond = axes[1], {"marker": "D", "edgecolor": style.INK, "clip_on": False}
-        panel.scatter(episodes[1:], percent[1:], area, color=style.BLUE, label="candidate")
-        panel.scatter(episodes[:1], percent[:1], 45.0, color=style.ORANGE, label=kept, **diamond)
-        panel.set_ylabel("trials that lasted [%]")
-        panel.set_ylim(-4.0, 107.0)
-        panel.set_title(f"candidates in trials of {settings.selection.duration:g} s")
-        figure.legend(loc="outside lower center", ncols=2)
-    axes[-1].set_xlabel("episodes")
-    axes[-1].set_xlim(0, policy.episodes)
-    return figure
-
-
-def _mean_duration(policy: TabularPolicy) -> tuple[Array, Array]:
-    """Return the mean duration of the episodes [s] per interval, and the edges in episodes."""
     # Episodes run in parallel, and few of them end between two points: average over several.
     stride = max(1, len(policy.learning_curve) // 100)
     points = policy.learning_curve[stride - 1 :: stride]
     episodes = np.array([0, *(point.episodes for point in points)], dtype=np.float64)
     seconds = policy.h * np.array([0, *(point.steps for point in points)])
-    return np.diff(seconds) / np.diff(episodes), episodes
+    figure, limit = new_figure(2.6, "Learning curve"), policy.settings.learning.episode_duration
+    axes: Any = figure.subplots()
+    axes.stairs(np.diff(seconds) / np.diff(episodes), episodes, baseline=None, color=style.INK)
+    for best in policy.checkpoints[:1]:
+        axes.axvline(best.episodes, color=style.ORANGE, label=f"kept: episode {best.episodes:,}")
+        figure.legend(loc="outside lower center")
+    axes.set_title(f"training episodes, truncated after {limit:g} s")
+    axes.set_ylabel("mean duration [s]")
+    axes.set_ylim(0.0, 1.05 * limit)
+    axes.set_xlabel("episodes")
+    axes.set_xlim(0, policy.episodes)
+    return figure
 
 
 @styled()

@@ -1,0 +1,70 @@
+"""The rig in a viser scene and the panel beside it, without a browser."""
+
+import re
+
+import numpy as np
+import pytest
+
+from equipoise.model.arms.iiwa import iiwa7, iiwa14
+
+viser = pytest.importorskip("viser", reason="viser is not installed (extra console)")
+
+
+@pytest.fixture
+def server():
+    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
+    yield server
+    server.stop()
+
+
+def page_of(server, arm):
+    from equipoise.apps.console.scene import RigPage
+
+    return RigPage(server, "test", arm)
+
+
+@pytest.mark.parametrize("make", [iiwa7, iiwa14])
+def test_the_pivot_is_where_the_kinematics_of_the_arm_have_it(server, make):
+    arm = make()
+    page = page_of(server, arm)
+    q = np.array(arm.home) + np.array([0.1, -0.2, 0.0, 0.15, 0.1, -0.1, 0.3])
+    x = page.show(q, 0.1)
+    pose, home = arm.pose(arm.without_held(q)), arm.pose(arm.home_free)
+    expected = pose.position + pose.rotation @ np.array(arm.pivot)
+    assert page.pendulum.position == pytest.approx(expected, abs=1e-9)
+    at_home = home.position + home.rotation @ np.array(arm.pivot)
+    assert x == pytest.approx(expected[0] - at_home[0], abs=1e-9)
+
+
+@pytest.mark.parametrize("q", [None, np.full(7, np.nan)])
+def test_an_unknown_posture_keeps_the_last_one_and_is_named_unknown(server, q):
+    page = page_of(server, iiwa7())
+    page.show(np.array(iiwa7().home) + 0.05, 0.3)
+    before = [*page.pendulum.position, *page.pendulum.wxyz]
+    assert np.isnan(page.show(q, np.nan, np.nan))
+    assert [*page.pendulum.position, *page.pendulum.wxyz] == pytest.approx(before)
+    assert re.findall(r">(\w+ unknown)<", page._readings.content) == ["φ unknown", "x unknown"]
+
+
+def test_the_pendulum_leans_towards_x_for_a_positive_angle_and_the_arrow_points_along_u(server):
+    from viser.transforms import SO3
+
+    page = page_of(server, iiwa7())
+    page.show(iiwa7().home, 0.2, -1.5)
+    direction = SO3(np.array(page.pendulum.wxyz)).as_matrix()[:, 2]
+    assert direction == pytest.approx([np.sin(0.2), 0.0, np.cos(0.2)], abs=1e-9)
+    start, end = np.array(page._arrow.points)[0]
+    assert end - start == pytest.approx([-0.15, 0.0, 0.0], abs=1e-6)
+    assert start[2] < page.pendulum.position[2]
+    page.show(iiwa7().home, 0.2)
+    assert not page._arrow.visible
+
+
+def test_texts_of_devices_and_plugins_are_escaped(server):
+    from equipoise.apps.console.scene import messages_list
+
+    bad, page = "<img src=x onerror=alert(1)>\x1b[2J", page_of(server, iiwa7())
+    page.describe(bad, "#000", [bad])
+    for html in (page._state.content, messages_list([(bad, "#000")])):
+        assert "<img" not in html
+        assert "\x1b" not in html
