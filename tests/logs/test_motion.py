@@ -42,9 +42,6 @@ def test_a_rig_is_shown_as_it_was_measured(run):
             home + now.x, abs=1e-5
         )
         assert (now.phase, now.u, now.late) == (phase, u, 2e-4)
-        # The command of a tick is for its end.
-        row = (time + 6.0) / 0.01 - 1.0
-        assert now.commanded[0] == pytest.approx(arm.home[0] + 0.001 * row, abs=1e-9)
 
 
 def test_a_simulated_run_is_shown_as_it_truly_was():
@@ -52,7 +49,6 @@ def test_a_simulated_run_is_shown_as_it_truly_was():
     motion = Motion.of(run)
     now = motion.at(0.105)
     np.testing.assert_allclose(now.q, 0.5 * (run.truth.q[10] + run.truth.q[11]))
-    np.testing.assert_allclose(now.commanded, 0.5 * (run.q[9] + run.q[10]))
     assert now.phi == pytest.approx(0.5 * (run.truth.phi[10] + run.truth.phi[11]))
     assert (now.u, now.phase) == (run.u[10], "")
     assert np.isnan(now.late)

@@ -52,7 +52,7 @@ def made(tmp_path_factory):
     told = []
     out = tmp_path_factory.mktemp("reproduction") / "deep" / "folder"
     results = reproduce(
-        out, settings=SHORT, seed=3, workers=1, report=lambda *shown: told.append(shown)
+        out, settings=SHORT, seed=3, workers=1, report=lambda *reported: told.append(reported)
     )
     return out, results, told
 
@@ -84,11 +84,13 @@ def test_the_stages_are_reported_in_their_order_and_end(made):
     shown = [name for name in dict.fromkeys(name for name, _, _ in told) if name in stages]
     assert shown == stages
     for stage in stages:
-        shares = [share for name, share, _ in told if name == stage]
-        assert shares[0] in (None, 0.0)
+        first, *shares = [share for name, share, _ in told if name == stage]
+        assert first is None
         assert shares[-1] == 1.0
-        known = [share for share in shares if share is not None]
-        assert known == sorted(known)
+        assert shares == sorted(shares)
+    texts = [text for _, _, text in told]
+    assert any("of 40 trials" in text for text in texts)  # four baselines on the plant
+    assert any("of 8 trials" in text for text in texts)
 
 
 @pytest.mark.compiled_only

@@ -187,6 +187,12 @@ def test_java_numbers_come_back_to_the_last_bit(values):
             assert re.fullmatch(r"-?[1-9]\.(0|\d*[1-9])E-?[1-9]\d*", text)
 
 
+@pytest.mark.parametrize("text", ["", "nan", "inf", "0x1p3", "1,5", "1.0x", "- 1"])
+def test_what_java_does_not_parse_is_refused(text):
+    with pytest.raises(InputError):
+        java_double(text)
+
+
 SAID = st.one_of(
     st.binary(max_size=40),
     st.text(alphabet="0123456789.E-_+nakdoeINf\r ", max_size=60).map(str.encode),
