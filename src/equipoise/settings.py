@@ -382,22 +382,10 @@ def resolve(
         raise SettingsError(f"{where}: {fault.what}{got}") from None
 
 
-def closest_recipe(settings: Settings) -> tuple[str, tuple[str, ...]]:
-    """Return the recipe with the fewest differences to the settings of a training, and these.
-
-    The sections `identification` and `evaluation` do not affect a training.
-
-    Example:
-        >>> closest_recipe(resolve("paper", overrides=["learning.gamma=0.9", "clik.K_p=100"]))
-        ('paper', ('clik.K_p = 100.0', 'learning.gamma = 0.9'))
-    """
-    found = {name: tuple(_differences(settings, resolve(name))) for name in RECIPES}
-    name = min(found, key=lambda name: len(found[name]))
-    return name, found[name]
-
-
 def describe_recipe(settings: Settings) -> str:
     """Return the name of the recipe with these settings, or `custom` with the differences.
+
+    The sections `identification` and `evaluation` do not affect a training.
 
     Example:
         >>> describe_recipe(resolve("paper"))
@@ -405,7 +393,8 @@ def describe_recipe(settings: Settings) -> str:
         >>> describe_recipe(resolve(overrides=["learning.gamma=0.9"]))
         'custom: robust with learning.gamma = 0.9'
     """
-    name, differences = closest_recipe(settings)
+    found = {name: tuple(_differences(settings, resolve(name))) for name in RECIPES}
+    name, differences = min(found.items(), key=lambda item: len(item[1]))
     return f"custom: {name} with {', '.join(differences)}" if differences else name
 
 
