@@ -8,7 +8,7 @@ import numpy as np
 
 from equipoise.logs.columns import tables
 from equipoise.logs.conditions import RunConditions, RunEnd
-from equipoise.logs.run_log import RunLog
+from equipoise.logs.run_log import RunLog, simulated_log
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x
 from equipoise.outcomes import Outcome, Phase
@@ -59,7 +59,7 @@ def rig_conditions(**changes):
 
 
 def columns(ticks=40, rig=True):
-    """Arguments of `RunLog.simulated`, random: nothing depends on what they mean."""
+    """Arguments of `simulated_log`, random: nothing depends on what they mean."""
     rng = np.random.default_rng(3)
     names = [name for name in COLUMNS if name not in ("q", "dq")]
     tick = {name: rng.standard_normal(ticks) for name in names}
@@ -84,7 +84,7 @@ def made_up(count=40, rig=True, **changes):
     """A run of random numbers, with other tables where they are given."""
     given = columns(count, rig) | changes
     end = RunEnd(outcome=Outcome.TRACK, lasted=0.01 * count)
-    return RunLog.simulated(conditions(), end, given.pop("ticks"), **given)
+    return simulated_log(conditions(), end, given.pop("ticks"), **given)
 
 
 def arrays(run):

@@ -8,7 +8,7 @@ import pytest
 from equipoise.errors import InputError, RecordingError
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.motion import Motion
-from equipoise.logs.run_log import RunLog
+from equipoise.logs.run_log import simulated_log
 from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.run_controller import PHASES
 from tests.logs.made_up import (
@@ -95,7 +95,7 @@ def test_without_a_reply_the_commanded_posture_is_shown(run):
 
 def test_a_run_with_nothing_to_show_is_refused(run):
     still = made_up()
-    excited = RunLog.simulated(still.conditions, RunEnd(outcome=Outcome.EXCITED), {})
+    excited = simulated_log(still.conditions, RunEnd(outcome=Outcome.EXCITED), {})
     tables = dict(run.tables) | {"tick": run.tables["tick"][:0]}
     time = run.tables["tick"]["time"].copy()
     time[300] = 3.0

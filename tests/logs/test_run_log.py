@@ -13,7 +13,7 @@ from equipoise.control.ticks import TickRecord
 from equipoise.errors import ArtefactError, OutsideError
 from equipoise.logs.columns import TABLES
 from equipoise.logs.conditions import RunEnd
-from equipoise.logs.run_log import RunLog
+from equipoise.logs.run_log import RunLog, simulated_log
 from equipoise.outcomes import Outcome
 from tests.logs.made_up import arrays, columns, conditions, made_up
 
@@ -47,7 +47,7 @@ def excited():
     q = np.tile(np.sin(time)[:, None], 7)
     replies = {"time": time[:-2] + 0.001, "q": q[:-2]}
     end = RunEnd(outcome=Outcome.EXCITED)
-    return RunLog.simulated(conditions(), end, {}, stream={"time": time, "q": q}, replies=replies)
+    return simulated_log(conditions(), end, {}, stream={"time": time, "q": q}, replies=replies)
 
 
 JUMPING = {"time": np.array([0.0, 0.02, 0.01, 0.01, 0.4, 0.3]), "counts": np.arange(6)}

@@ -4,7 +4,7 @@
 
     tick loop -> Recorder (rings) -> RunWriter (file, during the run) -+
                                                                        +-> MCAP -> RunLog
-    simulation -> RunLog.simulated -> RunLog.save (file, atomically) --+
+    simulation -> simulated_log -> RunLog.save (file, atomically) --+
 
 `columns` describes the tables once; everything here follows from it. `conditions` holds the
 conditions and the end of a run, `foxglove` the messages for the 3D panels of Foxglove and

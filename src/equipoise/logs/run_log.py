@@ -56,37 +56,6 @@ class RunLog:
     provenance: Provenance | None = field(default=None)
     """Provenance of the file; None for a run that was not loaded."""
 
-    @classmethod
-    def simulated(
-        cls,
-        conditions: RunConditions,
-        end: RunEnd,
-        ticks: Mapping[str, Any],
-        *,
-        truth: Mapping[str, Any] | None = None,
-        stream: Mapping[str, Any] | None = None,
-        replies: Mapping[str, Any] | None = None,
-        encoder: Mapping[str, Any] | None = None,
-    ) -> Self:
-        """Create a simulated run from the columns of its tables.
-
-        The names are those of `equipoise.logs.columns`. The times of `ticks` hold for `truth`, too;
-        `replies` need only `time` and `q`.
-
-        Raises:
-            ArtefactError: Columns differ in length, or values are not finite.
-        """
-        given: dict[str, Mapping[str, Any]] = {
-            "tick": {"late": 0.0, "compute": 0.0, **ticks},
-            "truth": {"time": ticks.get("time", ()), **truth} if truth else {},
-            "stream": stream or {},
-            "reply": {**replies, "sent": replies["time"]} if replies else {},
-            "encoder": encoder or {},
-        }
-        kinds = tables(len(conditions.joints))
-        filled = {name: _filled(name, kinds[name], columns) for name, columns in given.items()}
-        return cls(conditions, filled, end)
-
     def __post_init__(self) -> None:
         """Freeze the tables."""
         kinds = tables(len(self.conditions.joints))
@@ -310,6 +279,36 @@ class RunLog:
                 "the run again"
             )
         return run
+
+
+def simulated_log(
+    conditions: RunConditions,
+    end: RunEnd,
+    ticks: Mapping[str, Any],
+    *,
+    truth: Mapping[str, Any] | None = None,
+    stream: Mapping[str, Any] | None = None,
+    replies: Mapping[str, Any] | None = None,
+    encoder: Mapping[str, Any] | None = None,
+) -> RunLog:
+    """Create a simulated run from the columns of its tables.
+
+    The names are those of `equipoise.logs.columns`. The times of `ticks` hold for `truth`, too;
+    `replies` need only `time` and `q`.
+
+    Raises:
+        ArtefactError: Columns differ in length, or values are not finite.
+    """
+    given: dict[str, Mapping[str, Any]] = {
+        "tick": {"late": 0.0, "compute": 0.0, **ticks},
+        "truth": {"time": ticks.get("time", ()), **truth} if truth else {},
+        "stream": stream or {},
+        "reply": {**replies, "sent": replies["time"]} if replies else {},
+        "encoder": encoder or {},
+    }
+    kinds = tables(len(conditions.joints))
+    filled = {name: _filled(name, kinds[name], columns) for name, columns in given.items()}
+    return RunLog(conditions, filled, end)
 
 
 def load_run(path: Path) -> RunLog:

@@ -19,7 +19,7 @@ from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.grid import TRUNCATED, box_indices, make_grid
 from equipoise.control.policy import TaskPolicy
 from equipoise.logs.conditions import RunConditions, RunEnd, named
-from equipoise.logs.run_log import RunLog
+from equipoise.logs.run_log import RunLog, simulated_log
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.pendulum import Pendulum
@@ -92,7 +92,7 @@ def simulate_run(
             "encoder": {"time": rows.encoder[:, 1], "counts": rows.encoder[:, 0]},
         }
     boxes = make_grid(settings.boxes, pendulum.parameters().k)
-    return RunLog.simulated(
+    return simulated_log(
         RunConditions(
             arm=arm,
             settings=settings,
@@ -162,7 +162,7 @@ def excite(
         simulated.advance(PERIOD)
         rows.append((now, *simulated.measured(), *simulated.encoder()))
     time, measured, measured_at, counts, counted_at = map(np.array, zip(*rows, strict=True))
-    return RunLog.simulated(
+    return simulated_log(
         RunConditions(
             arm=arm,
             settings=Settings(),

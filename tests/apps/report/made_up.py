@@ -7,7 +7,7 @@ from equipoise.artefacts import Estimate, Provenance
 from equipoise.control.policy import Checkpoint, LearningPoint, TabularPolicy
 from equipoise.identification.recording import Trajectory
 from equipoise.logs.conditions import RunConditions, RunEnd
-from equipoise.logs.run_log import RunLog
+from equipoise.logs.run_log import simulated_log
 from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, SwingFit
@@ -165,7 +165,7 @@ def run(of, lasted=60.0, cause=Outcome.LASTED, world=MODEL):
     was = state(time - AHEAD if twin else time)
     u = np.array(paper.ACTIONS)[np.arange(n) // 3 % 8]
     known = {**was, "tracked": u + 0.03, "q": q - 0.001} if twin else None
-    return RunLog.simulated(
+    return simulated_log(
         RunConditions(
             policy=of.digest,
             world=twin.name if twin else world,

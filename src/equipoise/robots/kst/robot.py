@@ -208,17 +208,14 @@ class KstRobot:
         self._may_move = False
 
     def close(self) -> None:
-        """End the server and its servo, and close; an operator has to start the server again.
-
-        Waits for the server to close the connection: closing a connection with unread bytes may
-        discard the last command.
-        """
+        """End the server and its servo, and close; an operator has to start the server again."""
         transport, self._transport = self._transport, None
         if transport is None:
             return
         self._failure = self._failure or "the connection was closed"
         with suppress(LinkError):
             transport.write(codec.END)
+            # Until the server has closed it: unread bytes may discard the last command.
             deadline = self._clock.now() + AFTER_END
             while self._clock.now() < deadline:
                 transport.read()
@@ -232,8 +229,7 @@ class KstRobot:
                 return self._open()
             except LinkError as error:
                 if self._clock.now() >= deadline:
-                    within = f"within {SERVER_TIMEOUT:g} s"
-                    raise LinkError(f"no KST server answered {within}: {error}") from None
+                    raise LinkError(f"no KST server in {SERVER_TIMEOUT:g} s: {error}") from None
             if not notified:
                 self._notify(
                     "waiting for the robot: start the application MatlabToolboxServer on the "
