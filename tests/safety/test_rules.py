@@ -161,6 +161,8 @@ def test_a_setpoint_stays_inside_the_position_limits(joint, upper):
     assert violation.evidence["joint"] == joint
     assert violation.evidence["limit"] == limit
     assert violation.evidence["value"] == beyond[joint - 1]
+    bounds = {"lower": LIMITS.lower[joint - 1], "upper": LIMITS.upper[joint - 1]}
+    assert violation.evidence.items() >= bounds.items()
     assert check_first(LIMITS, at, at) is None
     first = check_first(LIMITS, beyond, beyond)
     assert first is not None

@@ -2,13 +2,16 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from equipoise.errors import InputError
 from equipoise.robots.encoder.codec import (
+    MAX_LINE,
+    REQUEST,
     Banner,
     Decoder,
+    Flags,
     Reading,
     Requests,
     crc8,
@@ -36,6 +39,13 @@ def signed(body):
     return body + b"*%02X" % register
 
 
+def test_the_constants_are_those_of_the_firmware():
+    """As `firmware/` has them, and docs/reference/e-line.md."""
+    assert (REQUEST, MAX_LINE) == (b"?\n", 96)
+    flags = (Flags.DOWN, Flags.PRESSED, Flags.INDEX, Flags.ILLEGAL)
+    assert [int(flag) for flag in flags] == [1, 2, 4, 8]
+
+
 def test_the_checksum_is_crc_8_maxim():
     assert crc8(b"") == 0
     assert crc8(b"123456789") == 0xA1
@@ -44,6 +54,8 @@ def test_the_checksum_is_crc_8_maxim():
 
 
 @given(READINGS)
+@example(Reading(0, 0, -(2**31), 0))
+@example(Reading(2**16 - 1, 2**32 - 1, 2**31 - 1, 15))
 def test_every_reading_comes_back(reading):
     line = encode(reading)
     assert line.endswith(b"\n")
@@ -118,6 +130,10 @@ def test_lines_that_are_too_long_are_counted_with_the_damaged_ones():
     decoder = Decoder()
     decoder.feed(b"\nE,1\n" + b"x" * 97 + b"\n" + b"y" * 96 + b"\n")
     assert decoder.rejected == 3
+    decoder.feed(b"z" * 96)
+    assert decoder.rejected == 3
+    decoder.feed(b"z")
+    assert decoder.rejected == 4
 
 
 @given(st.lists(st.binary(max_size=200), max_size=10))
@@ -141,6 +157,7 @@ def test_no_bytes_make_it_raise(pieces):
         (b"??\n", 0),
         (b" ?\n", 0),
         (b"?x\n?\n", 1),
+        (b"?z", 0),
         (b"x?\n", 0),
         (b"", 0),
     ],
@@ -165,18 +182,41 @@ def bursts(stream, least_first):
                 yield changed.to_bytes(len(stream), "little" if least_first else "big")
 
 
-def test_no_burst_of_eight_bits_passes_for_another_reading():
-    # Over three lines, their stars, checksums and ends included: all that one burst can touch.
-    readings = [Reading(1022, 123455789, -4095, 0), EXAMPLE, Reading(1024, 123457789, 0, 15)]
+def heard(stream):
+    """Return what is read between two silent ends of lines."""
+    return Decoder().feed(b"\n" + stream)
+
+
+def no_burst_passes_for_another_reading(readings):
     lines = [encode(reading) for reading in readings]
     stream = b"".join(lines)
     # On a wire the least bit of a byte goes first; in memory one writes the greatest first.
     for least_first in (True, False):
         tried = 0
         for damaged in bursts(stream, least_first):
-            assert set(Decoder().feed(b"\n" + damaged)) <= set(readings), damaged
+            assert set(heard(damaged)) <= set(readings), damaged
             tried += 1
         assert tried == 128 * (8 * len(stream) - 7) + 127
+
+
+def some_readings(seed, n):
+    """Return readings of all lengths that follow each other."""
+    rng = np.random.default_rng(seed)
+    for _ in range(n):
+        seq, t_us, count = (
+            int(rng.integers(10 ** rng.integers(1, digits + 1))) for digits in (4, 9, 9)
+        )
+        count *= int(rng.choice((-1, 1)))
+        yield [
+            Reading(seq + i, t_us + 1000 * i, count + i, int(rng.integers(16))) for i in range(3)
+        ]
+
+
+def test_no_burst_of_eight_bits_passes_for_another_reading():
+    # Over three lines, their stars, checksums and ends included: all that one burst can touch.
+    no_burst_passes_for_another_reading(
+        [Reading(1022, 123455789, -4095, 0), EXAMPLE, Reading(1024, 123457789, 0, 15)]
+    )
 
 
 def share_that_passes(damage, n, seed):
@@ -208,9 +248,80 @@ def digits_changed(rng, line):
     return bytes(body)
 
 
-def test_other_damage_passes_at_most_once_in_128():
+def two_far_bits(rng, line):
+    body = bytearray(line)
+    for place in rng.integers(8 * len(line), size=2):
+        body[place // 8] ^= 1 << place % 8
+    return bytes(body)
+
+
+def bytes_changed(rng, line):
+    body = bytearray(line)
+    for place in rng.integers(len(line), size=int(rng.integers(2, 6))):
+        body[place] = int(rng.integers(256))
+    return bytes(body)
+
+
+def a_piece_lost(rng, line):
+    place = int(rng.integers(len(line)))
+    return line[:place] + line[place + int(rng.integers(1, 8)) :]
+
+
+def two_lines_as_one(rng, line):
+    other = encode(Reading(*(int(n) for n in rng.integers(10**4, size=3)), 0))[:-1]
+    return line[: int(rng.integers(len(line)))] + other[int(rng.integers(len(other))) :]
+
+
+DAMAGES = (digits_changed, two_far_bits, bytes_changed, a_piece_lost, two_lines_as_one)
+
+
+@pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
+def test_other_damage_passes_at_most_once_in_128(damage):
     # Eight bits let 1/256 of wholly random damage pass; 10,000 trials put 1/128 six deviations off.
-    assert share_that_passes(digits_changed, 10_000, 1) <= 1 / 128
+    assert share_that_passes(damage, 10_000, 1) <= 1 / 128
+
+
+# Noise, a great deal of it.
+
+GRAINS = st.sampled_from(
+    [b"E,", b"I,", b",", b"*", b"\n", b"\r", b"-", b"0", b"1", b"9", b"F", b"?", b"\x00", b"\xff"]
+)
+
+
+def noisy(grains, seed, lines):
+    """Return a stream of noise, true lines, damaged lines and what looks almost like lines."""
+    rng = np.random.default_rng(seed)
+    stream = bytearray()
+    for i in range(lines):
+        kind = int(rng.integers(4))
+        if kind == 0:
+            body = b"".join(grains[int(k)] for k in rng.integers(len(grains), size=12))
+        elif kind == 1:
+            body = rng.bytes(int(rng.integers(40)))
+        else:
+            body = encode(Reading(i % 65536, int(rng.integers(2**32)), i, 0))[:-1]
+            if kind == 3:
+                body = DAMAGES[int(rng.integers(len(DAMAGES)))](rng, body)
+        stream += body + b"\n"
+    return bytes(stream)
+
+
+def survives(grains, seed, lines, cut):
+    stream = noisy(grains, seed, lines)
+    decoder, got = Decoder(), 0
+    for at in range(0, len(stream), cut):
+        for said in decoder.feed(stream[at : at + cut]):
+            # Whatever is accepted is a line of the protocol, in its one spelling.
+            assert decode(encode(said)[:-1]) == said
+            got += 1
+    assert got + decoder.rejected >= lines - 1
+    return got
+
+
+@settings(max_examples=20)
+@given(st.lists(GRAINS, min_size=1, max_size=8), st.integers(0, 2**32), st.integers(1, 4096))
+def test_noise_never_makes_it_raise(grains, seed, cut):
+    survives(grains, seed, 100, cut)
 
 
 def test_a_reading_that_no_line_can_hold_is_refused():

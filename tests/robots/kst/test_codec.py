@@ -11,9 +11,13 @@ from hypothesis import strategies as st
 
 from equipoise.errors import InputError, LinkError
 from equipoise.robots.kst.codec import (
+    END,
+    GET_JOINTS,
     JOINTS,
     MAX_LINE,
     PORT,
+    START_SERVO,
+    STOP_SERVO,
     KstLineSplitter,
     expect_done,
     expect_numbers,
@@ -125,6 +129,16 @@ def test_line_without_an_end_is_given_up_for_good():
         KstLineSplitter().feed(b"done\n" + longest + b"x\ndone\n")
 
 
+def test_replies_of_the_captured_session_are_read():
+    assert parse_reply(b"done") == "done"
+    assert parse_reply(b"nak") == "nak"
+    assert parse_reply(b"interrupted") == "interrupted"
+    assert expect_numbers(
+        b"1.5855032851556873E-4_0.4364_0.0_-1.3962_0.0_1.309_0.0_", JOINTS, "jpJP"
+    ) == (1.5855032851556873e-4, 0.4364, 0.0, -1.3962, 0.0, 1.309, 0.0)
+    expect_done(b"done", "jp")
+
+
 @pytest.mark.parametrize(
     "line",
     [
@@ -158,15 +172,25 @@ def test_what_the_server_may_not_say_is_a_link_error(line):
         parse_reply(line)
 
 
+def test_the_commands_are_those_of_the_server():
+    assert GET_JOINTS == b"getJointsPositions\n"
+    assert START_SERVO == b"startDirectServoJoints\n"
+    assert STOP_SERVO == b"stopDirectServoJoints\n"
+    assert END == b"end\n"
+
+
 def test_answers_of_the_wrong_kind_are_refused():
     expect_done(b"done", "jp")
     for line in (b"nak", b"interrupted", b"0.0_"):
         with pytest.raises(LinkError):
             expect_done(line, "jp")
-    assert expect_numbers(numbers_reply(Q)[:-1], JOINTS, "jpJP") == Q
     for line in (b"done", b"nak", b"0.0_", b"0.0_" * 6, b"0.0_" * 8):
         with pytest.raises(LinkError):
             expect_numbers(line, JOINTS, "jpJP")
+
+
+def test_a_reply_holds_each_number():
+    assert numbers_reply([0.5, -2.0]) == b"0.5_-2.0_\n"
 
 
 @pytest.mark.parametrize(("value", "text"), JAVA.items())
@@ -185,6 +209,24 @@ def test_java_numbers_come_back_to_the_last_bit(values):
             assert re.fullmatch(r"-?(0|[1-9]\d*)\.(0|\d*[1-9])", text)
         else:
             assert re.fullmatch(r"-?[1-9]\.(0|\d*[1-9])E-?[1-9]\d*", text)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("0.1", 0.1),
+        ("1e-5", 1e-5),
+        ("-3", -3.0),
+        (" +.5 ", 0.5),
+        ("5.", 5.0),
+        ("1d", 1.0),
+        ("2.5F", 2.5),
+        ("Infinity", math.inf),
+        ("-Infinity", -math.inf),
+    ],
+)
+def test_java_reads_numbers(text, value):
+    assert java_double(text) == value
 
 
 @pytest.mark.parametrize("text", ["", "nan", "inf", "0x1p3", "1,5", "1.0x", "- 1"])
@@ -210,3 +252,14 @@ def test_whatever_the_server_says_is_read_or_refused(said):
         assert reply in ("done", "nak", "interrupted") or (
             isinstance(reply, tuple) and reply and all(map(math.isfinite, reply))
         )
+
+
+@given(st.lists(SAID, min_size=100, max_size=100))
+def test_whatever_a_client_says_is_taken_apart(said):
+    for line in KstLineSplitter().feed(b"\n".join(said) + b"\n"):
+        for field in tokens(line):
+            try:
+                value = java_double(field)
+            except InputError:
+                continue
+            assert isinstance(value, float)
