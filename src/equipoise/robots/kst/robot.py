@@ -229,7 +229,7 @@ class KstRobot:
                 return self._open()
             except LinkError as error:
                 if self._clock.now() >= deadline:
-                    raise LinkError(f"no KST server in {SERVER_TIMEOUT:g} s: {error}") from None
+                    raise LinkError(f"no KST server within {SERVER_TIMEOUT:g} s: {error}") from None
             if not notified:
                 self._notify(
                     "waiting for the robot: start the application MatlabToolboxServer on the "
