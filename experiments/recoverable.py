@@ -27,7 +27,7 @@ from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters, step
 from equipoise.settings import Settings
-from equipoise.worlds.reachability import diverging_angle, fall_rate
+from equipoise.worlds.reachability import diverging_angle, fall_rate, recoverable_angle
 
 Array = npt.NDArray[np.float64]
 
@@ -77,8 +77,7 @@ class RecoveryParams(NamedTuple):
     @property
     def largest(self) -> float:
         """Largest diverging angle that an endless track would allow, after the delay [rad]."""
-        w2, k, _, f = self.pendulum[:4]
-        return (k * self.u_max + f) / w2
+        return recoverable_angle(self.pendulum, self.u_max)
 
 
 def make_recovery_params(

@@ -20,6 +20,7 @@ from typing import Any, Final
 import numpy as np
 
 from equipoise.control.grid import ANGLE, TRUNCATED
+from equipoise.control.minimum_jerk import Path
 from equipoise.errors import EquipoiseError, InputError, LinkError
 from equipoise.rig.interfaces import SETPOINT_PERIOD, Array, Clock, Reply, Robot
 from equipoise.worlds import ClosedLoop, Setup, Simulation, predicted
@@ -85,9 +86,9 @@ class RobotSession:
 
     def path(self) -> Array:
         """Return a smooth motion of the first joint, and a second of rest at its end [rad]."""
-        s = np.clip(np.arange(SETPOINT_PERIOD, 1.5, SETPOINT_PERIOD) / 0.5, 0.0, 1.0)
-        path = np.tile(self.home, (len(s), 1))
-        path[:, 0] += 0.02 * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        times, move = np.arange(SETPOINT_PERIOD, 1.5, SETPOINT_PERIOD), Path((0.0,), (0.02,), 0.5)
+        path = np.tile(self.home, (len(times), 1))
+        path[:, 0] += [move.at(time).q[0] for time in times.tolist()]
         return path
 
     def joints(self) -> Array:

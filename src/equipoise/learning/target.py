@@ -127,15 +127,13 @@ def train_to_target(
             results.append(_figures(tested[-1], test))
             if test.met:
                 break
-    return TrainedLearners(max(tested, key=_rank), tuple(results))
+    best = max(range(len(results)), key=lambda i: _rank(results[i]))
+    return TrainedLearners(tested[best], tuple(results))
 
 
-def _rank(policy: TabularPolicy) -> tuple[float, ...]:
-    """Return the sort key of a tested policy; the highest one is the best."""
-    if policy.shortfall == "":
-        return (1.0,)
-    low = 0.0 if policy.test is None else policy.test.interval[0]
-    return (0.0, low, policy.checkpoints[0].score if policy.checkpoints else 0.0)
+def _rank(result: LearnerResult) -> tuple[bool, float, float]:
+    """Return the sort key of a tested learner; the highest one is the best."""
+    return result.test.met, result.test.interval[0], result.score or 0.0
 
 
 def _figures(policy: TabularPolicy, test: TargetTest) -> LearnerResult:

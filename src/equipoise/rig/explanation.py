@@ -19,7 +19,7 @@ rule that names a symptom (the angle, the track) ranks last.
 """
 
 from enum import StrEnum
-from math import cos, degrees, radians, sqrt
+from math import cos, degrees, radians
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -29,6 +29,7 @@ from equipoise.errors import ArtefactError, RecordingError
 from equipoise.identification.refine import read_motion
 from equipoise.logs.run_log import RunLog
 from equipoise.outcomes import Outcome, describe
+from equipoise.worlds.reachability import diverging_angle, fall_rate, recoverable_angle
 
 Array = npt.NDArray[np.float64]
 
@@ -191,10 +192,10 @@ def _local_fits(time: Array, values: Array, at: Array, half: float) -> tuple[Arr
 
 def _outside(log: RunLog) -> Cause | None:
     """Detect the time after which no command could hold the pendulum."""
-    w2, k, c, coulomb = log.conditions.pendulum_parameters[:4]
+    pendulum = log.conditions.pendulum_parameters
     u_max = log.conditions.u_max or float(np.abs(log.u).max())
-    mu = 0.5 * (sqrt(c**2 + 4.0 * w2) + c)
-    diverging, bound = log.phi + log.phi_dot / mu, (k * u_max + coulomb) / w2
+    diverging = diverging_angle(log.phi, log.phi_dot, pendulum)
+    bound, mu = recoverable_angle(pendulum, u_max), fall_rate(pendulum) + pendulum.c
     beyond = np.abs(diverging) > bound
     inside = np.flatnonzero(~beyond)
     first = int(inside[-1]) + 1 if len(inside) else 0

@@ -40,7 +40,7 @@ from equipoise.rig.interfaces import Operator
 from equipoise.rig.loop import CANNOT_STOP
 from equipoise.rig.preflight import warm_up
 from equipoise.rig.request import RunRequest
-from equipoise.rig.run import ALONE, STOP, run_on_rig
+from equipoise.rig.run import ALONE, STOP, log_warning, run_on_rig
 from equipoise.rig.run_controller import PHASES
 from equipoise.rig.signals import SIGNALS, handled_signals, start_process
 from equipoise.user_code import format_error, guest_code
@@ -114,17 +114,13 @@ def run_in_processes(request: RunRequest, out: Path, person: Operator, live: Liv
                 end = end.model_copy(update={"lost_rows": recorder.lost})
                 writer.finish(time.monotonic(), end)
             if complete and writer.problem is not None:
-                _warn_of_log(writer.problem, person)
+                person.notify(log_warning(writer.problem))
 
 
 def _drain(writer: RunWriter, recorder: Recorder, over: threading.Event) -> None:
     """Write the log during the run; a failure stays in `writer.problem`."""
     while not over.wait(DRAIN_PERIOD):
         writer.drain(recorder)
-
-
-def _warn_of_log(problem: str, person: Operator) -> None:
-    person.notify(OperatorMessage("warning", f"the log is incomplete: {problem}"))
 
 
 def _attend(
@@ -166,7 +162,7 @@ def _attend(
             person.notify(OperatorMessage(event.name, event.text, event.answers))
         if writer.problem is not None and not warned:
             warned = True
-            _warn_of_log(writer.problem, person)
+            person.notify(log_warning(writer.problem))
         for word in (*person.read_input(), *signalled):
             recorder.typed.push(word.encode()[:64])
         signalled.clear()

@@ -241,6 +241,11 @@ def run_end(controller: RunController, ending: LoopResult, max_speed: float = in
     )
 
 
+def log_warning(problem: str) -> OperatorMessage:
+    """Return the message that a log is incomplete, with the problem of its writer."""
+    return OperatorMessage("warning", f"the log is incomplete: {problem}")
+
+
 def _percentiles(times: npt.NDArray[np.float64]) -> dict[str, float]:
     """Return p50, p99, p99.9 and maximum of times [s]; empty without any."""
     if not len(times):
@@ -296,6 +301,5 @@ def run_virtually(
             writer.drain(recorder)
             writer.finish(rig.clock.now(), end)
             if writer.problem is not None:
-                warning = OperatorMessage("warning", f"the log is incomplete: {writer.problem}")
                 for one in operators:
-                    one.notify(warning)
+                    one.notify(log_warning(writer.problem))

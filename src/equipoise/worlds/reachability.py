@@ -49,6 +49,16 @@ def diverging_angle(phi: Any, phi_dot: Any, pendulum: PendulumParameters) -> Any
     return phi + phi_dot / (fall_rate(pendulum) + pendulum.c)
 
 
+def recoverable_angle(pendulum: PendulumParameters, u_max: float = paper.U_MAX) -> float:
+    """Return the diverging angle beyond which no command turns the pendulum back [rad].
+
+    Args:
+        pendulum: The pendulum.
+        u_max: Largest acceleration of the flange [m/s^2].
+    """
+    return (pendulum.k * u_max + pendulum.coulomb) / pendulum.w2
+
+
 def diverging_angles(pendulum: PendulumParameters, settings: Settings, actuator: Actuator) -> Array:
     r"""Return the diverging angles of releases when the arm responds [rad], shape (RELEASES,).
 
@@ -93,7 +103,7 @@ def check_releases(
         SettingsError: All releases are lost, or more than allowed.
     """
     angles = diverging_angles(pendulum, settings, actuator)
-    limit = (pendulum.k * paper.U_MAX + pendulum.coulomb) / pendulum.w2
+    limit = recoverable_angle(pendulum)
     worst, share = float(np.max(angles)), float(np.mean(angles <= limit))
     if worst <= CLOSE * limit:
         return None
