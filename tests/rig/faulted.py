@@ -16,13 +16,14 @@ from equipoise.logs.writer import RunWriter
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.outcomes import Outcome
-from equipoise.rig.clocks import VirtualClock
+from equipoise.rig.clocks import DrainingClock, VirtualClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.explanation import RootCause
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.loop import run_loop
 from equipoise.rig.phases.balancing import Balancing
 from equipoise.rig.phases.context import ArmResponse
+from equipoise.rig.plugins import Session, robot_plugin
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_end
 from equipoise.rig.run_controller import RunController
@@ -30,7 +31,6 @@ from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.rig.transports import memory_pipe
 from equipoise.robots.encoder.board import Board
 from equipoise.robots.encoder.sensor import LineEncoder
-from equipoise.robots.twin import TwinRobot
 from equipoise.worlds.plant import scaled
 
 WORLD = "twin:nominal"
@@ -102,6 +102,8 @@ class Stage:
         # What nobody knows: the real pendulum, and how far its zero is off before any fault.
         real = scaled(pendulum_on(policy.pendulum, there), inertia, friction)
         self.zero = float(random.uniform(-there.zero_error, there.zero_error))
+        delay = 0.5 * there.reply_age
+        there = there.model_copy(update={"transport": there.transport - delay})
         self.bench = SimulatedRig(arm, PendulumParameters(*real), there, seed=seed)
         self.clock.attach(self.bench.advance)
         self.held = pi - start[0]
@@ -113,8 +115,11 @@ class Stage:
             wire.write(self.board.advance(now))
 
         self.clock.attach(work)
-        self.robot = TwinRobot(self.bench, self.clock)
         self.sensor = LineEncoder(lambda: reader, self.clock, counts_per_rev=8192)
+        session = Session(DrainingClock(self.clock, self.sensor))
+        emulated = robot_plugin("kst").emulate(self.bench, arm, session, delay, seed)
+        self.clock.attach(emulated.advance)
+        self.robot = emulated.device
         self.operator = Silent()
 
 

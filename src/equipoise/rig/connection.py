@@ -170,8 +170,8 @@ def connect(
 
     Args:
         robot: Address of a robot, such as `kst://HOST`; or `twin:NAME`, a digital twin in this
-            process in virtual time, with its own encoder and operator; or
-            `SCHEME://twin:NAME`, the same with the driver and the emulator of a kind of robot.
+            process in virtual time behind the driver and the emulator of a KST server, with an
+            encoder and an operator; or `SCHEME://twin:NAME`, the same with another robot.
         encoder: Address of an angle sensor, such as `serial:///dev/ttyACM0`; None for a twin.
         settings: The settings of the rig.
         pendulum: The pendulum on a twin.
@@ -218,7 +218,7 @@ def emulated_rig(
     settings: RigSettings,
     pendulum: PendulumParameters,
     *,
-    robot: str = "twin",
+    robot: str = "kst",
     seed: int = 0,
     period: float = SETPOINT_PERIOD,
 ) -> EmulatedRig:
@@ -231,7 +231,7 @@ def emulated_rig(
         world: The twin.
         settings: The settings of the rig.
         pendulum: The pendulum, with the friction that acts in the twin.
-        robot: Scheme of the robot; `twin` has no link, and the twin's own encoder.
+        robot: Scheme of the robot.
         seed: Seed of all random numbers.
         period: Time between two setpoints [s].
 
@@ -241,7 +241,7 @@ def emulated_rig(
         SettingsError: Twin and rig differ in the counts per revolution.
     """
     plugin = robot_plugin(robot)
-    sensors = sensor_plugin("twin" if robot == "twin" else "serial")
+    sensors = sensor_plugin("serial")
     if plugin.emulate is None or sensors.emulate is None:
         raise InputError(f"the robot {robot!r} has no emulator; choose another")
     numbers = world.settings.model_copy(update=dict(plugin.servo))
@@ -259,9 +259,7 @@ def emulated_rig(
     clock.attach(bench.advance)
     sensor = sensors.emulate(bench, clock, settings.counts_per_rev, settings.encoder_sign, seed)
     draining = DrainingClock(clock, sensor.device)
-    # Without a link waits are short, so that no samples have to be dropped.
-    session = Session(draining if plugin.link_share else clock)
-    emulated = plugin.emulate(bench, arm, session, delay, seed)
+    emulated = plugin.emulate(bench, arm, Session(draining), delay, seed)
     clock.attach(emulated.advance)
     clock.attach(sensor.advance)
     operator = EmulatedOperator(bench, clock, seed=seed)
