@@ -48,9 +48,6 @@ class RunConditions(Value):
     true ones, on a rig those assumed by the controller."""
     pendulum_digest: Name = ""
     """Digest of the identified pendulum."""
-    friction: dict[str, float | str] | None = None
-    """Dry friction and drag of the pendulum of a twin and their origin, by the names of
-    `PivotFriction`; None elsewhere."""
     start: tuple[Number, Number, Number, Number] | None = None
     """x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the release; None on a rig."""
     h: float = Field(ge=1e-4, le=1.0)

@@ -12,10 +12,9 @@ from equipoise.control.policy import Policy, TaskPolicy, shipped_policy
 from equipoise.errors import InputError
 from equipoise.logs.conditions import RunConditions, named
 from equipoise.model.actuator import Actuator
-from equipoise.model.worlds import pivot_friction, read_world
 from equipoise.rig.checks import fitting_actuators
 from equipoise.rig.config import RigSettings
-from equipoise.rig.connection import Rig, connect, world_of
+from equipoise.rig.connection import Rig, connect
 from equipoise.rig.phases.context import ArmResponse, Excitation, RunParts
 from equipoise.rig.run_controller import PHASES
 from equipoise.safety.rules import make_safety_params
@@ -140,11 +139,8 @@ class RunRequest:
         Raises:
             SettingsError: The twin is unknown.
         """
-        policy, world = self.policy, world_of(self.robot)
+        policy = self.policy
         plant = policy.settings.plant
-        friction = None
-        if world is not None:
-            friction = pivot_friction(policy.pendulum, read_world(world).settings)
         return RunConditions(
             policy=policy.digest,
             policy_name=policy.name,
@@ -152,7 +148,6 @@ class RunRequest:
             arm=self.settings.described_arm,
             pendulum=named(policy.pendulum.parameters(linearised=plant.linearised)),
             pendulum_digest=policy.pendulum.digest,
-            friction=friction and friction.model_dump(mode="json"),
             h=policy.h,
             duration=self.duration,
             seed=self.seed,
@@ -197,7 +192,7 @@ def describe_fit(policy: TaskPolicy, actuator: Actuator) -> str:
         policy: The policy of the run.
         actuator: The identified actuator.
     """
-    text, fits = f"The arm: {actuator.intervals}.", fitting_actuators(policy, actuator)
+    text, fits = f"The arm: {actuator.summary}.", fitting_actuators(policy, actuator)
     if fits:
         return f"{text} It fits actuator {fits[0] + 1} of the policy's {len(policy.actuators)}."
     cure = "train one with equipoise train --actuator and the actuator of this run"
