@@ -18,6 +18,7 @@ from equipoise.cli.refine import refine
 from equipoise.cli.reproduce import reproduce
 from equipoise.cli.show import show
 from equipoise.cli.train import train
+from equipoise.cli.warm_up import warm_up
 
 group = partial(
     typer.Typer,
@@ -34,7 +35,7 @@ app = group(
 rig = group(help="Check, emulate and use a rig: doctor, emulate, record.")
 log = group(help="Read the log of a run: show, explain, export.")
 members = (
-    (app, "Pipeline", (reproduce, identify, train, evaluate, refine, play)),
+    (app, "Pipeline", (reproduce, identify, train, evaluate, refine, play, warm_up)),
     (app, "The robot", (deploy, console)),
     (rig, None, (doctor, emulate, record)),
     (log, None, (show, explain, export)),
