@@ -47,7 +47,7 @@ def test_train_writes_a_policy_and_marks_one_that_misses_the_target(
 ):
     ran = equipoise("train", pendulum_file, *SHORT, "--target=0.9", "--learners=2", "--json")
     assert (ran.code, ran.err) == (1, "")
-    assert set(ran.json["learners"]) == {"0", "1"}
+    assert ran.json["learner"] in (0, 1)
     policy = TabularPolicy.load(tmp_path / "policy.json")
     assert policy.shortfall
     assert policy.pendulum == Pendulum.load(pendulum_file)
