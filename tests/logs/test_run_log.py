@@ -146,8 +146,6 @@ def conditions_with(entries, **changes):
 
 EDITS = {
     "half a count": lambda t, c: c | {"counts": 0.5} if t == "/encoder" else c,
-    "another version": lambda t, c: c | {"version": "9"} if t == "metadata" else c,
-    "no version": lambda t, c: {k: v for k, v in c.items() if k != "version"},
     "no conditions": lambda t, c: {**c, "conditions": ""} if t == "metadata" else c,
     "an unknown setting": lambda t, c: conditions_with(c, luck=1) if t == "metadata" else c,
     "a word for a number": lambda t, c: c | {"x": "far"} if t == "/tick" else c,
