@@ -3,10 +3,6 @@
 Speed itself is measured, not tested: it depends on the machine.
 """
 
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from benchmarks import bench
@@ -22,7 +18,6 @@ from benchmarks.bench import (
 )
 
 from equipoise import paper
-from equipoise.model.arms.generated import iiwa7 as iiwa7_module
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum, PendulumParameters
@@ -138,24 +133,3 @@ def test_the_whole_benchmark_measures_ours_and_every_peer_that_is_there():
     assert list(result.operations) == list(result.shares) == [OURS, BEHIND, TRIALS]
     assert all(0.0 < share < 1.0 for share in result.shares.values())
     assert len(told) == 15
-
-
-def test_operations_are_counted_as_the_generator_counts_them(tmp_path):
-    script = tmp_path / "count.py"
-    script.write_text(
-        "import numpy as np\n"
-        "from benchmarks import operations as counted\n"
-        "from equipoise.model.arms.generated import iiwa7\n"
-        "from equipoise.model.elementary import BATCH_SIZE, sincos\n"
-        "iiwa7.fma = sincos.__globals__['fma'] = counted.fma\n"
-        "q, dq, frame = (counted.counting(np.full(n * BATCH_SIZE, 0.3)) for n in (6, 6, 100))\n"
-        "iiwa7.kinematics(q, dq, frame, 1)\n"
-        "kinematics = counted.Count.operations\n"
-        "counted.Count.operations = 0\n"
-        "sincos(counted.Counting(0.3))\n"
-        "print(kinematics - 6 * counted.Count.operations)\n"
-    )
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
-    run = subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True)
-    assert run.returncode == 0, run.stderr
-    assert f"{int(run.stdout)} operations besides the sines" in iiwa7_module.__doc__

@@ -16,9 +16,11 @@ import pytest
 
 from equipoise.cli import main
 from equipoise.control.policy import TabularPolicy
+from equipoise.errors import ArmError, InputError
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms import resolve
+from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.rig.config import read_rig
@@ -61,6 +63,35 @@ def test_a_registered_arm_is_found_by_its_name(folder, monkeypatch):
     arm = resolve.resolve_arm("my_arm")
     assert [joint.name for joint in arm.joints][-1] == "spin"
     assert np.isnan(arm.compiled().wrist).all()
+
+
+def test_the_iiwas_are_registered_and_may_stand_at_another_home_with_another_pivot():
+    assert resolve.resolve_arm("iiwa14") == iiwa(14)
+    home, pivot = (0.1, 0.2, 0.0, -1.0, 0.3, 0.4, 0.5), (0.0, 0.0, 0.1)
+    arm = resolve.resolve_arm("iiwa7", home=home, pivot=pivot)
+    assert (arm.home, arm.pivot, arm.digest) == (home, pivot, iiwa(7).digest)
+    for name, wrong in (
+        ("iiwa7", {"home": (0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0)}),
+        ("iiwa7", {"held": 3, "tip": "flange"}),
+        ("iiwa8", {}),
+    ):
+        with pytest.raises(ArmError):
+            resolve.resolve_arm(name, **wrong)
+
+
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [
+        ("no_such_module:arm", "raised ModuleNotFoundError"),
+        ("sys:exit", "raised SystemExit"),
+        ("equipoise.paper:__name__.upper", "is a str, expected an equipoise.Arm"),
+    ],
+)
+def test_a_broken_arm_of_a_guest_is_named(monkeypatch, value, says):
+    points = EntryPoints([EntryPoint("guest", value, resolve.GROUP)])
+    monkeypatch.setattr(resolve, "entry_points", lambda group: points)
+    with pytest.raises(InputError, match=f"the arm guest of {value}.* {says}"):
+        resolve.resolve_arm("guest")
 
 
 @pytest.mark.slow

@@ -41,7 +41,7 @@ def at(x, arm=ARM):
 
 
 def pivot_at(q):
-    flange = ARM.pose(ARM.without_held(q))
+    flange = ARM.kinematics(ARM.without_held(q))
     return flange.position + flange.rotation @ ARM.pivot
 
 
@@ -78,7 +78,7 @@ def test_the_pendulum_is_seen_where_the_arm_carries_it(renderer, x, phi):
 
 
 @pytest.mark.parametrize(("width", "height"), [(320, 240), (200, 400)])
-@pytest.mark.parametrize("arm", [ARM, iiwa(14, media_flange=0.061)], ids=lambda arm: arm.name)
+@pytest.mark.parametrize("arm", [ARM, iiwa(14)], ids=lambda arm: arm.name)
 def test_all_that_moves_stays_in_the_picture_and_fills_it(renderer, arm, width, height):
     drawing = RigRenderer(arm, width, height)
     left, right = (drawing.draw(at(x, arm), x) for x in (-paper.X_LIMIT, paper.X_LIMIT))

@@ -84,7 +84,7 @@ def test_the_lags_of_the_joints_count_by_what_they_do_to_the_flange():
     home = ARM.kinematics(ARM.home_free)
     x_dot = 1e-3
     dq = np.linalg.solve(home.jacobian, [x_dot, 0, 0, 0, 0, 0])
-    behind = home.position - ARM.pose(ARM.home_free - dq * lags).position
+    behind = home.position - ARM.kinematics(ARM.home_free - dq * lags).position
     assert horizon(ARM, actuator, 0.0) == pytest.approx(behind[0] / x_dot, rel=1e-4)
 
 
@@ -110,7 +110,7 @@ def test_the_velocity_of_the_pivot_is_that_of_a_point_of_the_flange(size):
         arm.compiled().kinematics(q, dq, frame, 1)
 
         def place(t, q=q, dq=dq, pivot=pivot):
-            pose = arm.pose(q[::BATCH_SIZE] + t * dq[::BATCH_SIZE])
+            pose = arm.kinematics(q[::BATCH_SIZE] + t * dq[::BATCH_SIZE])
             return pose.position + pose.rotation @ pivot
 
         # Central differences of the place: the error is of the order of the square of 1e-5.

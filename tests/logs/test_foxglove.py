@@ -10,6 +10,7 @@ from mcap.reader import make_reader
 from equipoise.control.policy import shipped_policy
 from equipoise.logs.foxglove import RATE
 from equipoise.logs.run_log import RunLog
+from equipoise.model.arms.scene import scene
 from equipoise.model.arms.urdf_writer import write_urdf
 from equipoise.rig.simulate import simulate_run
 
@@ -142,7 +143,7 @@ def test_messages_of_a_rig_have_the_published_schemas(rig_log):
     found = messages(rig_log)
     check_messages(found)
     described = [c for _, channel, _, c in found if channel.topic == "/robot_description"]
-    urdf = write_urdf(RunLog.load(rig_log).conditions.arm, pendulum=True)
+    urdf = write_urdf(scene(RunLog.load(rig_log).conditions.arm))
     assert described == [{"data": urdf}]
     (attached,) = make_reader(BytesIO(rig_log.read_bytes())).iter_attachments()
     assert (attached.data.decode(), attached.media_type) == (urdf, "application/xml")
@@ -178,7 +179,7 @@ def test_frames_stand_where_the_kinematics_puts_flange_and_pendulum(tmp_path):
             place[t["child_frame_id"]] = (R @ rotation(t["rotation"]), p + R @ offset)
         # Log time counts from the first measurement.
         row = int(np.argmin(np.abs(replies.time - replies.time[0] - 1e-9 * message.log_time)))
-        pose = arm.pose(arm.without_held(replies.q[row]))
+        pose = arm.kinematics(arm.without_held(replies.q[row]))
         np.testing.assert_allclose(place["flange"][1], pose.position, atol=1e-5)
         np.testing.assert_allclose(place["flange"][0], pose.rotation, atol=1e-5)
         R, p = place["pendulum"]

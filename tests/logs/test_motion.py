@@ -37,8 +37,8 @@ def test_a_rig_is_shown_as_it_was_measured(run):
         now = motion.at(time)
         assert now.x == pytest.approx(x_on_a_rig(RELEASE + time), abs=5e-5)
         assert now.phi == pytest.approx(phi_on_a_rig(RELEASE + time), abs=6e-4)
-        home = arm.pose(arm.home_free).position[0]
-        assert arm.pose(arm.without_held(now.q)).position[0] == pytest.approx(
+        home = arm.kinematics(arm.home_free).position[0]
+        assert arm.kinematics(arm.without_held(now.q)).position[0] == pytest.approx(
             home + now.x, abs=1e-5
         )
         assert (now.phase, now.u, now.late) == (phase, u, 2e-4)

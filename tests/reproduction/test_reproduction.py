@@ -43,6 +43,7 @@ INPUTS = {
     "policy.json": ("pendulum", lambda results: results.pendulum.digest),
     "evaluation.json": ("policy", lambda results: results.policy.digest),
     "twin-evaluation.json": ("policy", lambda results: results.policy.digest),
+    "without-prediction.json": ("policy", lambda results: results.policy.digest),
 }
 """Input of each file."""
 
@@ -79,7 +80,7 @@ def test_the_folder_holds_every_value_and_they_belong_together(made):
 @pytest.mark.compiled_only
 def test_the_stages_are_reported_in_their_order_and_end(made):
     _, results, told = made
-    stages = ["swing", "identify", "train", "evaluate", "evaluate twin", "deploy"]
+    stages = ["swing", "identify", "train", "evaluate", "evaluate twin", "no prediction", "deploy"]
     assert list(results.record.stages) == stages
     shown = [name for name in dict.fromkeys(name for name, _, _ in told) if name in stages]
     assert shown == stages

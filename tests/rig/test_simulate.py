@@ -57,7 +57,7 @@ def test_each_box_holds_its_state_as_the_paper_prints_the_intervals(run):
 
 def test_the_joints_carry_the_flange_to_x(run, small_policy):
     arm = small_policy.arm
-    home = arm.pose(arm.home_free).position
+    home = arm.kinematics(arm.home_free).position
     for i in range(0, len(run.time) - 1, 7):
         flange = arm.kinematics(arm.without_held(run.q[i]), arm.without_held(run.dq[i]))
         # Row i of the joints is the end of tick i, where tick i + 1 begins.
@@ -73,8 +73,8 @@ def test_what_the_policy_saw_is_the_truth(run, small_policy):
     np.testing.assert_array_equal(run.bias, 0.0)
     # The real joints carry the flange to the real x of the same tick.
     arm = small_policy.arm
-    home = arm.pose(arm.home_free).position[0]
-    flange = [arm.pose(arm.without_held(q)).position[0] for q in run.truth.q]
+    home = arm.kinematics(arm.home_free).position[0]
+    flange = [arm.kinematics(arm.without_held(q)).position[0] for q in run.truth.q]
     np.testing.assert_allclose(np.array(flange) - home, run.truth.x, atol=1e-12)
 
 

@@ -97,7 +97,7 @@ def test_the_truth_is_what_mujoco_says_of_the_bodies():
     kind = mujoco.mjtObj.mjOBJ_XBODY
     flange, rod = model.body("flange").id, model.body("pendulum").id
     mujoco.mj_objectVelocity(model, data, kind, flange, velocity, 0)
-    home_x = ARM.pose(ARM.home_free).position[0]
+    home_x = ARM.kinematics(ARM.home_free).position[0]
     assert real.x == pytest.approx(data.xpos[flange, 0] - home_x, abs=1e-12)
     assert real.x_dot == pytest.approx(velocity[3], abs=1e-12)
     assert abs(real.x_dot) > 0.01

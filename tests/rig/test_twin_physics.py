@@ -59,7 +59,7 @@ def test_rotors_bracket_and_pendulum_have_their_inertia():
     flange, rod = model.body("flange"), model.body("pendulum")
     assert flange.mass[0] == pytest.approx(0.4)
     assert rod.mass[0] == pytest.approx(0.3)
-    flange_x = arm.pose(arm.home_free).position
+    flange_x = arm.kinematics(arm.home_free).position
     assert data.xipos[flange.id] == pytest.approx(flange_x + 0.5 * outward, abs=1e-9)
     assert data.xpos[rod.id] == pytest.approx(flange_x + outward, abs=1e-9)
 

@@ -117,7 +117,7 @@ def test_the_flange_slows_down_as_it_shall():
         way = ramp(HOME, dq, x_dot, LIMITS)
         assert min(way.rates) == pytest.approx(STOP_DECELERATION / x_dot)
         assert way.duration == pytest.approx(x_dot / STOP_DECELERATION)
-        x = np.array([ARM.pose(ARM.without_held(q)).position[0] for q in stream(way)])
+        x = np.array([ARM.kinematics(ARM.without_held(q)).position[0] for q in stream(way)])
         # Where the flange comes to rest: v^2 / 2a, but for the bend of its path in joint space.
         assert x[-1] - x[0] == pytest.approx(x_dot**2 / (2 * STOP_DECELERATION), rel=0.02)
         assert speed_along_base(way.at(0.5 * way.duration), way.speed_at(0.5 * way.duration)) == (

@@ -96,7 +96,7 @@ def test_the_flange_in_coppeliasim_is_where_the_kinematics_say(server):
     rig, q = simulation.rig, setup.arm.home_free + np.array([0.1, -0.2, 0.3, 0.1, -0.3, 0.2])
     rig.place(q)
     position, R = rig.flange()
-    expected = setup.arm.pose(q)
+    expected = setup.arm.kinematics(q)
     np.testing.assert_allclose(position, expected.position, atol=1e-12)
     np.testing.assert_allclose(R, expected.rotation, atol=1e-12)
     np.testing.assert_allclose(rig.joints(), setup.arm.with_held(q), atol=1e-15)

@@ -257,10 +257,10 @@ def _pivot(q: Array, arm: Arm) -> Array:
         arm: The arm.
     """
     free = list(arm.free)
-    poses = [arm.pose(posture) for posture in q[:, free]]
+    poses = [arm.kinematics(posture) for posture in q[:, free]]
     position = np.array([pose.position for pose in poses])
     rotation = np.array([pose.rotation for pose in poses])
-    home, outward = arm.pose(arm.home_free), np.array(arm.pivot)
+    home, outward = arm.kinematics(arm.home_free), np.array(arm.pivot)
     x = (position + rotation @ outward - home.position - home.rotation @ outward)[:, 0]
     turn = rotation @ home.rotation.T
     return np.stack([x, np.arctan2(turn[:, 0, 2], turn[:, 2, 2])], axis=1)

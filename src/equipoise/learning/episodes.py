@@ -122,10 +122,6 @@ class TrainingState(NamedTuple):
     """Current decision of each episode."""
     before: Array
     """Observation before the step; a block of 4 rows."""
-    draws: Draws
-    """Scratch for the random numbers of a decision."""
-    results: Results
-    """Results of the last step."""
     totals: npt.NDArray[np.int64]
     """Episodes begun, episodes ended, lanes in use, steps, steps of ended episodes; shape (5,)."""
 
@@ -144,8 +140,6 @@ def new_training_state(boxes: int, tables: int = 0) -> TrainingState:
         tick=np.zeros(BATCH_SIZE, np.int64),
         decisions=new_decisions(),
         before=zeros(4 * BATCH_SIZE),
-        draws=new_draws(),
-        results=new_results(),
         totals=np.zeros(5, np.int64),
     )
 
@@ -226,9 +220,9 @@ def begin_episode(
 
 
 @inlined
-def draw_decisions(training: TrainingState, key: IntArray, lanes: int) -> None:
+def draw_decisions(draws: Draws, training: TrainingState, key: IntArray, lanes: int) -> None:
     """Draw the random numbers of a decision in each lane, at its tick."""
-    explore, choice, chance = training.draws
+    explore, choice, chance = draws
     tick, episode = training.tick, training.episode
     for n in range(lanes):
         w0, w1, w2, _ = philox(key[0], tick[n], episode[n], key[1], TRAINING_ACTION)
@@ -242,13 +236,14 @@ def decide(
     config: TrainingConfig,
     learner: LearnerKernel,
     training: TrainingState,
+    draws: Draws,
     key: IntArray,
     lanes: int,
 ) -> None:
     """Choose the actions of undecided episodes, and write the accelerations of all."""
     decisions, controller = training.decisions, training.batch.controller
-    draw_decisions(training, key, lanes)
-    learner.choose(training.tables, decisions, training.draws, lanes)
+    draw_decisions(draws, training, key, lanes)
+    learner.choose(training.tables, decisions, draws, lanes)
     action, u, actions = decisions.action, controller.u, config.actions
     for n in range(lanes):
         u[n] = actions[action[n]]
@@ -262,13 +257,15 @@ def learn(
     config: TrainingConfig,
     learner: LearnerKernel,
     training: TrainingState,
+    draws: Draws,
+    results: Results,
     key: IntArray,
     lanes: int,
 ) -> None:
     """Learn from a step: rewards, boxes and outcomes, then the updates of complete decisions."""
     block, decisions, tick = training.batch, training.decisions, training.tick
     box, gained, discount = decisions.box, decisions.gained, decisions.discount
-    reward, box_next, outcome = training.results
+    reward, box_next, outcome = results
     seen, u, cause = block.controller.observation, block.controller.u, block.cause
     learner.rewards(training.before, u, seen, cause, reward, lanes)
     for n in range(lanes):
@@ -283,10 +280,8 @@ def learn(
         going = TIMED_OUT if tick[n] >= config.max_steps else going
         outcome[n] = FAILED if cause[n] != TRUNCATED else going
     if learner.chooses_ahead:
-        draw_decisions(training, key, lanes)
-    learner.learn(
-        training.tables, decisions, training.results, training.draws, config.update, lanes
-    )
+        draw_decisions(draws, training, key, lanes)
+    learner.learn(training.tables, decisions, results, draws, config.update, lanes)
 
 
 @kernel
@@ -303,18 +298,21 @@ def train_episodes(loop: Any, until: int) -> None:
     training, key = loop.training, loop.key
     block, episode, tick = training.batch, training.episode, training.tick
     box, action, chance, gained, discount, epsilon, place = training.decisions
-    totals, outcome, noise = training.totals, training.results.outcome, block.controller.noise
+    totals, noise = training.totals, block.controller.noise
     seed, number = key[0], key[1]
+    # New arrays, so that the compiler knows that nothing else points to them.
+    draws, results = new_draws(), new_results()
+    outcome = results.outcome
     lanes = totals[IN_USE]
     while lanes < BATCH_SIZE and totals[BEGUN] < config.episodes:
         begin_episode(plant, pendulum, config, training, seed, number, lanes)
         lanes += 1
     while totals[ENDED] < until and lanes > 0:
-        decide(config, learner, training, key, lanes)
+        decide(config, learner, training, draws, key, lanes)
         draw_noise(noise, seed, tick, episode, number, TRAINING_NOISE, lanes)
         step(plant, block, lanes)
         totals[STEPS] += lanes
-        learn(config, learner, training, key, lanes)
+        learn(config, learner, training, draws, results, key, lanes)
         for n in range(lanes - 1, -1, -1):
             if outcome[n] < TIMED_OUT:
                 continue
@@ -362,7 +360,7 @@ def decide_in_world(loop: Any, observation: Array) -> float:
         controller.observation[i * BATCH_SIZE] = observation[i]
     if training.tick[0] == 0:
         training.decisions.box[0] = box_of(controller.observation, config.boxes, 0)
-    decide(config, loop.learner, training, loop.key, 1)
+    decide(config, loop.learner, training, new_draws(), loop.key, 1)
     return controller.u[0]
 
 
@@ -380,8 +378,9 @@ def learn_in_world(loop: Any, observation: Array, cause: int) -> bool:
         training.batch.controller.observation[i * BATCH_SIZE] = observation[i]
     training.batch.cause[0] = cause
     training.totals[STEPS] += 1
-    learn(loop.config, loop.learner, training, loop.key, 1)
-    if training.results.outcome[0] < TIMED_OUT:
+    results = new_results()
+    learn(loop.config, loop.learner, training, new_draws(), results, loop.key, 1)
+    if results.outcome[0] < TIMED_OUT:
         return True
     training.totals[ENDED] += 1
     training.totals[ENDED_STEPS] += training.tick[0]

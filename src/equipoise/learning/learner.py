@@ -21,7 +21,7 @@ import numpy.typing as npt
 from equipoise.control.control_step import OBS_PHI, OBS_PHI_DOT, OBS_X, OBS_X_DOT
 from equipoise.control.controller import Observation
 from equipoise.control.grid import ACTIONS, TRUNCATED, mirrored_box
-from equipoise.jit import inlined
+from equipoise.jit import compilable, inlined
 from equipoise.model.elementary import BATCH_SIZE, at
 
 Array = npt.NDArray[np.float64]
@@ -374,15 +374,18 @@ def new_decisions() -> Decisions:
     )
 
 
+@compilable
 def new_draws() -> Draws:
     """Return scratch for random numbers."""
     return Draws(np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE))
 
 
+@compilable
 def new_results() -> Results:
     """Return scratch for the results of a step."""
-    whole = np.zeros((2, BATCH_SIZE), np.int64)
-    return Results(np.zeros(BATCH_SIZE), whole[0], whole[1])
+    return Results(
+        np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE, np.int64), np.zeros(BATCH_SIZE, np.int64)
+    )
 
 
 def rewards_signature() -> Any:

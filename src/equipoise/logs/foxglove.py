@@ -6,7 +6,8 @@ Their 3D panels read these schemas, by name, encoded as JSON::
     /tf                 foxglove.FrameTransforms   frame of each link, `RATE` times a second
     /joint_states       sensor_msgs/JointState     joint positions, at the same rate
 
-Frames have the names of the URDF's links, from `base` to `flange` and `pendulum`. Joint positions
+Frames have the names of the URDF's links, from `base` to `flange` and `pendulum`; each is placed in
+`base`, by the kinematics of MuJoCo. Joint positions
 are the measured ones, or the commanded ones in a log without measurements; the angle of the
 pendulum is its estimate, before the first estimate that of a hanging pendulum.
 """
@@ -15,11 +16,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import pi
 from typing import Any, Final
 
-import numpy as np
-from scipy.spatial.transform import Rotation
-
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.urdf_writer import describe_links, write_urdf
+from equipoise.model.arms.scene import scene
+from equipoise.model.arms.urdf_writer import BASE, write_urdf
+from equipoise.model.physics_engine import mujoco
 
 RATE: Final = 25.0
 """Rate of transforms and joint states [Hz], that of a film."""
@@ -66,13 +66,13 @@ class ArmDisplay:
 
     def __init__(self, arm: Arm) -> None:
         """Describe the arm."""
-        self.urdf: str = write_urdf(arm, pendulum=True)
+        spec = scene(arm)
+        self.urdf: str = write_urdf(spec)
         """URDF of arm and pendulum."""
-        self._links = describe_links(arm, pendulum=True)
-        self._names = [link.joint for link in self._links if link.turns]
-        self._turns = np.array([link.turns for link in self._links])
-        self._axes = np.array([link.axis for link in self._links])
-        self._fixed = Rotation.from_euler("xyz", [link.rpy for link in self._links])
+        self._model = spec.compile()
+        self._data = mujoco().MjData(self._model)
+        self._links = [body.name for body in spec.bodies[1:]]
+        self._names = [joint.name for joint in spec.joints]
         self._phi, self._measured, self._next, self._described = pi, False, 0, False
 
     def messages(
@@ -100,20 +100,22 @@ class ArmDisplay:
         angles = [round(angle, DIGITS) for angle in (*q, self._phi)]
         time = {"sec": stamp // 1_000_000_000, "nsec": stamp % 1_000_000_000}
         yield "/tf", {"transforms": list(self._transforms(angles, time))}
-        joints = {"header": {"stamp": time, "frame_id": "base"}, "name": self._names}
+        joints = {"header": {"stamp": time, "frame_id": BASE}, "name": self._names}
         yield "/joint_states", {**joints, "position": angles, "velocity": [], "effort": []}
 
     def _transforms(self, angles: Sequence[float], time: Any) -> Iterator[dict[str, Any]]:
-        turns = np.zeros((len(self._links), 1))
-        turns[self._turns, 0] = angles
-        rotations = self._fixed * Rotation.from_rotvec(self._axes * turns)
-        for link, quaternion in zip(self._links, rotations.as_quat().tolist(), strict=True):
+        data = self._data
+        data.qpos[:] = angles
+        mujoco().mj_kinematics(self._model, data)
+        # The first body is the world.
+        places, turns = data.xpos[1:].tolist(), data.xquat[1:].tolist()
+        for link, place, (w, x, y, z) in zip(self._links, places, turns, strict=True):
             yield {
                 "timestamp": time,
-                "parent_frame_id": link.parent,
-                "child_frame_id": link.name,
-                "translation": _rounded("xyz", link.xyz),
-                "rotation": _rounded("xyzw", quaternion),
+                "parent_frame_id": BASE,
+                "child_frame_id": link,
+                "translation": _rounded("xyz", place),
+                "rotation": _rounded("xyzw", (x, y, z, w)),
             }
 
 

@@ -153,8 +153,10 @@ def _measured_joints(run: RunLog, at: Floats, began: float) -> Floats:
 
 def _displacement(run: RunLog, q: Floats) -> Floats:
     arm = run.conditions.arm
-    home = arm.pose(arm.home_free).position[0]
-    return np.array([arm.pose(arm.without_held(row)).position[0] - home for row in q.tolist()])
+    home = arm.kinematics(arm.home_free).position[0]
+    return np.array(
+        [arm.kinematics(arm.without_held(row)).position[0] - home for row in q.tolist()]
+    )
 
 
 def _measured_phi(run: RunLog, at: Floats, began: float) -> Floats:

@@ -21,7 +21,6 @@ from equipoise.logs.columns import TABLES, Rows, canonical, schema, to_messages
 from equipoise.logs.conditions import RunConditions, RunEnd
 from equipoise.logs.foxglove import SCHEMAS, ArmDisplay
 from equipoise.logs.recorder import CONNECTING, Recorder
-from equipoise.model.arms.urdf_writer import PENDULUM
 
 FORMAT: Final = "equipoise-run"
 CHUNK: Final = 128 * 1024
@@ -55,7 +54,7 @@ class LogEncoder:
         }
         self._writer.add_metadata(FORMAT, entries)
         urdf = self._display.urdf.encode()
-        self._writer.add_attachment(0, 0, f"{PENDULUM}.urdf", "application/xml", urdf)
+        self._writer.add_attachment(0, 0, "pendulum.urdf", "application/xml", urdf)
         self._channels: dict[str, int] = {}
         for topic, name, content in _topics():
             data = json.dumps(content).encode()

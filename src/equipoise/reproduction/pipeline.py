@@ -9,10 +9,11 @@ files. `equipoise.apps.report.page.build` makes the page from the folder.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from equipoise.artefacts import StrPath
 from equipoise.control.bound_policy import BUILT_IN
@@ -36,6 +37,7 @@ from equipoise.reproduction.results import (
     RUN,
     SWING,
     TWIN_EVALUATION,
+    WITHOUT_PREDICTION,
     ReproductionRecord,
     Results,
     digests,
@@ -138,36 +140,34 @@ def reproduce(
         pendulum=pendulum.digest,
     )
 
-    def evaluated(name: str, world: str, trials: int, *, with_baselines: bool) -> Evaluation:
-        update = {"trials": min(trials, settings.evaluation.trials)}
-        evaluation = policy.settings.evaluation.model_copy(update=update)
-        runs = update["trials"] * (1 + len(BUILT_IN) * with_baselines)
-        return evaluate(
-            policy,
-            policy.settings.model_copy(update={"evaluation": evaluation}),
-            world=world,
-            seed=seed,
-            with_baselines=with_baselines,
-            workers=workers,
-            done=counted(name, runs, report),
-        )
-
     of_policy = {"policy": policy.digest}
-    everything = settings.evaluation.trials
-    evaluation = saved(
-        "evaluate",
-        EVALUATION,
-        lambda: evaluated("evaluate", MODEL, everything, with_baselines=True),
-        **of_policy,
-    )
-    twin_evaluation = None
-    if world == TWIN:
-        twin_evaluation = saved(
-            "evaluate twin",
-            TWIN_EVALUATION,
-            lambda: evaluated("evaluate twin", TWIN, TWIN_TRIALS, with_baselines=False),
+
+    def evaluated(name: str, file: str, world: str, predict: bool = True) -> Evaluation:
+        model, most = world == MODEL, settings.evaluation.trials
+        trials = most if model else min(TWIN_TRIALS, most)
+        changes = {"evaluation.trials": trials}
+        if not predict:
+            changes["controller.predict"] = False
+        return saved(
+            name,
+            file,
+            lambda: evaluate(
+                policy,
+                changed(policy.settings, changes),
+                world=world,
+                seed=seed,
+                with_baselines=model,
+                workers=workers,
+                done=counted(name, trials * (1 + len(BUILT_IN) * model), report),
+            ),
             **of_policy,
         )
+
+    evaluation = evaluated("evaluate", EVALUATION, MODEL)
+    twin_evaluation = without_prediction = None
+    if world == TWIN:
+        twin_evaluation = evaluated("evaluate twin", TWIN_EVALUATION, TWIN)
+        without_prediction = evaluated("no prediction", WITHOUT_PREDICTION, TWIN, predict=False)
     run = saved("deploy", RUN, lambda: simulate_run(policy, world=world, seed=seed), **of_policy)
 
     record = ReproductionRecord(
@@ -180,7 +180,16 @@ def reproduce(
         files={},
         stages=stages,
     )
-    results = Results(record, recorded, pendulum, policy, evaluation, twin_evaluation, run)
+    results = Results(
+        record,
+        recorded,
+        pendulum,
+        policy,
+        evaluation,
+        twin_evaluation,
+        without_prediction,
+        run,
+    )
     record = record.model_copy(update={"files": digests(results)})
     record.save(out / RECORD, command="reproduce", inputs=record.files)
     return results._replace(record=record)
@@ -188,10 +197,17 @@ def reproduce(
 
 def shortened(settings: Settings) -> Settings:
     """Return the settings of a quick reproduction, limited by `QUICK`."""
+    return changed(
+        settings, {name: min(attrgetter(name)(settings), most) for name, most in QUICK.items()}
+    )
+
+
+def changed(settings: Settings, changes: Mapping[str, Any]) -> Settings:
+    """Return settings with other values of some of them, by their full names."""
     tree = settings.model_dump()
-    for name, value in QUICK.items():
+    for name, value in changes.items():
         section, _, key = name.partition(".")
-        tree[section][key] = min(tree[section][key], value)
+        tree[section][key] = value
     return Settings.model_validate(tree)
 
 

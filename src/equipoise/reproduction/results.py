@@ -2,10 +2,10 @@
 
 The report uses these files only::
 
-    swing.csv  pendulum.json  policy.json  evaluation.json  twin-evaluation.json  run.mcap
-    reproduction.json
+    swing.csv  pendulum.json  policy.json  evaluation.json  run.mcap  reproduction.json
+    twin-evaluation.json  without-prediction.json
 
-`twin-evaluation.json` is missing for an arm without a digital twin.
+The files of the last line are missing for an arm without a digital twin.
 """
 
 from pathlib import Path
@@ -24,6 +24,7 @@ PENDULUM: Final = "pendulum.json"
 POLICY: Final = "policy.json"
 EVALUATION: Final = "evaluation.json"
 TWIN_EVALUATION: Final = "twin-evaluation.json"
+WITHOUT_PREDICTION: Final = "without-prediction.json"
 RUN: Final = "run.mcap"
 RECORD: Final = "reproduction.json"
 
@@ -66,6 +67,9 @@ class Results(NamedTuple):
     """Trials of the policy and of the baselines on the training plant."""
     twin_evaluation: Evaluation | None
     """Trials of the policy on the digital twin; None for an arm without a twin."""
+    without_prediction: Evaluation | None
+    """The same without the prediction of the state, which delay and lag then leave behind; None for
+    an arm without a twin."""
     run: RunLog
     """One run of the policy, on the digital twin if the arm has one."""
 
@@ -78,14 +82,18 @@ def load(out: Path) -> Results:
         RecordingError: The swing cannot be read.
     """
     record = ReproductionRecord.load(out / RECORD)
-    has_twin = TWIN_EVALUATION in record.files
+
+    def on_twin(name: str) -> Evaluation | None:
+        return Evaluation.load(out / name) if name in record.files else None
+
     results = Results(
         record=record,
         swing=read_swing(out / SWING),
         pendulum=Pendulum.load(out / PENDULUM),
         policy=TabularPolicy.load(out / POLICY),
         evaluation=Evaluation.load(out / EVALUATION),
-        twin_evaluation=Evaluation.load(out / TWIN_EVALUATION) if has_twin else None,
+        twin_evaluation=on_twin(TWIN_EVALUATION),
+        without_prediction=on_twin(WITHOUT_PREDICTION),
         run=RunLog.load(out / RUN),
     )
     found = digests(results)
@@ -100,16 +108,16 @@ def load(out: Path) -> Results:
 
 def digests(results: Results) -> dict[str, str]:
     """Return the digest of each value, by the name of its file."""
-    found = {
-        SWING: results.swing.sha256,
-        PENDULUM: results.pendulum.digest,
-        POLICY: results.policy.digest,
-        EVALUATION: results.evaluation.digest,
-        RUN: results.run.digest,
+    values = {
+        PENDULUM: results.pendulum,
+        POLICY: results.policy,
+        EVALUATION: results.evaluation,
+        TWIN_EVALUATION: results.twin_evaluation,
+        WITHOUT_PREDICTION: results.without_prediction,
+        RUN: results.run,
     }
-    if results.twin_evaluation is not None:
-        found[TWIN_EVALUATION] = results.twin_evaluation.digest
-    return found
+    found = {name: value.digest for name, value in values.items() if value is not None}
+    return {SWING: results.swing.sha256, **found}
 
 
 def truth(run: RunLog) -> Any:

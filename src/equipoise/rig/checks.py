@@ -289,7 +289,7 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> list[
         ),
     ]
     if rig.table_height_mm is not None:
-        pose = arm.pose(arm.home_free)
+        pose = arm.kinematics(arm.home_free)
         pivot = pose.position + pose.rotation @ np.array(arm.pivot)
         length = 1.5 * policy.pendulum.g / policy.pendulum.w2.value  # of a uniform rod
         below = float(pivot[2] - length) - 1e-3 * rig.table_height_mm

@@ -36,10 +36,8 @@ class RigSettings(Value):
     """Name of the rig in logs."""
     arm: Name = "iiwa7"
     """Name of the arm, or path of its URDF (from the folder of this file)."""
-    held: int | Name | None = None
-    """Joint of a URDF that is held still, by name or counted from one."""
-    base: Name | None = None
-    """Fixed link of a URDF; by default its root."""
+    held: int | None = None
+    """Joint of a URDF that is held still, counted from one."""
     tip: Name | None = None
     """Link of a URDF that is the flange; by default its only end."""
     acceleration_deg: float | None = Field(default=None, gt=0.0, le=1e5)
@@ -89,7 +87,6 @@ class RigSettings(Value):
         return resolve_arm(
             self.arm,
             held=self.held,
-            base=self.base,
             tip=self.tip,
             acceleration=None if limit is None else radians(limit),
             home=None if home is None else [radians(angle) for angle in home],

@@ -29,7 +29,7 @@ def test_the_pivot_is_where_the_kinematics_of_the_arm_have_it(server, make):
     page = page_of(server, arm)
     q = np.array(arm.home) + np.array([0.1, -0.2, 0.0, 0.15, 0.1, -0.1, 0.3])
     x = page.show(q, 0.1)
-    pose, home = arm.pose(arm.without_held(q)), arm.pose(arm.home_free)
+    pose, home = arm.kinematics(arm.without_held(q)), arm.kinematics(arm.home_free)
     expected = pose.position + pose.rotation @ np.array(arm.pivot)
     assert page.pendulum.position == pytest.approx(expected, abs=1e-9)
     at_home = home.position + home.rotation @ np.array(arm.pivot)

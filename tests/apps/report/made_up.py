@@ -140,10 +140,10 @@ def evaluation(of, falls=(3.0, 20.0)):
     )
 
 
-def twin_evaluation(of):
+def twin_evaluation(of, falls=()):
     """The same policy on the twin, without baselines."""
     there = {"world": "twin:nominal", "world_settings": read_world("twin:nominal").settings}
-    return evaluation(of, ()).model_copy(update={**there, "baselines": ()})
+    return evaluation(of, falls).model_copy(update={**there, "baselines": ()})
 
 
 def run(of, lasted=60.0, cause=Outcome.LASTED, world=MODEL):
@@ -227,6 +227,7 @@ def results(
         policy=trained,
         evaluation=evaluation(trained, falls),
         twin_evaluation=None if world == MODEL else twin_evaluation(trained),
+        without_prediction=None if world == MODEL else twin_evaluation(trained, 20 * (5.5,)),
         run=run(trained, world=world, **of_run),
     )
     record = found.record.model_copy(update={"files": digests(found)})

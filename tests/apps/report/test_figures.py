@@ -15,6 +15,7 @@ from equipoise.identification.fitted import fitted_curve
 from tests.apps.report import made_up
 
 LABELS = {
+    "time-line": ["φ [°]", "x [m]", "u [m/s²]", "box of 270", "time [s]"],
     "swing": ["(the paper's figure 2)", "angle from hanging θ [°]", "time [s]", "RMS"],
     "learning-curve": ["mean duration [s]", "episodes", "kept: episode"],
     "policy": ["φ [°]", "dφ/dt [°/s]", "x from −0.22 to −0.08 m"],

@@ -43,34 +43,29 @@ def test_limits_are_those_of_the_model(size):
 
 @pytest.mark.parametrize(("size", "height"), [(7, 0.49), (14, 0.53)])
 def test_home_points_down_with_outward_along_base_y(size, height):
-    arm = iiwa(size, media_flange=0.035)
-    position, rotation, *_ = arm.pose(arm.home_free)
+    arm = iiwa(size)
+    position, rotation, *_ = arm.kinematics(arm.home_free)
     assert position[2] == pytest.approx(height, abs=0.005)
     assert rotation[:, 2] == pytest.approx([0.0, 0.0, -1.0], abs=1e-15)
     pivot = position + rotation @ arm.pivot
-    assert pivot - position == pytest.approx([0.0, 0.13, -0.035], abs=1e-15)
+    assert pivot - position == pytest.approx([0.0, 0.13, 0.0], abs=1e-15)
     assert position[1] > 0.5  # the base is on the other side
 
 
 @pytest.mark.parametrize(("size", "speed"), [(7, 1.01), (14, 0.87)])
 def test_the_track_is_far_from_singularities_and_limits(size, speed):
     arm = iiwa(size)
-    track = along_x(arm, TRACK)
+    track, home = along_x(arm, TRACK), arm.kinematics(arm.home_free)
+    for x, q in zip(TRACK, track, strict=True):
+        flange = arm.kinematics(q)
+        assert flange.position == pytest.approx(home.position + np.array([x, 0.0, 0.0]), abs=1e-9)
+        assert flange.rotation == pytest.approx(home.rotation, abs=1e-9)
     assert max(condition(arm, q) for q in track) <= 11.4
     assert np.degrees(min(limit_margin(arm, q) for q in track)) >= 36.5
     assert min(x_speed_limit(arm, q) for q in track) == pytest.approx(speed, abs=0.01)
     # A1 is the joint that limits the speed at home: x is tangential.
-    rates = np.linalg.solve(arm.kinematics(arm.home_free).jacobian, np.eye(6)[0])
+    rates = np.linalg.solve(home.jacobian, np.eye(6)[0])
     assert np.argmax(np.abs(rates) / [joint.velocity for joint in arm.free_joints]) == 0
-
-
-def test_postures_along_x_hold_the_orientation():
-    arm = iiwa(14)
-    home = arm.pose(arm.home_free)
-    for x, q in zip(TRACK, along_x(arm, TRACK), strict=True):
-        pose = arm.pose(q)
-        assert pose.position == pytest.approx(home.position + np.array([x, 0.0, 0.0]), abs=1e-9)
-        assert pose.rotation == pytest.approx(home.rotation, abs=1e-9)
 
 
 def test_a_place_out_of_reach_is_refused():
@@ -78,18 +73,6 @@ def test_a_place_out_of_reach_is_refused():
         along_x(iiwa(7), [0.0, 0.3, 0.6, 0.9])
 
 
-def test_the_media_flange_moves_the_pivot_only():
-    bare, high = iiwa(7), iiwa(7, media_flange=0.061)
-    assert high == bare.model_copy(update={"pivot": (-0.13, 0.0, 0.061)})
-
-
-@pytest.mark.parametrize(
-    ("build", "says"),
-    [
-        (lambda: iiwa(10), "there is no iiwa 10; choose 7 or 14"),
-        (lambda: iiwa(7, media_flange=0.05), "media flange of 0.05 m; choose one of 0, 0.035"),
-    ],
-)
-def test_another_iiwa_is_refused(build, says):
-    with pytest.raises(ArmError, match=says):
-        build()
+def test_another_iiwa_is_refused():
+    with pytest.raises(ArmError, match="there is no iiwa 10; choose 7 or 14"):
+        iiwa(10)

@@ -16,7 +16,7 @@ from equipoise.model.arms.compiler import BIAS, FRAME_SIZE, JACOBIAN, POSITION, 
 from equipoise.model.elementary import BATCH_SIZE
 from tests.model.arms.witnesses import ARMS, MuJoCo, Pinocchio
 
-STATES = 1000
+STATES = 200
 TOLERANCE = 1e-9
 
 

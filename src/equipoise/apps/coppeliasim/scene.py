@@ -62,7 +62,7 @@ def build_scene(sim: Connection, arm: Arm) -> Scene:
         joints.append(hinge)
     frame = frame @ _at(arm.flange_xyz, rotation_from_rpy(arm.flange_rpy))
     flange = _place(sim, sim.call("createDummy", 0.02), "flange", frame, parent)
-    frame = frame @ _at(arm.pivot, arm.pose(arm.home_free).rotation.T)
+    frame = frame @ _at(arm.pivot, arm.kinematics(arm.home_free).rotation.T)
     spindle = _joint(sim, "phi", frame, (0.0, 1.0, 0.0), parent)
     sim.call("setJointInterval", spindle, True, (-np.pi, 2.0 * np.pi))
     thickness, middle = 2.0 * SIZES.rod, _at((0.0, 0.0, 0.5 * SIZES.rod_length))

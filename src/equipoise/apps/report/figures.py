@@ -17,6 +17,7 @@ from equipoise.identification.recording import Trajectory
 from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
 from equipoise.outcomes import Outcome
+from equipoise.reproduction.results import truth
 from equipoise.worlds.evaluation import Evaluation, TrialResults
 
 if TYPE_CHECKING:
@@ -160,6 +161,38 @@ def _survival_curve(results: TrialResults, begin: float, end: float) -> tuple[Ar
 
 
 @styled()
+def time_line(run: RunLog, until: float) -> "Figure":
+    """Draw the begin of a run: pendulum, flange, command and box against time.
+
+    Args:
+        run: A run with a policy.
+        until: End of the time axis [s].
+    """
+    shown = run.time < until
+    time, true = run.time[shown], truth(run)
+    edges = np.append(time, time[-1] + run.conditions.h)
+    figure = new_figure(5.0, "The same seconds")
+    axes: Any = figure.subplots(4, 1, sharex=True)
+    lean, position, command, box = axes
+    limits = (paper.PHI_LIMIT_DEG, paper.X_LIMIT)
+    for panel, values, limit in zip(axes, (np.rad2deg(true.phi), true.x), limits, strict=False):
+        panel.plot(time, values[shown], color=style.BLUE)
+        for end in (-limit, limit):
+            panel.axhline(end, color=style.INK, linewidth=1.0, linestyle=(0, (6, 2)))
+    lean.set_title("dashed: failure")
+    lean.set_ylabel("φ [°]")
+    position.set_ylabel("x [m]")
+    command.stairs(run.u[shown], edges, baseline=None, **OBSERVED_LINE)
+    command.set_ylabel("u [m/s²]")
+    box.plot(time, run.box[shown], ".", color=style.ORANGE, markersize=2.5)
+    box.set_ylabel(f"box of {run.conditions.settings.boxes.count}")
+    box.set_xlabel("time [s]")
+    box.set_xlim(0.0, until)
+    figure.align_ylabels(axes)
+    return figure
+
+
+@styled()
 def run_figure(run: RunLog) -> "Figure":
     """Draw a run as in the paper's figures 4 to 7: its first 5 s, as there, and all of it.
 
@@ -174,7 +207,7 @@ def run_figure(run: RunLog) -> "Figure":
     """
     run.require_balancing()
     boxes, deg = run.conditions.settings.boxes, np.rad2deg
-    true: Any = run.truth if len(run.truth.phi) else run
+    true = truth(run)
     rows = (
         ("φ [°]", deg(run.phi), deg(true.phi), boxes.phi_deg, paper.PHI_LIMIT_DEG),
         ("dφ/dt [°/s]", deg(run.phi_dot), deg(true.phi_dot), boxes.phi_dot_deg, None),

@@ -34,13 +34,19 @@ PAGE: Final = "report.html"
 FILM_SECONDS: Final = 8.0
 """Maximum length of the film on the page [s]; the paper's run took 5 s."""
 FIGURES: Final[dict[str, Callable[[Results], "Figure"]]] = {
+    "time-line": lambda r: figures.time_line(r.run, film_seconds(r)),
     "swing": lambda r: figures.free_swing(r.swing, r.pendulum),
     "learning-curve": lambda r: figures.learning_curve(r.policy),
-    "policy": lambda r: policy_picture(r.policy, r.run),
     "survival": lambda r: figures.survival(r.evaluation),
+    "policy": lambda r: policy_picture(r.policy, r.run),
     "run": lambda r: figures.run_figure(r.run),
 }
 """Drawing functions of the figures, by the names of their files."""
+
+
+def film_seconds(results: Results) -> float:
+    """Return the length of the film [s]."""
+    return min(results.run.lasted, FILM_SECONDS)
 
 
 def build(out: Path, report: Callable[[str, float], None] = lambda _, __: None) -> Path:
@@ -65,7 +71,7 @@ def build(out: Path, report: Callable[[str, float], None] = lambda _, __: None) 
     film, missing = out / "figures" / "film.webp", ""
     report(film.name, len(FIGURES) / (len(FIGURES) + 2.0))
     try:
-        write_film(results.run, film, end=min(results.run.lasted, FILM_SECONDS))
+        write_film(results.run, film, end=film_seconds(results))
         images["film"] = _data_uri("webp", film.read_bytes())
     except OutsideError as error:  # OpenGL may be missing
         missing = str(error)
@@ -100,7 +106,8 @@ def page(
         run=results.run,
         policy=results.policy,
         settings=results.policy.settings,
-        evaluations=[e for e in (results.twin_evaluation, results.evaluation) if e],
+        evaluations=[e for e in (results.evaluation, results.twin_evaluation) if e],
+        without=results.without_prediction,
         on_twin=results.run.conditions.world != MODEL,
         provenance=provenance,
         images=images,

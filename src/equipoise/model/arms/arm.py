@@ -18,7 +18,7 @@ from pydantic import Field, ValidationError, model_validator
 from equipoise.artefacts import Name, Value, first_fault, shortened, value_digest
 from equipoise.errors import ArmError
 from equipoise.jit import function_pointer
-from equipoise.model.arms.chain import FREE_JOINTS, Chain, Floats, Triple, links, wrist_centre
+from equipoise.model.arms.chain import FREE_JOINTS, Floats, Triple, links, wrist_centre
 from equipoise.model.arms.compiler import FRAME_SIZE, PARTS, KinematicsFunction, load
 from equipoise.model.elementary import BATCH_SIZE
 
@@ -205,17 +205,10 @@ class Arm(_Described):
         Names, masses, home and pivot are left out. The flange keeps its orientation, so every pivot
         on it has the same motion; a policy records its home separately.
         """
-        return _shape(self, limits=True)
-
-    @property
-    def geometry_digest(self) -> str:
-        """SHA-256 of the parameters of the generated kinematics."""
-        return _shape(self, limits=False)
-
-    @property
-    def chain(self) -> Chain:
-        """Geometry for the generated kinematics."""
-        return Chain(self.name, self.geometry_digest, links(self))
+        joints = tuple(joint.model_copy(update={"name": ""}) for joint in self.joints)
+        shape = {"name": "", "joints": joints, "home": (), "pivot": (0.0, 0.0, 0.0)}
+        unnamed = self.model_copy(update=shape)
+        return value_digest(unnamed, exclude={"joints": {"__all__": {"link"}}})
 
     @property
     def free(self) -> tuple[int, ...]:
@@ -250,39 +243,20 @@ class Arm(_Described):
 
         Args:
             q: Free joints [rad], shape (6,).
-            dq: Their velocities [rad/s], shape (6,).
+            dq: Their velocities [rad/s], shape (6,); at rest by default.
         """
         q_block, dq_block, frame = (
             [0.0] * (rows * BATCH_SIZE) for rows in (FREE_JOINTS, FREE_JOINTS, FRAME_SIZE)
         )
         q_block[::BATCH_SIZE] = (float(angle) for angle in q)
         dq_block[::BATCH_SIZE] = (float(rate) for rate in dq)
-        _functions(self)[0](q_block, dq_block, frame, 1)
+        load(self)[0](q_block, dq_block, frame, 1)
         position, R, twist, bias, J = np.split(np.array(frame[::BATCH_SIZE]), PARTS[1:])
         return Kinematics(position, R.reshape(3, 3), twist, bias, J.reshape(6, FREE_JOINTS))
-
-    def pose(self, q: Sequence[float] | Floats) -> Kinematics:
-        """Return the flange at rest for the free joints `q` [rad], shape (6,)."""
-        return self.kinematics(q)
 
     def compiled(self) -> ArmKernel:
         """Return the arm for kernels; the first call compiles or loads its kinematics."""
         return _compiled(self)
-
-
-def _shape(arm: Arm, *, limits: bool) -> str:
-    """Return the digest of an arm without names, masses, home and pivot."""
-    left_out: dict[str, Any] = {"name": ""}
-    if not limits:
-        left_out |= dict.fromkeys(("lower", "upper", "velocity", "acceleration", "torque"), 0.0)
-    joints = tuple(joint.model_copy(update=left_out) for joint in arm.joints)
-    shape = {"name": "", "joints": joints, "home": (), "pivot": (0.0, 0.0, 0.0)}
-    return value_digest(arm.model_copy(update=shape), exclude={"joints": {"__all__": {"link"}}})
-
-
-@functools.lru_cache(maxsize=64)
-def _functions(arm: Arm) -> tuple[KinematicsFunction, KinematicsFunction]:
-    return load(arm.chain)
 
 
 @functools.cache
@@ -291,6 +265,6 @@ def _compiled(arm: Arm) -> ArmKernel:
     limits = np.array([(j.lower, j.upper, j.velocity, j.acceleration) for j in arm.free_joints])
     lower, upper, velocity, acceleration = np.ascontiguousarray(limits.T)
     signature = numba.void(array, array, array, numba.int64)
-    kinematics, motion = (function_pointer(each, signature) for each in _functions(arm))
-    wrist = wrist_centre(arm.chain.links)
+    kinematics, motion = (function_pointer(each, signature) for each in load(arm))
+    wrist = wrist_centre(links(arm))
     return ArmKernel(kinematics, motion, wrist, lower, upper, velocity, acceleration)

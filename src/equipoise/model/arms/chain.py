@@ -34,17 +34,6 @@ class Link(NamedTuple):
     """Origin of the next frame in this one [m], shape (3,)."""
 
 
-class Chain(NamedTuple):
-    """Geometry of an arm for its generated kinematics."""
-
-    name: str
-    """Name of the arm."""
-    digest: str
-    """Digest of the geometry."""
-    links: tuple[Link, ...]
-    """Steps to each of the six free joints and to the flange."""
-
-
 def links(arm: "Arm") -> tuple[Link, ...]:
     """Return the constants of an arm: a step to each free joint and one to the flange."""
     chain: list[Link] = []

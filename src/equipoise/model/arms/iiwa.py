@@ -32,9 +32,6 @@ HOME_DEG: Final = (90.0, 30.0, 0.0, -70.0, 0.0, 80.0, 0.0)
 PIVOT_OUTWARD: Final = 0.13
 """Distance from the axis of A7 to the plane in which the pendulum turns [m]. The pendulum passes in
 front of the wrist, a ball of less than 0.1 m."""
-MEDIA_FLANGES: Final = (0.0, 0.035, 0.061)
-"""Heights of KUKA's media flanges: none, electric or pneumatic, touch pneumatic [m]."""
-
 
 _MODELS: Final = {
     7: (
@@ -52,25 +49,20 @@ _MODELS: Final = {
 limits [N m] of each size."""
 
 
-def iiwa(size: Literal[7, 14], *, media_flange: float = 0.0) -> Arm:
+def iiwa(size: Literal[7, 14]) -> Arm:
     """Return an iiwa with joint 3 held straight and the pendulum beside its flange.
 
-    The media flange moves the pivot only. CLIK regulates the bare flange, 0.126 m from the wrist:
-    it keeps its orientation, so every point fixed to it moves alike, and one policy serves every
-    media flange.
+    CLIK regulates the bare flange, 0.126 m from the wrist: it keeps its orientation, so every point
+    fixed to it moves alike. A media flange moves the pivot only, and needs no other policy.
 
     Args:
         size: 7 or 14.
-        media_flange: Height of the media flange: 0, 0.035 or 0.061 m.
 
     Raises:
-        ArmError: The size or the media flange is unknown.
+        ArmError: The size is unknown.
     """
     if size not in _MODELS:
         raise ArmError(f"there is no iiwa {size}; choose 7 or 14")
-    if media_flange not in MEDIA_FLANGES:
-        heights = ", ".join(f"{height:g}" for height in MEDIA_FLANGES)
-        raise ArmError(f"media flange of {media_flange:g} m; choose one of {heights} m")
     (base, upper_arm, forearm, hand), speeds_deg, torques = _MODELS[size]
     # d runs along the joint's own axis, which is the twisted z of the frame before it.
     along_y = (0.0, 0.0, -upper_arm, 0.0, forearm, 0.0, 0.0)
@@ -94,7 +86,7 @@ def iiwa(size: Literal[7, 14], *, media_flange: float = 0.0) -> Arm:
         joints=place_links(joints, size),
         held_joint=HELD_JOINT,
         flange_xyz=(0.0, 0.0, hand),
-        pivot=(-PIVOT_OUTWARD, 0.0, media_flange),
+        pivot=(-PIVOT_OUTWARD, 0.0, 0.0),
         home=tuple(radians(angle) for angle in HOME_DEG),
     )
 
@@ -112,7 +104,7 @@ def iiwa14() -> Arm:
 def main() -> None:
     """Write the generated kinematics of both arms into the package."""
     for arm in (iiwa7(), iiwa14()):
-        write_whole(compiler.COMMITTED_FOLDER / f"{arm.name}.py", compiler.source(arm.chain))
+        write_whole(compiler.COMMITTED_FOLDER / f"{arm.name}.py", compiler.source(arm))
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ def along_x(arm: Arm, displacements: Sequence[float] | Floats) -> Floats:
     Raises:
         ArmError: A place cannot be reached within the limits of the joints.
     """
-    home = arm.pose(arm.home_free)
+    home = arm.kinematics(arm.home_free)
     places = [float(x) for x in displacements]
     postures: dict[float, Floats] = {}
     for side in (1.0, -1.0):
@@ -71,7 +71,7 @@ def search_home(arm: Arm, *, lowest: float = 0.3, candidates: int = 2000) -> Arm
     ranges = np.clip([(joint.lower, joint.upper) for joint in arm.free_joints], -np.pi, np.pi)
     middle, half = ranges.mean(axis=1), 0.35 * np.ptp(ranges, axis=1)
     drawn = middle + half * rng.uniform(-1.0, 1.0, (candidates, FREE_JOINTS))
-    high = [q for q in drawn if arm.pose(q).position[2] > lowest]
+    high = [q for q in drawn if arm.kinematics(q).position[2] > lowest]
     best: tuple[float, Arm | None] = (np.inf, None)
     for q in sorted(high, key=lambda q: condition(arm, q))[:20]:
         there = arm.model_copy(update={"home": tuple(arm.with_held(q).tolist())})

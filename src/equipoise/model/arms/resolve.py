@@ -5,7 +5,7 @@ without arguments that returns an `Arm`. The iiwas are registered in the same wa
 """
 
 from collections.abc import Sequence
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,33 +25,26 @@ SUFFIXES: Final = (".urdf", ".xml")
 def resolve_arm(
     name: str,
     *,
-    held: int | str | None = None,
-    base: str | None = None,
-    tip: str | None = None,
-    acceleration: float | None = None,
     home: Sequence[float] | None = None,
     pivot: Triple | None = None,
+    **urdf: Any,
 ) -> Arm:
     """Return the arm of a registered name or of a URDF file.
 
     Args:
         name: Registered name, or path of a URDF.
-        held: Joint of the URDF that does not move, by name or counted from one.
-        base: Fixed link of the URDF.
-        tip: Link of the URDF that is the flange.
-        acceleration: Acceleration limit of every joint of the URDF [rad/s^2].
         home: Posture at x = 0, all joints [rad]; by default the arm's own, or a search.
         pivot: The pendulum's pivot in the flange frame [m]; by default the arm's own.
+        urdf: Other arguments of `read_urdf`; None stands for the default.
 
     Raises:
         ArmError: The arm is unknown, or an argument does not fit it.
         InputError: The package that registers the arm is defective.
     """
-    options = {"held": held, "base": base, "tip": tip, "acceleration": acceleration}
-    given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
+    given = {key: value for key, value in urdf.items() if value is not None}
     if Path(name).suffix.lower() in SUFFIXES:
         return read_urdf(name, home=home, pivot=pivot, **given)
-    registered = registered_arms()
+    registered = {point.name: point for point in entry_points(group=GROUP)}
     if name not in registered:
         raise ArmError(
             f"there is no arm {quoted(name)}; choose {', '.join(sorted(registered))} or a file "
@@ -68,20 +61,6 @@ def resolve_arm(
         if not isinstance(arm, Arm):
             found = type(arm).__name__
             raise ArmError(f"{what} is a {found}, expected an equipoise.Arm; {cure}")
-    return placed(arm, home=home, pivot=pivot)
-
-
-def registered_arms() -> dict[str, EntryPoint]:
-    """Return the entry points of the registered arms, by name."""
-    return {point.name: point for point in entry_points(group=GROUP)}
-
-
-def placed(arm: Arm, *, home: Sequence[float] | None, pivot: Triple | None) -> Arm:
-    """Return an arm with another home [rad] or another pivot [m], where they are given.
-
-    Raises:
-        ArmError: Home is outside the joints' limits.
-    """
     fields: dict[str, Any] = {field: getattr(arm, field) for field in Arm.model_fields}
     fields |= {} if home is None else {"home": tuple(home)}
     fields |= {} if pivot is None else {"pivot": pivot}

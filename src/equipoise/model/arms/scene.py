@@ -113,7 +113,7 @@ def scene(arm: Arm, sizes: Sizes = SIZES) -> Any:
     pivot = np.array(arm.pivot)
     if pivot.any():
         capsule(flange, "bracket", np.zeros(3), pivot, sizes.bracket)
-    pendulum = child(flange, "pendulum", pivot, arm.pose(arm.home_free).rotation.T)
+    pendulum = child(flange, "pendulum", pivot, arm.kinematics(arm.home_free).rotation.T)
     pendulum.add_joint(name="phi", type=mj.mjtJoint.mjJNT_HINGE, axis=[0.0, 1.0, 0.0])
     top = np.array([0.0, 0.0, sizes.rod_length])
     capsule(pendulum, "rod", np.zeros(3), top, sizes.rod)

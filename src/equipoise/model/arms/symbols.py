@@ -7,8 +7,10 @@ multiply-adds. `Tape.python` prints the expressions that the outputs need.
 """
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
-Vector = tuple["Symbol", "Symbol", "Symbol"]
+Vector = Any
+"""Three symbols as an array of NumPy, whose types know numbers alone, shape (3,)."""
 
 
 class Symbol:

@@ -3,7 +3,7 @@
 MuJoCo reads the file. Fixed joints become part of the next origin (or of the flange). Everything
 that a moving link carries outside the chain (fixed links, tools, grippers at zero) is merged into
 its mass and inertia. URDF holds no limits of accelerations, no home and no pendulum: these are
-arguments.
+arguments. Every moving link needs its mass and inertia.
 """
 
 import re
@@ -33,21 +33,19 @@ LARGEST_URDF: Final = 2 * MEBIBYTE
 def read_urdf(
     path: StrPath,
     *,
-    base: str | None = None,
     tip: str | None = None,
-    held: int | str | None = None,
+    held: int | None = None,
     held_angle: float = 0.0,
     home: Sequence[float] | None = None,
     pivot: Triple | None = None,
     acceleration: float = ACCELERATION,
 ) -> Arm:
-    """Read an arm from a URDF file.
+    """Read an arm from a URDF file, whose root is the fixed link, z up.
 
     Args:
         path: The file.
-        base: Fixed link, z up; by default the root.
         tip: Link of the flange; by default the only end of the tree.
-        held: Joint that does not move, by name or counted from one along the chain.
+        held: Joint that does not move, counted from one along the chain.
         held_angle: Its angle [rad].
         home: Posture at x = 0, all joints [rad]; by default the result of `search_home`.
         pivot: The pendulum's pivot in the flange frame [m]; by default beside the flange, along
@@ -70,18 +68,13 @@ def read_urdf(
         raise ArmError(
             f"{path} is not a URDF ({shortened(str(error), 200)}); give a URDF file in UTF-8"
         ) from None
-    fixed, chain = _chain(spec, base, tip, path)
+    chain = _chain(spec, tip, path)
     limits = {
         name: _limits(element)
         for element in robot.findall("joint")
         if (name := element.get("name", "")) in {j.name for body in chain for j in body.joints}
     }
-    joints, flange = _placed(spec, fixed, chain, limits, acceleration)
-    names = [joint.name for joint in joints]
-    if isinstance(held, str):
-        if held not in names:
-            raise ArmError(f"{path} has no joint {held} to hold; choose one of {_listed(names)}")
-        held = names.index(held) + 1
+    joints, flange = _placed(spec, chain[-1], limits, acceleration)
     middle = [0.5 * (joint.lower + joint.upper) for joint in joints]
     if held is not None and 1 <= held <= len(joints):
         middle[held - 1] = held_angle
@@ -101,29 +94,25 @@ def read_urdf(
 
 def _beside_flange(arm: Arm) -> Triple:
     """Return the pivot along the spindle at home, away from the base [m]."""
-    flange = arm.pose(arm.home_free)
+    flange = arm.kinematics(arm.home_free)
     outward = copysign(PIVOT_OUTWARD, float(flange.position[1]))
     return _triple(outward * flange.rotation[1])
 
 
-def _chain(spec: Any, base: str | None, tip: str | None, path: Path) -> tuple[Any, list[Any]]:
-    """Return the body of the base, and those below it up to the tip."""
+def _chain(spec: Any, tip: str | None, path: Path) -> list[Any]:
+    """Return the bodies from the root to the tip."""
     links = {body.name: body for body in spec.bodies[1:]}
     parents = {body.parent.name for body in spec.bodies[1:]}
-    for name in (base, tip):
-        if name is not None and name not in links:
-            raise ArmError(f"{path} has no link {name}; its links are {_listed(list(links))}")
     ends = [name for name in links if name not in parents]
-    if not links or (tip is None and len(ends) != 1):
+    if tip is None and len(ends) == 1:
+        tip = ends[0]
+    if tip not in links:
         raise ArmError(f"{path} has the ends {_listed(ends)}; say which is the flange with tip=")
-    chain: list[Any] = []
-    body = links[tip or ends[0]]
-    while body.name != base and body.parent is not None and body.parent.parent is not None:
+    body, chain = links[tip], list[Any]()
+    while body.parent is not None:
         chain.insert(0, body)
         body = body.parent
-    if base is not None and body.name != base:
-        raise ArmError(f"{path} has no chain from {base} to {tip}; give another base or tip")
-    return body, chain
+    return chain
 
 
 def _limits(element: ElementTree.Element) -> dict[str, float]:
@@ -135,8 +124,8 @@ def _limits(element: ElementTree.Element) -> dict[str, float]:
     name, kind = shortened(element.get("name", "")), shortened(element.get("type", ""))
     if element.find("mimic") is not None or kind not in ("revolute", "continuous"):
         raise ArmError(
-            f"joint {name} is {kind}, or follows another; between base and tip only revolute, "
-            "continuous and fixed joints can be used: choose another base or tip"
+            f"joint {name} is {kind}, or follows another; between root and tip only revolute, "
+            "continuous and fixed joints can be used: choose another tip"
         )
     given: dict[str, str] = {}
     if kind == "continuous":
@@ -155,38 +144,26 @@ def _limits(element: ElementTree.Element) -> dict[str, float]:
 
 
 def _placed(
-    spec: Any,
-    base: Any,
-    chain: list[Any],
-    limits: dict[str, dict[str, float]],
-    acceleration: float,
+    spec: Any, tip: Any, limits: dict[str, dict[str, float]], acceleration: float
 ) -> tuple[list[Joint], tuple[Triple, Triple]]:
     """Return the joints of a chain, and the pose of the flange in the frame of the last one."""
-    base.add_site(name="equipoise base")
-    (chain[-1] if chain else base).add_site(name="equipoise tip")
+    tip.add_site(name="equipoise tip")
     others = [joint for joint in spec.joints if joint.name not in limits]
     for item in (*spec.geoms, *spec.meshes, *spec.equalities, *others):
         spec.delete(item)
     spec.compiler.fusestatic = True
     try:
-        model, weighed = spec.compile(), True
-    except ValueError:  # without the masses of all links
-        for body in spec.bodies[1:]:
-            body.explicitinertial, body.mass, body.inertia = True, 1.0, [1.0, 1.0, 1.0]
-            body.fullinertia = [np.nan, 0.0, 0.0, 0.0, 0.0, 0.0]
-        try:
-            model, weighed = spec.compile(), False
-        except ValueError as error:
-            reason = shortened(str(error), 200)
-            raise ArmError(f"MuJoCo refuses the chain ({reason}); correct the file") from None
-    sites = [model.site(name) for name in ("equipoise base", "equipoise tip")]
-    (rotation, offset), (turned, flange) = ((_matrix(s.quat), s.pos) for s in sites)
+        model = spec.compile()
+    except ValueError as error:
+        raise ArmError(
+            f"MuJoCo refuses the chain ({shortened(str(error), 200)}); correct the file, for "
+            "example the <inertial> of every moving link"
+        ) from None
+    site = model.site("equipoise tip")
     joints: list[Joint] = []
     for i in range(model.njnt):
         joint, body = model.joint(i), model.body(model.jnt_bodyid[i])
-        R, xyz = rotation.T @ _matrix(body.quat), rotation.T @ (body.pos - offset)
-        rotation, offset = np.eye(3), np.zeros(3)
-        axes, limit = _matrix(body.iquat), limits[joint.name]
+        axes, limit = rotation_from_quaternion(body.iquat), limits[joint.name]
         inertia = axes @ np.diag(body.inertia) @ axes.T
         link = Inertial(
             name=shortened(body.name),
@@ -197,22 +174,22 @@ def _placed(
         joints.append(
             Joint(
                 name=shortened(joint.name),
-                xyz=_triple(xyz),
-                rpy=rpy_from_rotation(R),
+                xyz=_triple(body.pos),
+                rpy=rpy_from_rotation(rotation_from_quaternion(body.quat)),
                 axis=_triple(joint.axis),
                 lower=limit["lower"],
                 upper=limit["upper"],
                 velocity=limit["velocity"],
                 acceleration=acceleration,
                 torque=limit["effort"],
-                link=link if weighed else None,
+                link=link,
             )
         )
-    xyz = rotation.T @ (flange - offset)
-    return joints, (_triple(xyz), rpy_from_rotation(rotation.T @ turned))
+    return joints, (_triple(site.pos), rpy_from_rotation(rotation_from_quaternion(site.quat)))
 
 
-def _matrix(quaternion: Floats) -> Floats:
+def rotation_from_quaternion(quaternion: Floats) -> Floats:
+    """Return the rotation of a quaternion of MuJoCo, shape (3, 3)."""
     matrix = np.zeros(9)
     mujoco().mju_quat2Mat(matrix, quaternion)
     return matrix.reshape(3, 3)

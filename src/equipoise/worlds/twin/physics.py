@@ -139,7 +139,7 @@ def pivot(arm: Arm, outward: float) -> Triple:
         arm: The arm, which gives the side and the height of the pivot.
         outward: Distance along the spindle, which lies along base y at home [m].
     """
-    spindle = arm.pose(arm.home_free).rotation[1]
+    spindle = arm.kinematics(arm.home_free).rotation[1]
     own = float(spindle @ arm.pivot)
     x, y, z = arm.pivot + (copysign(outward, own) - own) * spindle
     return float(x), float(y), float(z)

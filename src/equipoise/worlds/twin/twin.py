@@ -388,7 +388,7 @@ class Twin:
             sensors=make_sensors(settings, seed, index),
             home=np.array(arm.home),
             free=np.array(arm.free),
-            home_x=float(arm.pose(arm.home_free).position[0]),
+            home_x=float(arm.kinematics(arm.home_free).position[0]),
             setpoint=np.zeros(len(arm.joints)),
             key=np.array([seed, index]),
         )

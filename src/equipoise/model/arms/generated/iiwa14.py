@@ -2,7 +2,7 @@
 
 Do not edit: `make generated` writes this file again.
 
-292 operations besides the sines and cosines. Joints i are the free ones, counted from one,
+Joints i are the free ones, counted from one,
 7 is the flange; vectors are in base axes. s_i and c_i are sine and cosine of q_i; x_i, y_i, z_i the
 axes of the link that joint i turns, rest_x_i and rest_y_i before it turns, z_i its axis;
 r_i goes from joint i-1 to joint i; w is angular velocity, v velocity, w_dot and v_dot
@@ -12,8 +12,8 @@ their rates at q_ddot = 0; reach_i goes from joint i to the flange; neg_ before 
 from equipoise.model.arms.chain import Floats
 from equipoise.model.elementary import fma, sincos
 
-DIGEST = "sha256:d0499a00c411dd2f93624a7213237a89269e673e8fd5fd12e44fc1f39991365a"
-"""Digest of the geometry that these lines belong to."""
+DIGEST = "sha256:d125419eb8a8c3ef8fc63930efd8cf484b7ec912998c102ecba76c9ae0a9be33"
+"""Digest of the arm that these lines belong to."""
 
 
 

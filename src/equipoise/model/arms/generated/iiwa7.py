@@ -2,7 +2,7 @@
 
 Do not edit: `make generated` writes this file again.
 
-292 operations besides the sines and cosines. Joints i are the free ones, counted from one,
+Joints i are the free ones, counted from one,
 7 is the flange; vectors are in base axes. s_i and c_i are sine and cosine of q_i; x_i, y_i, z_i the
 axes of the link that joint i turns, rest_x_i and rest_y_i before it turns, z_i its axis;
 r_i goes from joint i-1 to joint i; w is angular velocity, v velocity, w_dot and v_dot
@@ -12,8 +12,8 @@ their rates at q_ddot = 0; reach_i goes from joint i to the flange; neg_ before 
 from equipoise.model.arms.chain import Floats
 from equipoise.model.elementary import fma, sincos
 
-DIGEST = "sha256:2e96f6f47e927402eb60461c88f9e2e98fc9f3ef1b73efc97d91376a4dc927ab"
-"""Digest of the geometry that these lines belong to."""
+DIGEST = "sha256:dd8008275f3d4d2e4ffbfad64b3a73dc4ebee49973497e2ee09a4392260bbad4"
+"""Digest of the arm that these lines belong to."""
 
 
 
