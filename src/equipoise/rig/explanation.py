@@ -158,7 +158,7 @@ def unexplained_rate(run: RunLog) -> tuple[Array, Array]:
         ArtefactError: The run is of an unknown arm.
         RecordingError: The run is too short, or its samples exceed its ticks.
     """
-    pendulum = run.conditions.pendulum_parameters
+    pendulum = run.conditions.pendulum
     moved = read_motion(run, run.conditions.arm)
     if moved.time[-1] - moved.time[0] > 2.0 * run.lasted + 1.0:
         raise RecordingError("its samples reach far beyond its ticks")
@@ -192,7 +192,7 @@ def _local_fits(time: Array, values: Array, at: Array, half: float) -> tuple[Arr
 
 def _outside(log: RunLog) -> Cause | None:
     """Detect the time after which no command could hold the pendulum."""
-    pendulum = log.conditions.pendulum_parameters
+    pendulum = log.conditions.pendulum
     u_max = log.conditions.u_max or float(np.abs(log.u).max())
     diverging = diverging_angle(log.phi, log.phi_dot, pendulum)
     bound, mu = recoverable_angle(pendulum, u_max), fall_rate(pendulum) + pendulum.c
@@ -246,7 +246,7 @@ def _zero(log: RunLog, time: Array, rate: Array) -> Cause | None:
     # The median of all slopes over a quarter of the window is robust to a step, which is a push.
     quarter = max(int(late.sum()) // 4, 1)
     slopes = (rate[late][quarter:] - rate[late][:-quarter]) / (quarter * GRID_STEP)
-    error = -float(np.median(slopes)) / log.conditions.pendulum_parameters.w2
+    error = -float(np.median(slopes)) / log.conditions.pendulum.w2
     # A referenced zero is good to 0.1 deg, a base is level to 0.5 deg; 2.5 deg end a run.
     if abs(error) < radians(0.75):
         return None
@@ -271,9 +271,7 @@ def _frozen(log: RunLog) -> Cause | None:
     if lasted < 0.06 or ticks.sum() < 2:
         return None
     # The observed x_dot is ahead of the arm: it includes the pending commands.
-    turned = (
-        log.conditions.pendulum_parameters.k * cos(log.phi[-1]) * float(np.ptp(log.x_dot[ticks]))
-    )
+    turned = log.conditions.pendulum.k * cos(log.phi[-1]) * float(np.ptp(log.x_dot[ticks]))
     if turned < 0.2:  # [rad/s]
         return None
     text = (
