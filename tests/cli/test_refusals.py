@@ -40,7 +40,7 @@ REFUSED = {
     (*TWIN, "--excite"): "--excite",
     (*TWIN, "--encoder", BOARD): "--encoder",
     (*TWIN, "--rig", "none.toml"): "none.toml",
-    ("deploy", "small.json", *TWIN[1:], "--anyway"): "iiwa14",
+    ("deploy", "small.json", *TWIN[1:]): "iiwa14",
     ("rig", "doctor", "--robot", "twin:nominal"): "twin:nominal",
     ("rig", "record", "--out", "new.csv"): "--encoder",
 }
