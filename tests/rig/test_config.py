@@ -75,7 +75,7 @@ def test_what_cannot_be_is_refused(tmp_path, text):
 )
 def test_an_address_that_is_none_is_refused(robot, encoder):
     with pytest.raises(InputError):
-        connect(robot, encoder, RigSettings(), POLICY.pendulum)
+        connect(RunRequest(POLICY, POLICY.actuator, RigSettings(), robot, encoder, 1.0))
 
 
 @pytest.mark.parametrize(

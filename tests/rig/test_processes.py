@@ -121,7 +121,7 @@ def move(request, rig, operators, recorder, *, measures, submit):
 
 def moving(request, memory, joints, pipe, course=move):
     """Be the loop's process, with another course and nobody beside it."""
-    RunRequest.connect = lambda *_, **__: None
+    processes.connect = lambda *_, **__: None
     processes.run_on_rig = course
     processes._loop(request, memory, joints, pipe)
 
@@ -143,7 +143,7 @@ def waiting(request, memory, joints, pipe):
         processes.run_on_rig = lambda *_, **__: attend()
         return SimpleNamespace(sensor=SimpleNamespace(samples=samples))
 
-    RunRequest.connect = connect
+    processes.connect = connect
     processes._loop(request, memory, joints, pipe)
 
 
