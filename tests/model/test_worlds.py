@@ -68,8 +68,8 @@ def test_what_a_trial_varies_varies_the_pendulums_own_friction_and_not_the_world
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        ("light-rotors", {"rotor_inertia": 0.02}),
-        ("bare", {"rotor_inertia": 0.0}),
+        ("light-rotors", {"rotor_inertia": (0.02,)}),
+        ("bare", {"rotor_inertia": (0.0,)}),
         ("pd", {"inner": "pd"}),
         ("trajectory40", {"inner": "trajectory40"}),
         ("smart60", {"inner": "pd", "shaped": False, "transport": 0.044}),
