@@ -84,7 +84,7 @@ STALL = 0.060
 
 
 def hold_back(harness: FaultHarness, part: str) -> None:
-    """Hold back all bytes of the link to `robot` or `sensor` for a stall, then pass them at once."""
+    """Hold back all bytes of the link to `robot` or `sensor` for a stall, then pass them on."""
     link = getattr(harness.parts, part).link
     ends = [(end, end.delay) for end in (link, link.other)]
 
