@@ -11,6 +11,7 @@ from equipoise.errors import InputError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.safety.rules import STOP_DECELERATION, check_setpoint, limits_of
 from equipoise.safety.stop import (
+    RETURN_SHARE,
     ROUNDING_RESERVE,
     StopMotion,
     ramp,
@@ -244,7 +245,8 @@ def test_the_way_back_ends_where_the_arm_is():
     assert not motion.goes_back
     dq, ddq = np.diff(sent, axis=0) / DT, np.diff(sent, n=2, axis=0) / DT**2
     used = np.abs(dq / LIMITS.velocity).max(), np.abs(ddq / LIMITS.acceleration).max()
-    assert max(used) == pytest.approx(0.1, rel=0.05)  # as on the way home
+    assert max(used) == pytest.approx(RETURN_SHARE, rel=0.05)
+    assert RETURN_SHARE == 0.1  # as on the way home
 
 
 @given(
