@@ -78,28 +78,6 @@ def world_of(robot: str) -> str | None:
     return name if name.startswith(TWIN) else None
 
 
-def check_addresses(robot: str, encoder: str | None) -> None:
-    """Check the two addresses of a rig; nothing is opened.
-
-    Raises:
-        InputError: An address is invalid, missing or superfluous.
-        SettingsError: The twin is unknown.
-    """
-    world, clock = world_of(robot), SystemClock()
-    if world is None:
-        open_robot(robot, clock)
-        if encoder is None:
-            raise InputError("a robot alone does not balance; give --encoder serial:///dev/ttyACM0")
-        open_encoder(encoder, clock)
-    elif encoder is not None or robot_plugin(robot).emulate is None:
-        raise InputError(
-            f"{robot} with --encoder {encoder} is no rig: a twin has an encoder of its own, and "
-            "needs a robot with an emulator"
-        )
-    else:
-        read_world(world)
-
-
 def open_robot(
     robot: str,
     clock: Clock,
@@ -181,15 +159,20 @@ def connect(
         attend: Called about once a second meanwhile; its exception ends the wait.
 
     Raises:
-        InputError: An address is invalid.
+        InputError: An address is invalid, missing or superfluous.
         SettingsError: The twin is unknown.
     """
-    check_addresses(robot, encoder)
-    if encoder is None:
-        world = read_world(world_of(robot) or robot)
+    twin = world_of(robot)
+    if twin is not None and encoder is None:
+        world = read_world(twin)
         swinging = pendulum_on(pendulum, world.settings)
         scheme = scheme_of(robot)
         return emulated_rig(world, settings, swinging, robot=scheme, seed=seed, period=period).rig
+    if twin is not None or encoder is None:
+        raise InputError(
+            f"{robot} with --encoder {encoder} is no rig: a robot needs an encoder such as "
+            "serial:///dev/ttyACM0, and a twin has one of its own"
+        )
     clock, counts = SystemClock(), settings.counts_per_rev
     sensor = open_encoder(encoder, clock, counts_per_rev=counts, sign=settings.encoder_sign)
     draining = DrainingClock(clock, sensor)
