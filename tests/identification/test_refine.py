@@ -143,7 +143,7 @@ def test_w2_of_a_run_is_that_of_its_pendulum(factor):
     log = run(1, factor)
     assert log.outcome == "lasted"
     fit = regressed(log)
-    assert fit.w2.value == pytest.approx(log.conditions.pendulum["w2"], rel=0.01)
+    assert fit.w2.value == pytest.approx(log.conditions.pendulum.w2, rel=0.01)
     assert fit.k.value == pytest.approx(fit.w2.value / GRAVITY)
 
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from equipoise.control.control_step import horizon, make_controller_params
 from equipoise.control.policy import Policy, TaskPolicy, shipped_policy
 from equipoise.errors import InputError
-from equipoise.logs.conditions import RunConditions, named
+from equipoise.logs.conditions import RunConditions
 from equipoise.model.actuator import Actuator
 from equipoise.rig.checks import fitting_actuators
 from equipoise.rig.config import RigSettings
@@ -146,7 +146,7 @@ class RunRequest:
             policy_name=policy.name,
             world=self.robot,
             arm=self.settings.described_arm,
-            pendulum=named(policy.pendulum.parameters(linearised=plant.linearised)),
+            pendulum=policy.pendulum.parameters(linearised=plant.linearised),
             pendulum_digest=policy.pendulum.digest,
             h=policy.h,
             duration=self.duration,
