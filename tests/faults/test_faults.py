@@ -8,10 +8,9 @@ from equipoise.outcomes import Outcome
 from equipoise.rig.config import RigSettings
 from equipoise.safety.rules import POSITION_MARGIN
 from tests.faults.files import FILES
-from tests.faults.harness import FaultHarness, Scenario
 from tests.faults.real_time import REAL_TIME
 from tests.faults.table import TABLE
-from tests.faults.verdicts import Sent, check_limits, check_stop, judge
+from tests.faults.verdicts import Sent, check_limits, check_stop, problems_of
 
 pytestmark = pytest.mark.compiled_only
 
@@ -28,16 +27,6 @@ QUICK = (
 """A subset: something of most kinds, and little to wait for."""
 ARM = RigSettings().described_arm
 HOME = np.array(ARM.home)
-
-
-def problems_of(fault):
-    """Run a fault; return the differences of its end from the required one."""
-    injected = (fault.trigger, fault.inject)
-    harness = FaultHarness(
-        fault.scenario(Scenario()), injected, words_after_stop=fault.words_after_stop
-    )
-    outcome = harness.run()
-    return [*judge(harness, outcome, fault), *fault.check(harness)]
 
 
 @pytest.mark.parametrize("name", QUICK)

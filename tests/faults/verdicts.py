@@ -17,6 +17,7 @@ from equipoise.errors import EquipoiseError
 from equipoise.logs.run_log import RunLog
 from equipoise.outcomes import Outcome
 from equipoise.safety.rules import POSITION_MARGIN, STOP_DECELERATION
+from tests.faults.harness import FaultHarness, Scenario
 
 MAX_NOTICE = 0.100
 """Maximum time from the fault to the warning that software cannot stop the robot [s]."""
@@ -164,6 +165,17 @@ def stop_time(harness):
     """Return the time of the first message of a run's end [s]; inf without one."""
     ends = ("stopping", "fault", "error")
     return next((one.time for one in harness.messages if one.name in ends and one.text), inf)
+
+
+def problems_of(fault, scenario=None):
+    """Run a fault in a scenario; return the differences of its end from the required one."""
+    harness = FaultHarness(
+        fault.scenario(scenario or Scenario()),
+        (fault.trigger, fault.inject),
+        words_after_stop=fault.words_after_stop,
+    )
+    outcome = harness.run()
+    return [*judge(harness, outcome, fault), *fault.check(harness)]
 
 
 def judge(harness, outcome, fault):
