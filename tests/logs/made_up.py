@@ -8,9 +8,12 @@ import numpy as np
 
 from equipoise.logs.columns import tables
 from equipoise.logs.conditions import RunConditions, RunEnd
+from equipoise.logs.recorder import Recorder
 from equipoise.logs.run_log import RunLog, simulated_log
+from equipoise.logs.writer import RunWriter
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x
+from equipoise.model.pendulum import PendulumParameters
 from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.run_controller import PHASES
 from equipoise.settings import resolve
@@ -31,7 +34,7 @@ def conditions(**changes):
         "policy": "sha256:0123",
         "world": "twin:nominal",
         "arm": iiwa(7),
-        "pendulum": {"w2": 70.2, "k": 7.15, "c": 0.15, "coulomb": 0.0, "drag": 0.0},
+        "pendulum": PendulumParameters(70.2, 7.15, 0.15),
         "start": (0.0, 0.0, 0.03, 0.2),
         "h": 0.01,
         "duration": 60.0,
@@ -58,33 +61,26 @@ def rig_conditions(**changes):
     return conditions(**(rig | changes))
 
 
-def columns(ticks=40, rig=True):
-    """Arguments of `simulated_log`, random: nothing depends on what they mean."""
-    rng = np.random.default_rng(3)
-    names = [name for name in COLUMNS if name not in ("q", "dq")]
-    tick = {name: rng.standard_normal(ticks) for name in names}
-    tick |= {"time": 0.01 * np.arange(ticks), "box": rng.integers(0, 270, ticks)}
-    tick |= {name: rng.standard_normal((ticks, JOINTS)) for name in ("q", "dq")}
-    made = {"ticks": tick}
-    if rig:
-        state = ("x", "x_dot", "phi", "phi_dot", "tracked")
-        made["truth"] = {name: rng.standard_normal(ticks) for name in state}
-        made["truth"]["q"] = rng.standard_normal((ticks, JOINTS))
-        sent = 0.005 * np.arange(2 * ticks)
-        made["stream"] = {"time": sent, "q": rng.standard_normal((2 * ticks, JOINTS))}
-        # The first reply and the first count were measured before the release.
-        measured = 0.005 * np.arange(ticks) - 0.004
-        made["replies"] = {"time": measured, "q": rng.standard_normal((ticks, JOINTS))}
-        counts = rng.integers(-4096, 4096, ticks)
-        made["encoder"] = {"time": 0.01 * np.arange(ticks) - 0.001, "counts": counts}
-    return made
-
-
 def made_up(count=40, rig=True, **changes):
     """A run of random numbers, with other tables where they are given."""
-    given = columns(count, rig) | changes
+    rng = np.random.default_rng(3)
+    tick = {name: rng.standard_normal(count) for name in COLUMNS}
+    tick |= {"time": 0.01 * np.arange(count), "box": rng.integers(0, 270, count)}
+    tick |= {name: rng.standard_normal((count, JOINTS)) for name in ("q", "dq")}
+    given = {}
+    if rig:
+        state = ("x", "x_dot", "phi", "phi_dot", "tracked")
+        given["truth"] = {name: rng.standard_normal(count) for name in state}
+        given["truth"]["q"] = rng.standard_normal((count, JOINTS))
+        sent = 0.005 * np.arange(2 * count)
+        given["stream"] = {"time": sent, "q": rng.standard_normal((2 * count, JOINTS))}
+        # The first reply and the first count were measured before the release.
+        measured = 0.005 * np.arange(count) - 0.004
+        given["replies"] = {"time": measured, "q": rng.standard_normal((count, JOINTS))}
+        counts = rng.integers(-4096, 4096, count)
+        given["encoder"] = {"time": 0.01 * np.arange(count) - 0.001, "counts": counts}
     end = RunEnd(outcome=Outcome.TRACK, lasted=0.01 * count)
-    return simulated_log(conditions(), end, given.pop("ticks"), **given)
+    return simulated_log(conditions(), end, tick, **given | changes)
 
 
 def arrays(run):
@@ -105,6 +101,29 @@ def changed_table(run, table, **new):
     for name, values in new.items():
         rows[name] = values
     return dataclasses.replace(run, tables=dict(run.tables) | {table: rows})
+
+
+RIG, POSTURE = rig_conditions(), np.linspace(0.0, 0.6, 7)
+
+
+def push(recorder, ticks, begin=0):
+    """Record the rows of ticks; nothing depends on what they mean."""
+    for i in range(begin, begin + ticks):
+        t = 0.01 * i
+        observed = (0.1, np.nan, 0.2, 0.3, 17, -2.0, 0.2, 0.3, 0.0)
+        recorder.tick.push(t, 1e-5, 2e-4, 3, *observed, POSTURE, POSTURE)
+        recorder.stream.push(t, POSTURE)
+        recorder.reply.push(t, t - 0.004, POSTURE, np.full(7, np.nan), t)
+        recorder.encoder.push(t, 4096 + i, 0, 0, 0, t)
+
+
+def drained(path, ticks):
+    """Begin a log on a rig; return its recorder and its writer."""
+    recorder, writer = Recorder(7), RunWriter(path, RIG, 0.0)
+    for begin in range(0, ticks, 100):
+        push(recorder, min(100, ticks - begin), begin)
+        writer.drain(recorder)
+    return recorder, writer
 
 
 RELEASE, END = 7.0, 10.0

@@ -6,7 +6,6 @@ that of a batch, do not matter.
 """
 
 import hashlib
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +14,7 @@ import numpy.typing as npt
 
 from equipoise.artefacts import DIGEST_PREFIX, StrPath
 from equipoise.control.policy import Array
-from equipoise.errors import InputError, MissingExtraError
+from equipoise.errors import InputError, import_optional
 
 TYPES: Final = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 """Element types of the input."""
@@ -79,10 +78,7 @@ class OnnxPolicy:
 
 def _session(network: bytes, path: Path) -> Any:
     """Return a session of ONNX Runtime on one thread: a small network gains nothing from more."""
-    try:
-        runtime: Any = import_module("onnxruntime")
-    except ImportError:
-        raise MissingExtraError("onnxruntime", "onnx") from None
+    runtime = import_optional("onnxruntime", "onnx")
     options = runtime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 3

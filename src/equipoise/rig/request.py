@@ -10,11 +10,10 @@ import numpy.typing as npt
 from equipoise.control.control_step import horizon, make_controller_params
 from equipoise.control.policy import Policy, TaskPolicy, shipped_policy
 from equipoise.errors import InputError
-from equipoise.logs.conditions import RunConditions, named
+from equipoise.logs.conditions import RunConditions
 from equipoise.model.actuator import Actuator
 from equipoise.rig.checks import fitting_actuators
 from equipoise.rig.config import RigSettings
-from equipoise.rig.connection import Rig, connect
 from equipoise.rig.phases.context import ArmResponse, Excitation, RunParts
 from equipoise.rig.run_controller import PHASES
 from equipoise.safety.rules import make_safety_params
@@ -146,7 +145,7 @@ class RunRequest:
             policy_name=policy.name,
             world=self.robot,
             arm=self.settings.described_arm,
-            pendulum=named(policy.pendulum.parameters(linearised=plant.linearised)),
+            pendulum=policy.pendulum.parameters(linearised=plant.linearised),
             pendulum_digest=policy.pendulum.digest,
             h=policy.h,
             duration=self.duration,
@@ -162,26 +161,6 @@ class RunRequest:
             t1=self.t1,
             dry_run=self.dry_run,
             phases=PHASES,
-        )
-
-    def connect(self, **callbacks: Callable[..., None]) -> Rig:
-        """Return the rig.
-
-        Args:
-            callbacks: `tell` and `attend` of `equipoise.rig.connection.connect`.
-
-        Raises:
-            InputError: An address is invalid.
-            SettingsError: The twin is unknown.
-        """
-        return connect(
-            self.robot,
-            self.encoder,
-            self.settings,
-            self.policy.pendulum,
-            seed=self.seed,
-            period=self.policy.h / 2.0,
-            **callbacks,
         )
 
 

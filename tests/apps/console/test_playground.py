@@ -1,10 +1,12 @@
-"""The playground without a browser: its rig and its scenes."""
+"""The playground without a browser: its rig, its scenes, and its page."""
 
 from math import degrees, radians
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from equipoise.apps.console.play import PlayPage
 from equipoise.apps.console.playground import FALL, SCENES, Playground, Scene
 
 pytestmark = pytest.mark.compiled_only
@@ -12,8 +14,8 @@ pytestmark = pytest.mark.compiled_only
 
 def played(playground, seconds):
     for _ in range(round(seconds / playground.h)):
-        frame = playground.advance()
-    return frame
+        playground.advance()
+    return playground
 
 
 def test_it_stands_and_a_push_moves_it():
@@ -30,7 +32,8 @@ def test_it_stands_and_a_push_moves_it():
 
 def test_a_delay_without_prediction_falls_and_with_it_stands():
     playground = Playground(SCENES["why-it-falls"])
-    while not playground.advance().fallen:
+    while not playground.fallen:
+        playground.advance()
         assert playground._tick * playground.h < 20.0
     assert abs(degrees(played(playground, 1.0).phi)) > 30.0  # the fall is shown
     played(playground, FALL)
@@ -47,9 +50,26 @@ def test_the_sliders_are_the_rig():
 
 def test_the_boxes_light_up_where_the_policy_is():
     playground = Playground(SCENES["balance"])
-    frame = played(playground, 3.0)
-    assert playground.used[frame.box] == 1.0
+    played(playground, 3.0)
+    assert playground.used[playground.box] == 1.0
     assert 3 <= np.count_nonzero(playground.used > 0.1) < 200
     playground.set(SCENES["lqr"])
     assert played(playground, 1.0).box == -1
     assert not playground.used.any()
+
+
+def test_the_page_pushes_and_changes_the_rig(monkeypatch):
+    viser = pytest.importorskip("viser", reason="viser is not installed (extra console)")
+    server, pushes = viser.ViserServer("127.0.0.1", 0, verbose=False), []
+    page = PlayPage(server, SCENES["balance"])
+    page.advance(0)
+    assert "standing" in page._page._state.content
+    page._controls["delay"].value = 25.0
+    page._changed()
+    assert page.playground.scene.delay == pytest.approx(0.025)
+    monkeypatch.setattr(page.playground, "push", pushes.append)
+    for drawn in (0.05, -1.0):  # [m]
+        event = {"start_position": (0.1, 0.0, 0.9), "end_position": (0.1 + drawn, 0.0, 0.9)}
+        page._dragged(SimpleNamespace(phase="end", **event))
+    assert np.degrees(pushes) == pytest.approx([6.0, -60.0])
+    server.stop()

@@ -26,12 +26,6 @@ SLOW: Final = 12
 """Number of pictures between two texts, and two pictures of the boxes."""
 PUSH: Final = radians(15.0)
 """Change of the pendulum's rate by a button [rad/s]."""
-FLICK: Final = radians(120.0)
-"""Change of the rate per distance of the mouse in the scene [rad/s per m]."""
-HARDEST: Final = radians(60.0)
-"""Largest change of the rate by the mouse [rad/s]."""
-LATE: Final = 0.2
-"""Delay behind real time above which the playground goes on later instead of faster [s]."""
 SLIDERS: Final = {
     "delay": ("delay [ms]", 0.0, 60.0, 1.0, 1e-3),
     "zero": ("zero error [deg]", -3.0, 3.0, 0.1, radians(1.0)),
@@ -52,7 +46,7 @@ class PlayPage:
         Args:
             server: The viser server.
             scene: The first scene.
-            yours: The policy of `--policy`.
+            yours: The policy of the user.
         """
         self._lock, self._server = threading.RLock(), server
         self.playground = Playground(scene, yours)
@@ -112,7 +106,8 @@ class PlayPage:
         """Push the pendulum when the mouse lets it go, as far as it was drawn along the track."""
         if event.phase == "end":
             drawn = event.end_position[0] - event.start_position[0]
-            self._push(float(np.clip(FLICK * drawn, -HARDEST, HARDEST)))
+            # 120 deg/s for a metre of the mouse in the scene, 60 deg/s at most.
+            self._push(radians(float(np.clip(120.0 * drawn, -60.0, 60.0))))
 
     def _push(self, rate: float) -> None:
         with self._lock:
@@ -125,13 +120,14 @@ class PlayPage:
             picture: Number of the picture.
         """
         with self._lock, self._server.atomic():
-            frame = [self.playground.advance() for _ in range(PICTURE)][-1]
-            self._page.show(frame.q, remainder(frame.phi, 2.0 * pi), frame.u)
+            twin = self.playground
+            for _ in range(PICTURE):
+                twin.advance()
+            self._page.show(twin.q, remainder(twin.phi, 2.0 * pi), twin.u)
             if picture % SLOW == 0:
-                name, colour = ("fallen", VERMILION) if frame.fallen else ("standing", GREEN)
-                lines = (self.playground.scene.about, *self.playground.sentences())
-                self._page.describe(name, colour, lines)
-                self._boxes.image = self._picture(frame.box)
+                name, colour = ("fallen", VERMILION) if twin.fallen else ("standing", GREEN)
+                self._page.describe(name, colour, (twin.scene.about, *twin.sentences()))
+                self._boxes.image = self._picture(twin.box)
 
     def _picture(self, current: int) -> npt.NDArray[np.uint8]:
         """Return the boxes as a picture, shape (height, width, 3); empty without a table."""
@@ -192,6 +188,6 @@ def run(page: PlayPage, stopped: Callable[[], bool]) -> None:
         picture += 1
         due += PICTURE * page.playground.h
         now = time.monotonic()
-        if now - due > LATE:
+        if now - due > 0.2:  # [s]: go on later instead of faster
             due = now
         time.sleep(max(due - now, 0.0))

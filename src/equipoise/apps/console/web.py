@@ -28,15 +28,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import parse_qs, urlsplit
 
-from equipoise.errors import MissingExtraError, OutsideError
+from equipoise.errors import OutsideError, import_optional
 
 if TYPE_CHECKING:
     import viser
 
 LOOPBACK: Final = "127.0.0.1"
 """Address that only browsers on this computer reach."""
-OWN_HEADER: Final = "X-Equipoise"
-"""Header that only a script of the page can send."""
 HEADERS: Final = {
     # Sources that the page may use: its own server. viser's page has its scripts inside.
     "Content-Security-Policy": (
@@ -114,7 +112,7 @@ class Gate:
                 if origin == headers["Host"]:
                     return serve(request)
             elif (action := self._actions.get(address.path)) is not None:
-                if OWN_HEADER in headers:
+                if "X-Equipoise" in headers:  # only a script of the page can send it
                     return _respond(HTTPStatus.OK, action())
             elif address.path in ("/", "/index.html"):
                 return self._serve_page(request, serve)
@@ -148,18 +146,6 @@ def _respond(status: HTTPStatus, text: str, headers: Mapping[str, str] | None = 
     return Response(status.value, status.phrase, Headers(own | dict(headers or {})), body)
 
 
-def require_viser() -> Any:
-    """Return the module `viser`.
-
-    Raises:
-        MissingExtraError: viser is not installed.
-    """
-    try:
-        return import_module("viser")
-    except ImportError:
-        raise MissingExtraError("viser", "console") from None
-
-
 @contextmanager
 def serving(
     address: str = LOOPBACK, port: int = 0, *, actions: Actions | None = None, overlay: bytes = b""
@@ -179,7 +165,7 @@ def serving(
         MissingExtraError: viser is not installed.
         OutsideError: The address or the port is not available.
     """
-    viser = require_viser()
+    viser = import_optional("viser", "console")
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     try:  # viser would try other ports without end
         with socket.create_server((address, port), family=family) as probe:

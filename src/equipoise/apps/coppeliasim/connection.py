@@ -6,20 +6,17 @@ converts arguments to numbers of Python, and raises the errors of Equipoise.
 """
 
 import re
-from importlib import import_module
 from typing import Any, Final
 
 import numpy as np
 
 from equipoise.artefacts import shortened
-from equipoise.errors import InputError, LinkError, MissingExtraError, OutsideError
+from equipoise.errors import InputError, LinkError, OutsideError, import_optional
 from equipoise.printable import printable
 
 PATIENCE: Final = 10.0
 """Longest wait for an answer [s]; CoppeliaSim answers within a step of its simulation, or within a
 pass of its idle loop, an eighth of a second."""
-IDLE: Final = 86400.0
-"""Time after which CoppeliaSim forgets a client that is silent [s]; its default is ten minutes."""
 LUA_PLACE: Final = r"^(\S+:)?\d+: (in )?(sim\.\w+: )?|_=NL=_.*"
 """Place in Lua code with which an error of CoppeliaSim begins: file, line and function; and the
 lines after its first one."""
@@ -43,11 +40,8 @@ class Connection:
         """
         self.host, self.port, self.address = host, port, f"{host}:{port}"
         self._patience = patience
-        try:
-            made: Any = import_module("coppeliasim_zmqremoteapi_client").RemoteAPIClient
-            zmq: Any = import_module("zmq")
-        except ImportError:
-            raise MissingExtraError("coppeliasim-zmqremoteapi-client", "coppeliasim") from None
+        made = import_optional("coppeliasim_zmqremoteapi_client", "coppeliasim").RemoteAPIClient
+        zmq = import_optional("zmq", "coppeliasim")
         self._error, self._silence = zmq.ZMQError, zmq.Again
         try:
             self._client: Any = made(host, port, verbose=0)
@@ -56,7 +50,8 @@ class Connection:
         wait = round(1e3 * patience)
         for option, value in ((zmq.RCVTIMEO, wait), (zmq.SNDTIMEO, wait), (zmq.LINGER, 0)):
             self._client.socket.setsockopt(option, value)
-        self._client.timeout = IDLE
+        # CoppeliaSim forgets a client that is silent for ten minutes; now for a day [s].
+        self._client.timeout = 86400.0
         try:
             self._constants: Any = self._guarded("require", self._client.require, "sim")
         except BaseException:
