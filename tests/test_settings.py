@@ -88,6 +88,12 @@ def test_a_single_setting_is_read_as_its_type(override, wanted):
     assert type(got) is type(wanted)
 
 
+@pytest.mark.parametrize("name", ["gamma", "lerning.gamma", "learning.gama", "gama"])
+def test_a_misspelt_setting_is_found(name):
+    with pytest.raises(SettingsError, match="learning.gamma"):
+        resolve(overrides=[f"{name}=0.9"])
+
+
 @pytest.mark.parametrize("name", ["learning.gama", "lerning.gamma", "gamma", "", "a.b.c", "clik."])
 def test_an_unknown_name_is_refused(tmp_path, name):
     assert repr(name) in refusal(f"{name}=1")

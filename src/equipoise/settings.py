@@ -8,6 +8,7 @@ settings.
 
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
+from difflib import get_close_matches
 from itertools import pairwise
 from math import inf, prod, radians
 from pathlib import Path
@@ -406,8 +407,11 @@ def _differences(settings: Settings, recipe: Settings) -> Iterator[str]:
 def _put(tree: dict[str, dict[str, Any]], name: str, value: Any) -> None:
     section, _, key = name.partition(".")
     if key not in tree.get(section, {}):
-        known = ", ".join(tree.get(section, tree))
-        raise SettingsError(f"there is no setting {quoted(name)}; known: {known}")
+        names = {f"{one}.{key}": f"{one}.{key}" for one, keys in tree.items() for key in keys}
+        names |= {full.partition(".")[2]: full for full in names}
+        near = [names[each] for each in get_close_matches(name, names, n=1)]
+        remedy = f"did you mean {near[0]}?" if near else f"sections: {', '.join(tree)}"
+        raise SettingsError(f"there is no setting {quoted(name)}; {remedy}")
     tree[section][key] = value
 
 
