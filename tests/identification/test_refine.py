@@ -186,7 +186,7 @@ def test_a_pivot_with_more_dry_friction_is_found():
     known = shipped_policy().pendulum
     # The shipped policy hardly moves the pendulum: a fine encoder shows its friction, and light
     # rotors keep it moving.
-    log = run(6, duration=60.0, coulomb=1.0, counts_per_rev=1 << 18, rotor_inertia=LIGHT_ROTOR)
+    log = run(6, duration=60.0, coulomb=1.0, counts_per_rev=1 << 18, rotor_inertia=(LIGHT_ROTOR,))
     found = inspect(at_once(), log)
     assert [move.name for move in found.moves] == ["c"]
     assert found.pendulum.w2 == known.w2
