@@ -1,7 +1,7 @@
 """Compilation of all kernels, before somebody waits for them.
 
 Each job does a little of everything that a user does, in a process of its own: two processes
-compile at the same time, which threads cannot. All verbs, processes and environments of a user share
+compile at the same time, which threads cannot. All verbs and environments of a user share
 the machine code, as long as the sources of the package are equal (`equipoise.jit`).
 """
 
