@@ -16,7 +16,7 @@ from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.control.ticks import OperatorMessage, TickInputs, TickOutput
 from equipoise.errors import EquipoiseError
-from equipoise.identification.actuator import identify_motion
+from equipoise.identification.actuator import identify_actuator
 from equipoise.logs.conditions import RunEnd
 from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig.clocks import DrainingClock
@@ -221,7 +221,7 @@ class FaultHarness:
         rig.operator.ignored = scenario.missed_messages
         known = {name: getattr(scenario, name) for name in ("policy", "settings", "duration", "t1")}
         known |= {"robot": f"{ROBOT}://emulated", "encoder": "serial://emulated"}
-        known["identify"] = identify_motion if scenario.identify else None
+        known["identify"] = identify_actuator if scenario.identify else None
         actuator = scenario.policy.actuator
         request = RunRequest(**known, actuator=actuator)
         try:

@@ -82,7 +82,8 @@ def recorded(seed=1, duration=10.0, scale=1.0, **truth):
 
 
 def identified(log, **options):
-    return identify_actuator(**vars(log), source="sha256:test", **options)
+    sent = np.column_stack((log.stream_time, log.stream_q))
+    return identify_actuator(sent, np.column_stack((log.reply_time, log.reply_q)), **options)
 
 
 def values(estimates):

@@ -21,7 +21,7 @@ from equipoise.control.control_step import make_controller_params
 from equipoise.control.controller import Controller
 from equipoise.control.policy import TaskPolicy, tick_policy
 from equipoise.control.ticks import TickInputs, TickOutput, TickRecord
-from equipoise.identification.actuator import identify_motion
+from equipoise.identification.actuator import identify_actuator
 from equipoise.logs.recorder import FAILED as DEVICE_FAILED
 from equipoise.logs.recorder import WORD_TYPED
 from equipoise.logs.run_log import RunLog
@@ -110,7 +110,7 @@ def _of_rig(run: RunLog, policy: TaskPolicy, carried: Sequence[Actuator]) -> Row
     settings = RigSettings.model_validate(conditions.rig)
     vars(settings)["described_arm"] = conditions.arm  # the URDF that it names may be elsewhere
     known |= {"robot": conditions.world, "alternatives": tuple(others)}
-    known |= {"identify": identify_motion if conditions.identifies else None}
+    known |= {"identify": identify_actuator if conditions.identifies else None}
     known["anyway"] = conditions.anyway
     request = RunRequest(policy, actuator, settings, dry_run=False, **known)
     counts_per_rev = settings.counts_per_rev

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from equipoise.control.policy import shipped_policy
-from equipoise.control.self_test import SelfTestVerdict
+from equipoise.identification.self_test import SelfTestVerdict
 from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.outcomes import Phase
 from equipoise.rig.config import RigSettings
