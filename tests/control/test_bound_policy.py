@@ -185,15 +185,13 @@ def test_a_table_is_refused_for_another_task_and_other_policies_take_it(folder):
 
 @needs_onnx
 @pytest.mark.parametrize(
-    ("shape", "element", "tolerance"),
-    [((1, 4), DOUBLE, 1e-12), (("batch", 4), FLOAT, 1e-5), ((4,), DOUBLE, 1e-12)],
+    ("batch", "element", "tolerance"), [(1, DOUBLE, 1e-12), ("batch", FLOAT, 1e-5)]
 )
 def test_a_linear_network_commands_what_the_same_law_in_python_does(
-    folder, shape, element, tolerance
+    folder, batch, element, tolerance
 ):
-    outputs = (1,) if shape == (4,) else (shape[0], 1)
     network = linear_network(
-        [[gain] for gain in GAINS], inputs=shape, outputs=outputs, element=element
+        [[gain] for gain in GAINS], inputs=(batch, 4), outputs=(batch, 1), element=element
     )
     (folder / "net.onnx").write_bytes(network)
     policy, law = load_policy("net.onnx"), load_policy("guest:lqr")

@@ -100,7 +100,7 @@ def find_free_swing(trajectory: Trajectory) -> FreeSwing:
         state = [0.0, 0.0]
         state[is_rate] = min(max(lead, -most), most)
         starts.append(np.array([w2, max(decay, 1e-3 * root), 0.0, 0.0, *state, middle]))
-    cut_short = time[-1] - end > 1.5 * half and swings[-1] > 0.1 * swings[0]
+    cut_short = time[-1] - end > 1.5 * half and swings[-1] > 0.2 * swings[0]
     return FreeSwing(
         slice(turns[0], turns[-1] + 1),
         period,
