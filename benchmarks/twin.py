@@ -25,7 +25,6 @@ from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.rig.simulate import excite
 from equipoise.settings import resolve
-from equipoise.worlds import find_world
 from equipoise.worlds.evaluation import Evaluation, evaluate, exact_interval
 
 
@@ -52,7 +51,7 @@ def main() -> None:
         ]
     )
     pendulum = shipped_pendulum() if given.pendulum is None else Pendulum.load(given.pendulum)
-    world, _ = find_world(given.world)
+    world = given.world
     file, actuator = given.out / "actuator.json", shipped_actuator()
     if file.exists():
         actuator = Actuator.load(file)

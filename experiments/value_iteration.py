@@ -85,7 +85,8 @@ def solve_table(
     settings, count = policy.settings, policy.settings.boxes.count
     boxes = make_grid(settings.boxes, policy.pendulum.parameters().k)
     envs = gym.make_vec(
-        "equipoise/BalanceDiscrete-v0",
+        "equipoise/Balance-v0",
+        discrete=True,
         num_envs=loops,
         vectorization_mode="sync",
         vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP},

@@ -18,7 +18,7 @@ from equipoise.cli import main
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, SettingsError
 from equipoise.testing import WorldConformance
-from equipoise.worlds import has_ideal_arm, setup_of, simulate
+from equipoise.worlds import setup_of, simulate, world_class
 from equipoise.worlds.evaluation import evaluate
 
 PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "bring-a-world.md"
@@ -102,7 +102,7 @@ def test_a_registered_world_is_found_by_its_name(monkeypatch, tmp_path):
     named = tomllib.loads(BLOCKS["toml"])["project"]["entry-points"][worlds.GROUP]
     points = EntryPoints(EntryPoint(name, value, worlds.GROUP) for name, value in named.items())
     monkeypatch.setattr(worlds, "entry_points", lambda group: points)
-    assert has_ideal_arm("windy:anything")
+    assert world_class("windy:anything").ideal_arm
 
 
 def test_with_a_delay_the_controller_observes_through_an_encoder():

@@ -47,142 +47,132 @@ def _near(q: Any, expected: Any, tolerance: float = CLOSE) -> None:
     assert error <= tolerance, f"{error:.2g} off, expected at most {tolerance:g}"
 
 
-class RobotSession:
-    """Connected robot with a running servo, and its setpoints and replies; closed after use."""
-
-    def __init__(self, robot: Robot, clock: Clock) -> None:
-        """Create a session with an unconnected robot."""
-        self.robot, self.clock = robot, clock
-        self.sent: list[float] = []
-        self.replies: list[Reply] = []
-
-    def __enter__(self) -> "RobotSession":
-        """Connect, and start the servo."""
-        self.robot.connect()
-        self.home = self.robot.measured()
-        self.robot.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close the robot."""
-        self.robot.close()
-
-    def wait(self, seconds: float) -> None:
-        """Wait [s]."""
-        self.clock.wait_until(self.clock.now() + seconds)
-
-    def stream(self, setpoints: Iterable[Any]) -> None:
-        """Send setpoints [rad], one each period, and wait until each has its reply."""
-        for q in setpoints:
-            self.sent.append(self.clock.now())
-            self.robot.send(q)
-            self.wait(SETPOINT_PERIOD)
-            self.replies += self.robot.replies()
-        for _ in range(100):
-            if len(self.replies) < len(self.sent):
-                self.wait(0.001)
-                self.replies += self.robot.replies()
-        assert len(self.replies) == len(self.sent), "expected one reply to each setpoint"
-
-    def path(self) -> Array:
-        """Return a smooth motion of the first joint, and a second of rest at its end [rad]."""
-        times, move = np.arange(SETPOINT_PERIOD, 1.5, SETPOINT_PERIOD), Path((0.0,), (0.02,), 0.5)
-        path = np.tile(self.home, (len(times), 1))
-        path[:, 0] += [move.at(time).q[0] for time in times.tolist()]
-        return path
-
-    def joints(self) -> Array:
-        """Return the measured joints of all replies that have them [rad], shape (n, joints)."""
-        return np.array([reply.q for reply in self.replies if reply.q is not None])
-
-
 class RobotConformance:
     """Tests of a `Robot`; a robot that sets the pace is tested as a `PacedStream`."""
+
+    robot: Robot
+    """The robot of a test."""
+    clock: Clock
+    """Clock of its rig."""
 
     def make(self) -> tuple[Robot, Clock]:
         """Return a new robot at rest, not connected, and the clock of its rig."""
         raise NotImplementedError
 
-    def test_it_is_a_robot_with_a_clock(self) -> None:
-        robot, clock = self.make()
-        assert isinstance(robot, Robot)
-        assert isinstance(clock, Clock)
-        robot.close()  # without connect it does nothing
+    def begin(self) -> Array:
+        """Connect, start the servo, and return the measured joints [rad], shape (joints,)."""
+        self.robot, self.clock = self.make()
+        self.robot.connect()
+        home = self.robot.measured()
+        self.robot.start()
+        return home
 
-    def test_joints_are_measured_before_the_servo_runs(self) -> None:
-        robot, clock = self.make()
+    def teardown_method(self) -> None:
+        """Close the robot, whatever failed."""
+        if hasattr(self, "robot"):
+            self.robot.close()
+
+    def wait(self, seconds: float) -> None:
+        """Wait [s]."""
+        self.clock.wait_until(self.clock.now() + seconds)
+
+    def stream(self, setpoints: Iterable[Any]) -> tuple[list[float], list[Reply]]:
+        """Send setpoints [rad], one each period; return their times [s] and their replies."""
+        sent, replies = list[float](), list[Reply]()
+        for q in setpoints:
+            sent.append(self.clock.now())
+            self.robot.send(q)
+            self.wait(SETPOINT_PERIOD)
+            replies += self.robot.replies()
+        for _ in range(100):
+            if len(replies) < len(sent):
+                self.wait(0.001)
+                replies += self.robot.replies()
+        assert len(replies) == len(sent), "expected one reply to each setpoint"
+        return sent, replies
+
+    def follow(self, setpoints: Iterable[Any]) -> Array:
+        """Send setpoints [rad]; return the measured joints of their replies [rad]."""
+        _, replies = self.stream(setpoints)
+        return np.array([reply.q for reply in replies if reply.q is not None])
+
+    def test_it_is_a_robot_and_its_joints_are_measured_before_the_servo_runs(self) -> None:
+        self.robot, self.clock = self.make()
+        robot = self.robot
+        assert isinstance(robot, Robot)
+        assert isinstance(self.clock, Clock)
+        robot.close()  # without connect it does nothing
         robot.connect()
         q = robot.measured()
         assert q.shape == (robot.joints,)
-        clock.wait_until(clock.now() + 0.5)
+        self.wait(0.5)
         _near(robot.measured(), q, 1e-4)
         expect_error(LinkError, robot.send, q)  # no servo runs
         robot.stop()  # without a servo it does nothing
         _near(robot.measured(), q, 1e-4)
-        robot.close()
 
     def test_setpoints_are_followed_without_a_way_back(self) -> None:
-        with RobotSession(*self.make()) as session:
-            session.stream([session.home] * 40)
-            _near(session.joints(), session.home)
-            session.stream(session.path())
-            q = session.joints()
-            _near(q[-1], session.path()[-1])
-            assert np.diff(q[40:, 0]).min() > -5e-4, "the joint went back on its way"
+        home = self.begin()
+        _near(self.follow([home] * 40), home)
+        path = _path(home)
+        q = self.follow(path)
+        _near(q[-1], path[-1])
+        assert np.diff(q[:, 0]).min() > -5e-4, "the joint went back on its way"
 
     def test_each_setpoint_has_its_reply_in_order_with_its_times(self) -> None:
-        with RobotSession(*self.make()) as session:
-            assert session.robot.replies() == []
-            session.stream(session.path())
-            session.wait(0.5)
-            assert session.robot.replies() == [], "a setpoint has two replies"
-            replies = session.replies
-            assert [reply.sent for reply in replies] == session.sent
-            received = [reply.received for reply in replies]
-            assert received == sorted(received)
-            assert received[-1] <= session.clock.now()
-            assert any(reply.torque for reply in replies), "torques never came"
-            for reply in replies:
-                given = [part for part in (reply.q, reply.torque) if part is not None]
-                assert given, "a reply has neither joints nor torques"
-                assert np.isfinite(given).all()
-                assert {len(part) for part in given} == {session.robot.joints}
-                assert reply.sent <= reply.received
+        home = self.begin()
+        assert self.robot.replies() == []
+        sent, replies = self.stream(_path(home))
+        self.wait(0.5)
+        assert self.robot.replies() == [], "a setpoint has two replies"
+        assert [reply.sent for reply in replies] == sent
+        received = [reply.received for reply in replies]
+        assert received == sorted(received)
+        assert received[-1] <= self.clock.now()
+        assert any(reply.torque for reply in replies), "torques never came"
+        for reply in replies:
+            given = [part for part in (reply.q, reply.torque) if part is not None]
+            assert given, "a reply has neither joints nor torques"
+            assert np.isfinite(given).all()
+            assert {len(part) for part in given} == {self.robot.joints}
+            assert reply.sent <= reply.received
 
     def test_stop_leaves_the_arm_where_it_is_and_another_start_holds_it_there(self) -> None:
-        with RobotSession(*self.make()) as session:
-            robot = session.robot
-            session.stream(session.path())
-            there = session.joints()[-1]
-            robot.stop()
-            _near(robot.measured(), there)
-            session.wait(1.0)
-            _near(robot.measured(), there)
-            robot.start()
-            session.wait(0.5)
-            session.stream([there] * 2)
-            _near(session.joints()[-1], there)
+        there = self.follow(_path(self.begin()))[-1]
+        self.robot.stop()
+        _near(self.robot.measured(), there)
+        self.wait(1.0)
+        _near(self.robot.measured(), there)
+        self.robot.start()
+        self.wait(0.5)
+        _near(self.follow([there] * 2)[-1], there)
 
     def test_a_wrong_setpoint_is_refused_and_not_sent(self) -> None:
-        with RobotSession(*self.make()) as session:
-            robot, n = session.robot, session.robot.joints
-            for i in range(n):
-                expect_error(InputError, robot.send, np.where(np.arange(n) == i, nan, 0.0))
-            for count in (0, n - 1, n + 1):
-                expect_error(InputError, robot.send, [0.0] * count)
-            session.wait(0.1)
-            assert robot.replies() == [], "a refused setpoint has a reply"
-            session.stream([session.home] * 10)
-            _near(session.joints()[-1], session.home)
+        home = self.begin()
+        robot, n = self.robot, self.robot.joints
+        for i in range(n):
+            expect_error(InputError, robot.send, np.where(np.arange(n) == i, nan, 0.0))
+        for count in (0, n - 1, n + 1):
+            expect_error(InputError, robot.send, [0.0] * count)
+        self.wait(0.1)
+        assert robot.replies() == [], "a refused setpoint has a reply"
+        _near(self.follow([home] * 10)[-1], home)
 
     def test_close_may_be_called_again_and_nothing_works_after_it(self) -> None:
-        with RobotSession(*self.make()) as session:
-            robot = session.robot
-            robot.close()
-            robot.close()
-            expect_error(LinkError, robot.send, session.home)
-            for call in (robot.measured, robot.start):
-                expect_error(EquipoiseError, call)
+        home = self.begin()
+        self.robot.close()
+        self.robot.close()
+        expect_error(LinkError, self.robot.send, home)
+        for call in (self.robot.measured, self.robot.start):
+            expect_error(EquipoiseError, call)
+
+
+def _path(home: Array) -> Array:
+    """Return a smooth motion of the first joint, and a second of rest at its end [rad]."""
+    times, move = np.arange(SETPOINT_PERIOD, 1.5, SETPOINT_PERIOD), Path((0.0,), (0.02,), 0.5)
+    path = np.tile(home, (len(times), 1))
+    path[:, 0] += [move.at(time).q[0] for time in times.tolist()]
+    return path
 
 
 class WorldConformance:

@@ -41,7 +41,7 @@ REFUSED = {
     (*TWIN, "--encoder", BOARD): "--encoder",
     (*TWIN, "--rig", "none.toml"): "none.toml",
     (*TWIN, "--console"): "--console",
-    ("deploy", "small.json", *TWIN[1:], "--anyway"): "iiwa14",
+    ("deploy", "small.json", *TWIN[1:]): "iiwa14",
     ("rig", "doctor", "--robot", "twin:nominal"): "twin:nominal",
     ("rig", "record", "--out", "new.csv"): "--encoder",
 }

@@ -26,7 +26,9 @@ def test_a_dry_run_ends_before_the_arm_moves(equipoise):
     assert "Moving to home" not in ran.out
 
 
-def test_doctor_examines_this_machine(equipoise):
+def test_doctor_examines_this_machine(equipoise, monkeypatch):
+    # The settings of a loop would stay with the process of the tests.
+    monkeypatch.setattr("equipoise.rig.preflight.prepare", dict)
     ran = equipoise("rig", "doctor", "--seconds", 0.2, "--json")
     assert ran.code == int(ran.json["verdict"] == "not fit")
     assert ran.json["findings"]

@@ -191,13 +191,8 @@ TIME: Final = (
 # The robot and its link.
 
 
-def _change_server(harness: FaultHarness, **faults: Any) -> None:
-    server = harness.parts.robot.emulator
-    server.faults = replace(server.faults, **faults)
-
-
 def _drop(harness: FaultHarness) -> None:
-    _change_server(harness, close=True)
+    harness.parts.robot.emulator.cut = True
     harness.parts.robot.link.close()
 
 
@@ -363,7 +358,7 @@ ROBOT: Final = (
     Fault("command backlog", _ends("link overdue"), _back_up, within=0.1, says="has not answered"),
     Fault("stall of the link", _ends("lasted"), lambda harness: hold_back(harness, "robot"),
           says="stood still"),
-    Fault("nak", _ends("link lost"), lambda harness: _change_server(harness, refuse=1.0),
+    Fault("nak", _ends("link lost"), _change("parts.robot.emulator", refuses=True),
           stoppable=False, within=0.03),
     Fault("reconnect in mid-run", _ends("link lost"), _drop, stoppable=False, within=0.02,
           check=_no_bytes_after),

@@ -8,10 +8,8 @@ from equipoise.artefacts import Estimate
 from equipoise.errors import SettingsError
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import (
-    WORLDS,
     TwinSettings,
     pendulum_on,
-    pivot_friction,
     read_world,
 )
 
@@ -43,19 +41,18 @@ def test_the_named_sets_have_the_numbers_that_the_documents_state(
 
 
 @pytest.mark.parametrize(
-    ("pendulum", "world", "coulomb", "drag", "whose"),
+    ("pendulum", "world", "coulomb", "drag"),
     [
-        (DRY, "twin:nominal", 1.957, 0.02, "pendulum"),
-        (DRY, "twin:harsh", 1.957, 0.02, "pendulum"),
-        (VISCOUS, "twin:nominal", 0.1, 0.0, "assumed"),
-        (VISCOUS, "twin:harsh", 0.3, 0.0, "assumed"),
+        (DRY, "twin:nominal", 1.957, 0.02),
+        (DRY, "twin:harsh", 1.957, 0.02),
+        (VISCOUS, "twin:nominal", 0.1, 0.0),
+        (VISCOUS, "twin:harsh", 0.3, 0.0),
     ],
 )
 def test_a_twin_has_the_friction_of_its_pendulum_unless_its_set_says_otherwise(
-    pendulum, world, coulomb, drag, whose
+    pendulum, world, coulomb, drag
 ):
     settings = read_world(world).settings
-    assert pivot_friction(pendulum, settings).coulomb_from == whose
     swings = pendulum_on(pendulum, settings)
     assert (swings.coulomb, swings.drag) == (coulomb, drag)
     assert (swings.w2, swings.c) == (pendulum.w2.value, pendulum.c.value)
@@ -64,9 +61,8 @@ def test_a_twin_has_the_friction_of_its_pendulum_unless_its_set_says_otherwise(
 def test_what_a_trial_varies_varies_the_pendulums_own_friction_and_not_the_worlds():
     heavy = PendulumParameters(w2=60.0, k=6.0, c=0.1, coulomb=1.0, drag=0.01)
     nominal, sticky = TwinSettings(), TwinSettings(coulomb=0.1, drag=0.0)
-    assert pivot_friction(DRY, nominal).on(heavy) == heavy
-    assert pivot_friction(DRY, sticky).on(heavy) == heavy._replace(coulomb=0.1, drag=0.0)
-    assert "dry friction 0.1 1/s^2 (world)" in pivot_friction(DRY, sticky).text
+    assert pendulum_on(DRY, nominal, heavy) == heavy
+    assert pendulum_on(DRY, sticky, heavy) == heavy._replace(coulomb=0.1, drag=0.0)
 
 
 @pytest.mark.parametrize(
@@ -89,12 +85,6 @@ def test_the_other_sets_differ_from_nominal_in_what_the_documents_state(name, ch
     assert smart60.transport + 2.0 / smart60.pd_frequency == pytest.approx(0.060)
 
 
-def test_each_set_can_be_told_from_the_others():
-    assert len({read_world(f"twin:{name}").settings.model_dump_json() for name in WORLDS}) == len(
-        WORLDS
-    )
-
-
 def test_a_file_holds_differences_to_nominal_and_keeps_its_own_name(tmp_path):
     file = tmp_path / "nominal.toml"
     file.write_text("transport = 0.02\nzero_offset = 0.0087\n")
@@ -102,8 +92,6 @@ def test_a_file_holds_differences_to_nominal_and_keeps_its_own_name(tmp_path):
     nominal = read_world("twin:nominal").settings
     assert world.settings == nominal.model_copy(update={"transport": 0.02, "zero_offset": 0.0087})
     assert world.name == f"twin:{file}"
-    file.write_text("coulomb = 0.7\n")
-    assert pivot_friction(DRY, read_world(f"twin:{file}").settings).coulomb == 0.7
 
 
 @pytest.mark.parametrize(

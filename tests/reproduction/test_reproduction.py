@@ -8,7 +8,6 @@ from equipoise.apps.report.page import build
 from equipoise.artefacts import read_document
 from equipoise.errors import ArtefactError, OutsideError, RecordingError
 from equipoise.identification.recording import Trajectory
-from equipoise.identification.swing import identify
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.worlds import MODEL

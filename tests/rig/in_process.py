@@ -4,8 +4,8 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.clocks import VirtualClock
+from equipoise.rig.plugins import Session, robot_plugin, sensor_plugin
 from equipoise.rig.simulated_rig import SimulatedRig
-from equipoise.robots.twin import TwinEncoder, TwinRobot
 from equipoise.settings import GRAVITY
 
 ARM = iiwa(7)
@@ -32,7 +32,9 @@ def stand(kind=SimulatedRig, **more):
 def twin_robot(**more):
     bench, clock = stand(joint_noise=1e-5, **more)  # the suite asks for 0.1 mrad at rest
     clock.wait_until(1.0)  # what hangs on the flange has pulled it down by then
-    return TwinRobot(bench, clock), clock
+    emulated = robot_plugin("kst").emulate(bench, ARM, Session(clock), 0.002, 0)
+    clock.attach(emulated.advance)
+    return emulated.device, clock
 
 
 def twin_encoder(**more):
@@ -42,4 +44,6 @@ def twin_encoder(**more):
     def turn(motion):
         bench.motion = motion
 
-    return TwinEncoder(bench, clock), clock, turn, bench.press, None, 0.001
+    emulated = sensor_plugin("serial").emulate(bench, clock, 8192, 1, 0)
+    clock.attach(emulated.advance)
+    return emulated.device, clock, turn, bench.press, emulated.link.close, 0.005

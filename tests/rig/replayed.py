@@ -1,22 +1,16 @@
-"""Test of determinism: the measurements of a log go through the controller again.
+"""Replay of a run on a rig: the measurements of its log go through the controller again.
 
-The outputs are compared with those of the log.
-
-The log of a run on a rig holds all inputs of a tick: counts, replies, typed lines, failures,
-lateness. A new `RunController` receives the same inputs at the same times, from the first setpoint
-to rest. The log of a run on a twin begins at the release; there only the control step runs again,
-on the counts and joints of its ticks. On the machine that made the log every bit is the same.
+The log holds all inputs of a tick: counts, replies, typed lines, failures, lateness. A new
+`RunController` receives the same inputs at the same times, from the first setpoint to rest.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from math import inf, isnan, pi
-from typing import Any, Final, NamedTuple
+from math import inf
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise.control.bound_policy import BoundPolicy
+<<<<<<< HEAD
 from equipoise.control.control_step import make_controller_params
 from equipoise.control.controller import Controller
 from equipoise.control.policy import TaskPolicy, tick_policy
@@ -27,20 +21,25 @@ from equipoise.logs.recorder import WORD_TYPED
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.worlds import IDEAL
+=======
+from equipoise.control.policy import tick_policy
+from equipoise.control.ticks import TickInputs, TickRecord
+from equipoise.identification.actuator import identify_actuator
+from equipoise.logs.recorder import FAILED, WORD_TYPED
+>>>>>>> main
 from equipoise.outcomes import End, Outcome
 from equipoise.rig.config import RigSettings
 from equipoise.rig.interfaces import Reply, Sample
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
 
-Array = npt.NDArray[np.float64]
-
-JOBS: Final = {"self-test", "actuator", "identified"}
+JOBS = {"self-test", "actuator", "identified"}
 """Names of events in ticks that receive the result of a job."""
-JOBS_FAILED: Final = {Outcome.SELF_TEST, Outcome.UNIDENTIFIED}
+JOBS_FAILED = {Outcome.SELF_TEST, Outcome.UNIDENTIFIED}
 """Ends by a job that failed."""
 
 
+<<<<<<< HEAD
 class Difference(NamedTuple):
     """First difference between a replay and its log."""
 
@@ -128,50 +127,77 @@ def _of_rig(run: RunLog, policy: TaskPolicy, carried: Sequence[Actuator]) -> Row
 
 
 class _PolicyClock:
+=======
+class PolicyClock:
+>>>>>>> main
     """Clock of the policy's computing time: a call takes no time, or exceeds its limit."""
 
-    def __init__(self) -> None:
-        self.late = False
-        self._now = 0.0
+    late, now = False, 0.0
 
-    def __call__(self) -> float:
-        """Return the time [s]."""
-        self._now += 1.0 if self.late else 0.0
-        return self._now
+    def __call__(self):
+        self.now += 1.0 if self.late else 0.0
+        return self.now
 
 
-def _run_ticks(run: RunLog, controller: RunController, clock: _PolicyClock) -> Rows:
-    """Yield the logged and the replayed values of each tick."""
-    tables = run.tables
-    tick, stream, encoder, reply = (tables[n] for n in ("tick", "stream", "encoder", "reply"))
+def replay(run, policy):
+    """Return the number of equal ticks, and the names of what differs first; empty for nothing."""
+    conditions, reply = run.conditions, run.tables["reply"]
+    carried = {each.digest: each for each in policy.actuators}
+    actuator, *others = (
+        carried[digest] for digest in (conditions.actuator, *conditions.alternatives)
+    )
+    if isinstance(policy, BoundPolicy):
+        policy = replace(policy, settings=conditions.settings)
+    request = RunRequest(
+        policy,
+        actuator,
+        RigSettings.model_validate(conditions.rig),
+        conditions.world,
+        conditions.encoder,
+        conditions.duration,
+        alternatives=tuple(others),
+        identify=identify_actuator if conditions.identifies else None,
+    )
+    limit = None if run.end is None else run.end.max_speed
+    clock, rest = PolicyClock(), (conditions.counts_per_rev, inf if limit is None else limit)
+    controller = RunController(
+        request.parts(tick_policy(policy), clock, *rest),
+        request.response(actuator, *rest),
+        reply[np.isnan(reply["sent"])]["q"][0].tolist(),
+    )
+    return compared(run, controller, clock)
+
+
+def compared(run, controller, clock):
+    """Give a controller the inputs of each tick, and compare its outputs with the log."""
+    tick, stream, encoder, reply = (
+        run.tables[name] for name in ("tick", "stream", "encoder", "reply")
+    )
     reply = reply[np.isfinite(reply["sent"])]
-    result: Any = None
-    working = None
+    result = job = None
     ends = [*np.searchsorted(stream["time"], tick["time"][1:]).tolist(), len(stream)]
     unsent = 0
-    for row, end in zip(tick, ends, strict=True):
+    for number, (row, end) in enumerate(zip(tick, ends, strict=True)):
         now = float(row["time"])
         events = [event for event in run.events if event.time == now]
         names = {event.name for event in events}
         ended = run.end if "stopping" in names else None
         # The tick of a verdict, or of a selected actuator, receives the result of its job.
-        judged = JOBS & names or (ended is not None and ended.outcome in JOBS_FAILED)
-        if working is not None and judged:
+        if job is not None and (JOBS & names or (ended and ended.outcome in JOBS_FAILED)):
             try:
-                result = working()
+                result, job = job(), None
             except Exception as error:  # the run controller stops on it
-                result = error
-            working = None
-        samples = _at(encoder, "received", now)[list(Sample._fields)].tolist()
-        replies = _at(reply, "taken", now)[["sent", "time", "q", "torque"]].tolist()
+                result, job = error, None
+        samples = during(encoder, "received", now)[list(Sample._fields)].tolist()
+        replies = during(reply, "taken", now)[["sent", "time", "q", "torque"]].tolist()
         inputs = TickInputs(
             samples=[Sample(t, n, bool(p), bool(i), missing) for t, n, p, i, missing in samples],
-            replies=[Reply(sent, t, _known(q), _known(torque)) for sent, t, q, torque in replies],
+            replies=[Reply(sent, t, known(q), known(torque)) for sent, t, q, torque in replies],
             lines=[event.text for event in events if event.name == WORD_TYPED],
             faults=[
                 End(Outcome.ENCODER_LOST, {"text": event.text})
                 for event in events
-                if event.name == DEVICE_FAILED
+                if event.name == FAILED
             ],
             lateness=float(row["late"]),
             result=result,
@@ -180,82 +206,27 @@ def _run_ticks(run: RunLog, controller: RunController, clock: _PolicyClock) -> R
         result = None
         clock.late = ended is not None and "took" in ended.evidence
         output = controller.tick(now, inputs)
-        working = output.job or working
+        job = output.job or job
         first = int(np.searchsorted(stream["time"], now))
-        sent = stream["q"][first:end][: len(output.setpoints)].tolist()
+        sent = stream["q"][first:end][: len(output.setpoints)]
         unsent = len(output.setpoints) - len(sent)
-        yield now, _pairs(row, sent, output)
+        made = output.record._asdict() | {"state": output.state, "q": output.q, "dq": output.dq}
+        pairs = {
+            name: (row[name], made[name]) for name in (*TickRecord._fields, "state", "q", "dq")
+        }
+        pairs["setpoints"] = sent, np.reshape(output.setpoints[: len(sent)], sent.shape)
+        different = [
+            name for name, pair in pairs.items() if not np.array_equal(*pair, equal_nan=True)
+        ]
+        if different:
+            return number, different
+    return len(tick), []
 
 
-def _at(table: npt.NDArray[Any], column: str, time: float) -> npt.NDArray[Any]:
+def during(table, column, time):
     first, last = (int(np.searchsorted(table[column], time, side)) for side in ("left", "right"))
     return table[first:last]
 
 
-def _known(values: Array) -> tuple[float, ...] | None:
+def known(values):
     return None if np.isnan(values).any() else tuple(values.tolist())
-
-
-def _of_joints(name: str, logged: Iterable[float], made: Iterable[float]) -> Pairs:
-    both = zip(logged, made, strict=True)
-    return {f"{name} of joint {i}": pair for i, pair in enumerate(both, start=1)}
-
-
-def _of_setpoints(logged: Iterable[Sequence[float]], made: Iterable[Sequence[float]]) -> Pairs:
-    pairs: dict[str, tuple[float, float]] = {}
-    for name, *setpoints in zip(("first", "second"), logged, made, strict=False):
-        pairs |= _of_joints(f"{name} setpoint", *setpoints)
-    return pairs
-
-
-def _pairs(row: Any, sent: list[list[float]], output: TickOutput) -> Pairs:
-    pairs = {"state": (float(row["state"]), float(output.state))}
-    pairs |= {
-        name: (float(row[name]), float(getattr(output.record, name))) for name in TickRecord._fields
-    }
-    for name in ("q", "dq"):
-        pairs |= _of_joints(name, row[name].tolist(), getattr(output, name))
-    return pairs | _of_setpoints(sent, output.setpoints)
-
-
-# A run on a twin, from the release.
-
-
-def _of_twin(run: RunLog, policy: TaskPolicy, carried: Sequence[Actuator]) -> Rows:
-    conditions = run.conditions
-    per_rev = conditions.counts_per_rev
-    actuator = _with_digest(carried, conditions.actuator)
-    params = make_controller_params(
-        policy.arm,
-        conditions.settings,
-        actuator,
-        policy.pendulum.parameters(linearised=conditions.settings.plant.linearised),
-        h=conditions.h,
-        counts_per_rev=per_rev,
-    )
-    controller = Controller(policy.arm, params, policy.settings.boxes)
-    return _control_steps(run, policy, controller, params.resolution)
-
-
-def _control_steps(
-    run: RunLog, policy: TaskPolicy, controller: Controller, resolution: float
-) -> Rows:
-    """Yield the logged and the replayed values of each tick's control step."""
-    phi_dot = run.conditions.start[3]
-    stamp, counts = run.encoder.time, run.encoder.counts
-    controller.begin(pi - counts[0] * resolution - stamp[0] * phi_dot, phi_dot)
-    acting = tick_policy(policy)
-    acting.reset()
-    for i, time in enumerate(run.time.tolist()):
-        if i > 0:
-            age, reply_age = time - float(stamp[i]), time - float(run.replies.time[i])
-            controller.observe(float(counts[i]), age, run.replies.q[i].tolist(), reply_age)
-        u, box = controller.decide(acting), controller.box
-        observation, estimate = controller.observation, controller.estimate
-        setpoints = controller.command(u)
-        made = (*observation, float(box), u, estimate.phi, estimate.phi_dot, estimate.bias)
-        logged = (float(run.ticks[name][i]) for name in TickRecord._fields)
-        pairs = dict(zip(TickRecord._fields, zip(logged, made, strict=True), strict=True))
-        first = len(setpoints) * i
-        sent = run.stream.q[first : first + len(setpoints)].tolist()
-        yield time, pairs | _of_setpoints(sent, setpoints)

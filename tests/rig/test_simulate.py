@@ -5,7 +5,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from equipoise import paper
-from equipoise.control.policy import TabularPolicy
 from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.rig.simulate import DEPLOYMENT, simulate_run
 from equipoise.worlds.plant import make_loop_params
@@ -112,13 +111,3 @@ def test_it_is_the_trial_that_the_compiled_loop_runs(small_policy):
     assert long.outcome == TRIAL_OUTCOMES[trial.cause[0]]
     # Small steps end runs early: x^2 before each step, against the sum after each step.
     assert np.sum(long.x[1:] ** 2) == pytest.approx(trial.sum_x2[0], rel=0.02)
-
-
-def test_a_table_that_always_pushes_one_way_fails(small_policy):
-    pushing = tuple((1.0, *[0.0] * 7) for _ in range(270))
-    table = TabularPolicy.model_validate(small_policy.model_dump() | {"Q": pushing})
-    run = simulate_run(table, duration=10.0)
-    # 2 m/s^2 reach the end of the track from rest after sqrt(2 * 0.22 / 2) = 0.47 s.
-    assert run.outcome in ("angle", "track")
-    assert run.lasted <= 0.48
-    assert set(run.u) == {-2.0}

@@ -24,9 +24,8 @@ def run_all(simulation, kernel, trials, duration, workers=1, done=lambda rows: N
     return trials
 
 
-def record(simulation, policy, trial, duration, joints=7):
+def record(simulation, policy, trial, duration):
     """Run a trial from Python; return steps, cause and sum of x^2, and the record."""
-    loop = simulation.loop()
-    recorder = Recorder(joints, round(duration / loop.params.h))
-    result = run_trial(loop, policy, trial, duration, recorder)
+    recorder = Recorder()
+    result = run_trial(simulation.loop(), policy, trial, duration, recorder)
     return result, recorder.rows

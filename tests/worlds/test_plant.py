@@ -6,16 +6,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from equipoise import paper
 from equipoise.artefacts import Estimate
 from equipoise.control import grid
 from equipoise.control.baselines import lqr_gains
-from equipoise.control.grid import ANGLE, JOINT_LIMIT, TRACK, TRUNCATED
+from equipoise.control.grid import JOINT_LIMIT, TRUNCATED
+from equipoise.control.policy import KernelPolicy, table_kernel
+from equipoise.errors import ArmError
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.pendulum import step as pendulum_step
-from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.settings import BoxSettings, Settings, resolve
 from equipoise.worlds.plant import (
     PHI,
@@ -40,31 +42,18 @@ BOXES = grid.make_grid(BoxSettings(look_ahead=0.0), 1.0)
 ARMS = pytest.mark.parametrize("size", [7, 14])
 
 
-class Table:
-    """A greedy table as a policy in Python, found by comparing with the interval ends."""
-
-    def __init__(self, u_of_box):
-        self.u_of_box = u_of_box
-
-    def reset(self):
-        pass
-
-    def act(self, state):
-        x, x_dot, phi, phi_dot = state
-        return self.u_of_box[grid.box_index(x, x_dot, phi, phi_dot, BOXES)]
-
-
 def pivot_velocity(arm, flange):
     """Return the velocity of the pendulum's pivot along x: v + omega x R p."""
     arm_of_pivot = flange.rotation @ np.array(arm.pivot)
     return flange.twist[0] + np.cross(flange.twist[3:], arm_of_pivot)[0]
 
 
-def random_table(seed=0):
-    rng = np.random.default_rng(seed)
+def leaning_table():
+    """Return a random table that leans towards the fall."""
+    rng = np.random.default_rng(0)
     Q = rng.normal(size=(270, grid.ACTIONS))
-    # Leaning towards the fall makes trials of many lengths.
-    return np.array([-2.0, -1.5, -1.0, -0.5, 0.5, 1.0, 1.5, 2.0])[grid.greedy_actions(Q)]
+    u_of_box = np.array(paper.ACTIONS)[grid.greedy_actions(Q)]
+    return KernelPolicy(table_kernel(u_of_box, BOXES))
 
 
 @ARMS
@@ -72,7 +61,7 @@ def random_table(seed=0):
     x=st.floats(-0.2, 0.2),
     x_dot=st.floats(-0.6, 0.6),
 )
-@settings(deadline=None, max_examples=25)  # the first example compiles
+@settings(deadline=None, max_examples=10)  # the first example compiles
 def test_reset_places_the_flange_on_its_track(size, x, x_dot):
     arm = iiwa(size)
     plant = make_loop_params(arm, QUIET, 0.01, PENDULUM)
@@ -98,7 +87,7 @@ def test_a_run_obeys_kinematics_and_the_pendulum_equation(size):
     plant = make_loop_params(arm, SETTINGS, 0.01, PENDULUM)
     simulation = on_the_plant(plant, arm, PENDULUM, STILL, seed=1)
     trial = simulation.draw(1).trial(0)._replace(start=(0.01, -0.05, 0.02, 0.1))
-    _, run = record(simulation, Table(random_table()), trial, 0.6)
+    _, run = record(simulation, leaning_table(), trial, 0.6)
     assert len(run.u) > 15
     for i in range(len(run.u) - 1):
         before = arm.kinematics(run.q[i], run.dq[i])
@@ -148,24 +137,6 @@ def test_the_plant_is_mirror_symmetric(start, u):
     np.testing.assert_allclose(rows[:, 0], -rows[:, 1], atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("start", "cause"),
-    [
-        ((0.0, 0.0, np.radians(10.9), 1.0), ANGLE),
-        ((0.2195, 0.3, 0.0, 0.0), TRACK),
-        ((-0.2195, -0.3, 0.0, 0.0), TRACK),
-        ((0.0, 0.0, 0.0, 0.0), TRUNCATED),
-    ],
-)
-def test_a_failure_has_its_cause(start, cause):
-    plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM)
-    block = new_batch_state()
-    reset(plant, block, PENDULUM, NOMINAL, start, 0)
-    block.controller.u[0] = 0.5
-    step(plant, block, 1)
-    assert TRIAL_OUTCOMES[block.cause[0]] == TRIAL_OUTCOMES[cause]
-
-
 @pytest.mark.parametrize("row", range(4))
 def test_a_joint_beyond_any_of_its_limits_is_reported(row):
     plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM)
@@ -176,19 +147,6 @@ def test_a_joint_beyond_any_of_its_limits_is_reported(row):
     block.controller.u[0] = 2.0
     step(plant._replace(controller=plant.controller._replace(limits=limits)), block, 1)
     assert block.cause[0] == JOINT_LIMIT
-
-
-def test_limits_are_reached_exactly_where_the_paper_puts_them():
-    """|phi| = 11 degrees and |x| = 0.22 m are failures themselves."""
-    plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM)
-    still = PendulumParameters(w2=0.0, k=0.0, c=0.0)
-    block = new_batch_state()
-    for phi, cause in ((np.radians(11.0), ANGLE), (np.nextafter(np.radians(11.0), 0.0), TRUNCATED)):
-        reset(plant, block, still, NOMINAL, (0.0, 0.0, phi, 0.0), 0)
-        block.controller.u[0] = 0.0
-        step(plant, block, 1)
-        assert block.state[PHI * BATCH_SIZE] == phi
-        assert block.cause[0] == cause
 
 
 def test_the_pendulum_feels_the_tracked_and_not_the_commanded_acceleration():
@@ -209,8 +167,6 @@ def test_the_pendulum_feels_the_tracked_and_not_the_commanded_acceleration():
 
 
 def test_a_singular_home_is_refused():
-    from equipoise.errors import ArmError
-
     arm = iiwa(7)
     home = list(arm.home)
     home[5] = 0.0

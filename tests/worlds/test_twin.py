@@ -13,7 +13,7 @@ from equipoise.control.control_step import (
     start_controller,
 )
 from equipoise.control.grid import ANGLE, TRUNCATED
-from equipoise.control.policy import LINEAR, RANDOM, PolicyKernel, act
+from equipoise.control.policy import LINEAR, RANDOM, KernelPolicy, PolicyKernel, act
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.compiler import TWIST
 from equipoise.model.arms.iiwa import iiwa
@@ -50,19 +50,6 @@ TRIALS = [
 ]
 
 pytestmark = pytest.mark.compiled_only
-
-
-class Kernel:
-    """A compiled policy, called from Python."""
-
-    def __init__(self, kernel):
-        self._kernel = kernel
-
-    def reset(self):
-        pass
-
-    def act(self, observation):
-        return float(act(self._kernel, *observation.tolist(), 0.0))
 
 
 def twins(world=WORLD, seed=1, settings=None, actuators=(ACTUATOR,)):
@@ -105,7 +92,7 @@ def test_outcomes_depend_on_seed_and_number_alone():
 def test_a_trial_from_python_is_the_compiled_trial():
     for world in (WORLD, GUARDED):
         for trial, compiled in zip(TRIALS, run(LQR, world=world), strict=True):
-            assert run_trial(twins(world).loop(), Kernel(LQR), trial, 2.0) == compiled
+            assert run_trial(twins(world).loop(), KernelPolicy(LQR), trial, 2.0) == compiled
 
 
 SERVOS = {
@@ -123,17 +110,17 @@ def test_a_trial_that_is_told_no_actuator_selects_that_of_its_servo(inner):
     told = twins(world, actuators=(SERVOS[inner],)).loop()
     loop = simulation.loop()
     for trial in TRIALS:
-        result = run_trial(loop, Kernel(LQR), trial, 2.0)
+        result = run_trial(loop, KernelPolicy(LQR), trial, 2.0)
         assert simulation.actuators[loop.chosen] == SERVOS[inner]
         # The move before the release leaves no trace in the trial, nor does the trial before.
-        assert result == run_trial(told, Kernel(LQR), trial, 2.0)
+        assert result == run_trial(told, KernelPolicy(LQR), trial, 2.0)
         assert result[1] == TRUNCATED
 
 
 def test_a_recorded_trial_is_the_loop_as_python_writes_it():
     trial, steps = TRIALS[1], 150
     simulation = twins(seed=3)
-    outcome, rows = record(simulation, Kernel(LQR), trial, 0.01 * steps)
+    outcome, rows = record(simulation, KernelPolicy(LQR), trial, 0.01 * steps)
     assert outcome[:2] == (steps, TRUNCATED)
 
     controller, memory, sum_x2 = simulation.params[0], new_controller_state(), 0.0
@@ -173,15 +160,15 @@ def test_a_recorded_trial_is_the_loop_as_python_writes_it():
 
 
 def test_the_estimate_is_near_the_truth():
-    loop = twins(seed=3).loop()
-    recorder = Recorder(7, 500)
-    run_trial(loop, Kernel(LQR), TRIALS[0]._replace(start=(0.0, 0.0, 0.03, 0.15)), 5.0, recorder)
-    late = slice(250, None)
-    phi, phi_dot = (recorder.rows.estimate[late, :2] - recorder.rows.state[late, 2:]).T
+    loop, recorder = twins(seed=3).loop(), Recorder()
+    leaning = TRIALS[0]._replace(start=(0.0, 0.0, 0.03, 0.15))
+    run_trial(loop, KernelPolicy(LQR), leaning, 5.0, recorder)
+    late, rows = slice(250, None), recorder.rows
+    phi, phi_dot = (rows.estimate[late, :2] - rows.state[late, 2:]).T
     assert np.abs(phi).max() < radians(0.5)
     assert np.abs(phi_dot).max() < radians(15.0)
     # What it takes for the encoder's zero error is that.
-    assert recorder.rows.estimate[-1, 2] == pytest.approx(loop.zero, abs=radians(0.1))
+    assert rows.estimate[-1, 2] == pytest.approx(loop.zero, abs=radians(0.1))
 
 
 # Guards.
@@ -189,8 +176,8 @@ def test_the_estimate_is_near_the_truth():
 
 def run_until_the_guard(policy, simulation, number=0):
     """Return the closed loop after a trial, its cause and its record."""
-    loop, recorder = simulation.loop(), Recorder(7, 500)
-    _, cause, _ = run_trial(loop, Kernel(policy), TRIALS[number], 5.0, recorder)
+    loop, recorder = simulation.loop(), Recorder()
+    _, cause, _ = run_trial(loop, KernelPolicy(policy), TRIALS[number], 5.0, recorder)
     return loop, cause, recorder.rows
 
 

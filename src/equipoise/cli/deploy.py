@@ -42,8 +42,6 @@ class OnRig(Options):
     """Stop where the flange reaches 0.23 m/s."""
     identify: bool = False
     """Identify the arm before the lift, and use its response."""
-    anyway: bool = False
-    """Run a policy that does not fit the identified arm."""
     console: bool = False
     """Show the run in the browser, with a button for each answer and a STOP."""
 
@@ -73,7 +71,7 @@ def deploy(
     if run.excite and (policy or on_a_rig or task.actuator or task.settings):
         raise InputError("--excite moves a simulated arm; give it --arm and --pendulum alone")
     if not on_a_rig and on_rig != OnRig():
-        raise InputError("--dry-run, --t1, --identify, --anyway and --console need --robot")
+        raise InputError("--dry-run, --t1, --identify and --console need --robot")
     identified = ("-actuator.json",) if on_rig.identify else ()
     out = files.file("run.mcap", policy, task.pendulum, rig.rig, suffix=".mcap", beside=identified)
     if on_a_rig:
@@ -144,20 +142,26 @@ def _request(
         dry_run=on_rig.dry_run,
         seed=run.seed,
         alternatives=carried[1:],
+<<<<<<< HEAD
         identify=identify_actuator if on_rig.identify else None,
         anyway=on_rig.anyway,
+=======
+        identify=identify_actuator if on_rig.identify else None,
+>>>>>>> main
     )
 
 
 def _run_on_rig(output: Output, request: "RunRequest", out: Path, console: bool) -> None:
     """Run on an emulated or a real rig, write the log, and print the result."""
     from equipoise.cli.terminal_operator import TerminalOperator, single_keys
+    from equipoise.rig.checks import check_fit, require
     from equipoise.rig.connection import world_of
-    from equipoise.rig.preflight import check_request
     from equipoise.rig.processes import run_in_processes
     from equipoise.rig.run import run_virtually
 
-    check_request(request)
+    require(check_fit(request.policy, request.actuator, request.settings))
+    with guest_code(f"the driver of {request.robot}"):
+        rig = request.connect()  # checks the addresses; nothing is opened before the run
     in_virtual_time = bool(world_of(request.robot))
     if console and in_virtual_time:
         raise InputError(
@@ -166,7 +170,7 @@ def _run_on_rig(output: Output, request: "RunRequest", out: Path, console: bool)
         )
     if in_virtual_time:
         with signals() as stopped, guest_code(f"the driver of {request.robot}"):
-            end = run_virtually(request, out, TerminalOperator(output, stopped))
+            end = run_virtually(request, out, TerminalOperator(output, stopped), rig=rig)
     else:
         with ExitStack() as stack:
             if console:
@@ -180,7 +184,7 @@ def _run_on_rig(output: Output, request: "RunRequest", out: Path, console: bool)
     if end.identified is not None:
         actuator = out.with_name(out.stem + "-actuator.json")
         end.identified.save(actuator, command="deploy", inputs={})
-    names = ("outcome", "reason", "stoppable", "zero", "missed", "late", "compute")
+    names = ("outcome", "reason", "stoppable", "zero", "missed")
     output.result(
         world=request.robot,
         lasted_s=end.lasted,

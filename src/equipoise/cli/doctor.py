@@ -1,6 +1,5 @@
 """`equipoise rig doctor`: checks whether machine and rig are fit for a run."""
 
-from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field
@@ -25,10 +24,10 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
     Nothing moves. The robot's answers are timed at rest, and its server ends
     with that session. Exit code 1: not fit.
     """
-    from equipoise.rig.checks import examine
     from equipoise.rig.clocks import SystemClock
     from equipoise.rig.config import read_rig
     from equipoise.rig.connection import open_encoder, open_robot, restart_instruction, world_of
+    from equipoise.rig.preflight import examine
 
     robot, encoder = rig.robot, rig.encoder
     if robot is not None and world_of(robot):
@@ -39,8 +38,7 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
             None if robot is None else open_robot(robot, clock, tell=output.tell),
             None if encoder is None else open_encoder(encoder, clock),
             None if rig.rig is None else read_rig(rig.rig),
-            seconds=measurement.seconds,
-            logs=Path(),
+            measurement.seconds,
         )
     fit = all(one.status != "bad" for one in findings)
     output.result(

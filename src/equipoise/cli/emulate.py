@@ -54,12 +54,10 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
         settings,
         SystemClock(),
         seed=emulated.seed,
+        link=emulated.encoder_link,
         say=say,
     )
-    link = emulated.encoder_link
-    if link is not None:
-        emulation.terminal.link(link)
-    encoder = f"serial://{emulation.terminal.path if link is None else link.absolute()}"
+    encoder = f"serial://{(emulated.encoder_link or emulation.terminal.path).absolute()}"
 
     def ready(number: int) -> None:
         # The emulated cabinet takes the first core: the loop of the run stays on the last one.

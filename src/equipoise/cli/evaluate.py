@@ -85,7 +85,6 @@ def evaluate(
         arm=evaluation.arm,
         duration_s=evaluation.duration,
         seed=evaluation.seed,
-        friction=evaluation.friction and evaluation.friction.text,
         **fields,
         baselines={each.name: trial_fields(each) for each in evaluation.baselines},
         evaluation=out,

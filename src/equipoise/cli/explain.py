@@ -10,8 +10,8 @@ from equipoise.cli.verb import verb
 def explain(output: Output, run: Path) -> None:
     """Explain why a run ended: causes with their evidence, the most likely first.
 
-    Examines release, pushes, the encoder and its zero, commands and safety
-    rules, and gives advice. A truncated log is read as far as it is readable.
+    Examines release, pushes, the encoder's zero, commands and safety rules,
+    and gives advice. A truncated log is read as far as it is readable.
     """
     from equipoise.logs.run_log import RunLog
     from equipoise.outcomes import describe

@@ -35,17 +35,7 @@ def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
     from equipoise.identification.recording import write_swing
     from equipoise.rig.clocks import SystemClock
     from equipoise.rig.connection import open_encoder
-    from equipoise.robots.encoder.swing import RecordingStage, SwingRecorder, record_swing
-
-    prompted: RecordingStage | None = None
-
-    def prompt(recorder: SwingRecorder) -> None:
-        """Print the next action of the operator once, and show the angle on the display."""
-        nonlocal prompted
-        if recorder.stage is not prompted:
-            prompted = recorder.stage
-            output.tell(f"  {prompted.value}")
-        rename(f"{degrees(recorder.theta):+7.1f} deg")
+    from equipoise.robots.encoder.swing import record_swing
 
     clock = SystemClock()
     sensor = open_encoder(recording.encoder, clock, counts_per_rev=recording.counts_per_rev)
@@ -53,12 +43,18 @@ def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
     with output.busy("connecting") as rename, driver, closing(sensor):
         sensor.connect()
         output.tell(sensor.description)
-        swing, recorder = record_swing(sensor, clock, recording.duration, prompt)
+        swing, missing = record_swing(
+            sensor,
+            clock,
+            recording.duration,
+            tell=lambda instruction: output.tell(f"  {instruction}"),
+            show=lambda theta: rename(f"{degrees(theta):+7.1f} deg"),
+        )
     write_swing(out, swing)
     output.result(
         samples=len(swing.time),
         duration_s=float(swing.time[-1]),
-        missing=recorder.missing,
+        missing=missing,
         rejected=sensor.rejected,
         counts_per_rev=sensor.counts_per_rev,
         recording=out,

@@ -48,7 +48,7 @@ from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TRAINING_NOISE
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.settings import SelectionSettings, Settings
-from equipoise.worlds import ClosedLoop, Setup, find_world, has_ideal_arm, simulate
+from equipoise.worlds import ClosedLoop, Setup, simulate, world_class
 from equipoise.worlds.reachability import check_releases
 
 Array = npt.NDArray[np.float64]
@@ -198,14 +198,12 @@ def actuators_in(world: str, settings: Settings, given: Actuators) -> tuple[Actu
         InputError: The world takes no such actuators.
         SettingsError: The world is unknown.
     """
-    if world != MODEL:
-        find_world(world)
     if world == IDEAL:
         raise InputError(
             "the world ideal is a setting of the compiled training; leave out the world, and take "
             "the recipe paper or --set plant.ideal=true"
         )
-    kinematic = world != MODEL and has_ideal_arm(world)
+    kinematic = world != MODEL and world_class(world).ideal_arm
     if given is None:
         ideal = kinematic or settings.plant.ideal
         return (IDEAL_ACTUATOR if ideal else shipped_actuator(),)

@@ -48,9 +48,6 @@ class RunConditions(Value):
     true ones, on a rig those assumed by the controller."""
     pendulum_digest: Name = ""
     """Digest of the identified pendulum."""
-    friction: dict[str, float | str] | None = None
-    """Dry friction and drag of the pendulum of a twin and their origin, by the names of
-    `PivotFriction`; None elsewhere."""
     start: tuple[Number, Number, Number, Number] | None = None
     """x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the release; None on a rig."""
     h: float = Field(ge=1e-4, le=1.0)
@@ -66,8 +63,6 @@ class RunConditions(Value):
     simulation, where `actuator` is the selected one."""
     identifies: bool = False
     """Whether an excitation before the lift identifies the actuator of the controller."""
-    anyway: bool = False
-    """Whether a policy also runs that does not fit the identified actuator."""
     counts_per_rev: int | None = Field(ge=1, le=2**24)
     """Encoder counts per revolution; None without an encoder."""
     world_settings: dict[str, float | int | str | tuple[float, ...] | None] | None = None
@@ -133,11 +128,6 @@ class RunEnd(Value):
     """Actuator that an excitation before the lift identified; None without one."""
     missed: Count = 0
     """Number of skipped ticks."""
-    late: dict[str, Number] = Field(default_factory=dict)
-    """Percentiles p50, p99, p99.9 and maximum of the lateness of a tick [s]; empty in
-    simulation."""
-    compute: dict[str, Number] = Field(default_factory=dict)
-    """The same percentiles of the computing time of a tick [s]."""
     lost_rows: Count = 0
     """Number of rows that full rings dropped."""
 

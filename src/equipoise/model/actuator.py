@@ -501,18 +501,6 @@ class Actuator(Artefact):
         delay = 1e3 * self.delay.value
         return f"{self.kind}, delay {delay:.1f} ms, {law}lags {min(lags):.1f} to {max(lags):.1f} ms"
 
-    @property
-    def intervals(self) -> str:
-        """Kind, delay, t_c and lags with their 95 % intervals [ms]."""
-
-        def ms(name: str, estimate: Estimate) -> str:
-            value, low, high = (1e3 * t for t in (estimate.value, estimate.low, estimate.high))
-            return f"{name} {value:.1f} ({low:.1f} to {high:.1f})"
-
-        law = [ms("t_c", self.cycle)] if self.kind in LAWS else []
-        lags = [ms(f"lag {joint}", lag) for joint, lag in enumerate(self.lags, start=1)]
-        return f"{self.kind}; in ms " + ", ".join([ms("delay", self.delay), *law, *lags])
-
     def response_time(self, joint: int, speed: float = TYPICAL_SPEED) -> float:
         """Return the response time of a joint to a small change, without transport [s].
 

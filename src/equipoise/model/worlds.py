@@ -2,11 +2,10 @@
 
 `ideal` is the paper's plant, whose arm has no delay; `model` is the training plant, with the
 identified actuator. `twin:nominal` and others of `WORLDS` are named, frozen parameter sets of the
-digital twin; `twin:FILE` is a TOML file of
-differences to nominal.
+digital twin; `twin:FILE` is a TOML file of differences to nominal.
 
 A twin's pendulum has the identified friction: viscous, dry and drag. A world may override dry
-friction and drag; `pivot_friction` returns the effective friction and its origin.
+friction and drag: `pendulum_on`.
 
 Each docstring gives the source of its number. The source of the KUKA Sunrise Toolbox and the arm's
 data are facts; numbers marked *assumed* are pessimistic choices within the plausible range.
@@ -20,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
-from equipoise.artefacts import Number, Value, first_fault, quoted
+from equipoise.artefacts import Value, first_fault, quoted
 from equipoise.errors import SettingsError
 from equipoise.settings import FINEST_ENCODER, QUARTER_TURN, read_toml
 
@@ -38,10 +37,6 @@ PREFIX: Final = "twin:"
 """Prefix of the names of digital twins."""
 
 Inner = Literal["velocity", "pd", "trajectory40"]
-FrictionSource = Literal["pendulum", "world", "assumed"]
-"""Origin of a friction: the pendulum's identification, an override of the world, or the world's
-assumption for a pendulum without an identified value."""
-
 RotorInertia = Annotated[float, Field(ge=0.0, le=100.0)]
 """Inertia of the motor and gear of a joint, reflected to its output: n^2 J [kg m^2]."""
 LWR_ROTORS: Final = (3.19, 3.05, 1.98, 2.05, 0.787, 0.391, 0.394)
@@ -128,65 +123,22 @@ class TwinSettings(Value):
     """Whether these rules include the speed limit of T1."""
 
 
-class PivotFriction(Value):
-    """Dry friction and drag of a twin's pendulum, with their origins."""
-
-    coulomb: Number
-    """Dry friction over inertia [1/s^2]."""
-    drag: Number
-    """Quadratic drag over inertia [1/rad]."""
-    coulomb_from: FrictionSource
-    """Origin of the dry friction."""
-    drag_from: FrictionSource
-    """Origin of the drag."""
-
-    def on(self, pendulum: "PendulumParameters") -> "PendulumParameters":
-        """Return a pendulum with the overridden frictions."""
-        coulomb = pendulum.coulomb if self.coulomb_from == "pendulum" else self.coulomb
-        drag = pendulum.drag if self.drag_from == "pendulum" else self.drag
-        return pendulum._replace(coulomb=coulomb, drag=drag)
-
-    @property
-    def text(self) -> str:
-        """Both frictions with their units and origins."""
-        return (
-            f"dry friction {self.coulomb:.3g} 1/s^2 ({self.coulomb_from}), "
-            f"drag {self.drag:.3g} 1/rad ({self.drag_from})"
-        )
-
-
-def pivot_friction(pendulum: "Pendulum", settings: TwinSettings) -> PivotFriction:
-    """Return the effective dry friction and drag of a pendulum in a twin.
+def pendulum_on(
+    pendulum: "Pendulum", settings: TwinSettings, varied: "PendulumParameters | None" = None
+) -> "PendulumParameters":
+    """Return the parameters of a pendulum with its effective friction in a twin.
 
     Args:
         pendulum: The pendulum, with the sources of its numbers.
-        settings: Parameters of the twin.
+        settings: Parameters of the twin, which may override dry friction and drag.
+        varied: Parameters of the pendulum in one trial; by default its best values.
     """
-    coulomb, drag = pendulum.coulomb.value, pendulum.drag.value
-    coulomb_from: FrictionSource = "pendulum"
-    drag_from: FrictionSource = "pendulum"
+    swings = pendulum.parameters() if varied is None else varied
     if settings.coulomb is not None:
-        coulomb, coulomb_from = settings.coulomb, "world"
+        swings = swings._replace(coulomb=settings.coulomb)
     elif pendulum.coulomb.source == "assumed":
-        coulomb, coulomb_from = settings.assumed_coulomb, "assumed"
-    if settings.drag is not None:
-        drag, drag_from = settings.drag, "world"
-    return PivotFriction(
-        coulomb=coulomb,
-        drag=drag,
-        coulomb_from=coulomb_from,
-        drag_from=drag_from,
-    )
-
-
-def pendulum_on(pendulum: "Pendulum", settings: TwinSettings) -> "PendulumParameters":
-    """Return the best values of a pendulum with its effective friction in a twin.
-
-    Args:
-        pendulum: The pendulum, with the sources of its numbers.
-        settings: Parameters of the twin.
-    """
-    return pivot_friction(pendulum, settings).on(pendulum.parameters())
+        swings = swings._replace(coulomb=settings.assumed_coulomb)
+    return swings if settings.drag is None else swings._replace(drag=settings.drag)
 
 
 def rotor_inertias(settings: TwinSettings, n: int) -> "npt.NDArray[np.float64]":

@@ -4,29 +4,20 @@ Each function judges one subject and returns its findings; a threshold stands be
 nowhere else. Nothing here moves an arm.
 """
 
-import os
-import platform
-import shutil
 from collections.abc import Callable, Sequence
 from math import degrees, floor, inf
-from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.control.policy import TaskPolicy
-from equipoise.errors import EquipoiseError, InputError, LinkError
-from equipoise.executors import available_cores
+from equipoise.errors import EquipoiseError, InputError
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
-from equipoise.rig.clocks import SystemClock
 from equipoise.rig.config import RigSettings
-from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, ServoedArm
-from equipoise.rig.probes import EncoderStream, lateness, listen, round_trips
-from equipoise.rig.realtime import prepare, run_as_loop
+from equipoise.rig.interfaces import SETPOINT_PERIOD
 from equipoise.safety.rules import MAX_STALL, T1_SPEED
-from equipoise.user_code import guest_code
 
 Array = npt.NDArray[np.float64]
 
@@ -37,8 +28,6 @@ GOOD_ROUND_TRIP: Final = 0.0055
 link setpoints are sent only as replies arrive, and the flange's speed is limited."""
 MAX_ROUND_TRIP: Final = 0.009
 """99th percentile of round trips beyond which a reply is overdue in every tick [s]."""
-MIN_CLEARANCE: Final = 0.05
-"""Minimum clearance below the tip of the hanging pendulum [m]."""
 HOME_MARGIN_DEG: Final = 5.0
 """Minimum distance of home from a joint's limits, beyond the rig's margin [deg]."""
 
@@ -54,6 +43,21 @@ class Finding(NamedTuple):
     """Measured values, and the limit where it is not met."""
     remedy: str = ""
     """Action that helps; empty for a good result."""
+
+
+class EncoderStream(NamedTuple):
+    """Statistics of an encoder's stream."""
+
+    counts_per_rev: int
+    """Counts per revolution after x4, as the board reports them."""
+    rate: float
+    """Samples per second [1/s]."""
+    ages: Array
+    """Age of the newest sample at each read [s]."""
+    lost_share: float
+    """Share of samples lost on the way, damaged or out of sequence [-]."""
+    illegal: int
+    """Number of samples with an illegal transition on the board."""
 
 
 def find(
@@ -88,89 +92,6 @@ def require(findings: Sequence[Finding], error: type[EquipoiseError] = InputErro
         raise error("; ".join(f"{one.name}: {one.found}; {one.remedy}" for one in bad))
 
 
-def examine(
-    robot: ServoedArm | None,
-    sensor: AngleSensor | None,
-    rig: RigSettings | None,
-    *,
-    seconds: float,
-    logs: Path,
-) -> list[Finding]:
-    """Measure a machine and a rig as a run's loop, and judge the measurements; no arm moves.
-
-    Args:
-        robot: The robot, not connected; None examines none.
-        sensor: The encoder, not connected; None examines none.
-        rig: Contents of `rig.toml`; None where they are unknown.
-        seconds: Duration of each measurement [s].
-        logs: Folder of the run logs; it need not exist yet.
-    """
-    clock = SystemClock()
-
-    def measure() -> list[Finding]:
-        findings = [*check_host(logs), *check_settings(prepare())]
-        findings.append(check_deadlines(lateness(clock, seconds)))
-        for device in (sensor, robot):
-            if device is None:
-                continue
-            name = "encoder" if device is sensor else "robot"
-            try:
-                with guest_code(f"the driver of the {name}"):
-                    device.connect()
-                    if isinstance(device, AngleSensor):
-                        findings += check_encoder(listen(device, clock, seconds), rig)
-                    else:
-                        findings.append(check_link(round_trips(device, clock, seconds)))
-            except LinkError as error:
-                remedy = "check its power, its cable and its address"
-                findings.append(find(name, str(error), remedy, bad=True))
-            finally:
-                device.close()
-        return findings
-
-    return run_as_loop(measure)
-
-
-def check_host(logs: Path) -> list[Finding]:
-    """Judge kernel, clock rate, load and disk of this machine.
-
-    Args:
-        logs: Folder of the run logs; it need not exist yet.
-    """
-    files = Path("/sys/devices/system/cpu").glob("cpu[0-9]*/cpufreq/scaling_governor")
-    governors = sorted({file.read_text().strip() for file in files}) or ["unknown"]
-    load, cores = os.getloadavg()[0], available_cores()
-    folder = next(one for one in (logs.absolute(), *logs.absolute().parents) if one.exists())
-    free = shutil.disk_usage(folder).free
-    return [
-        find(
-            "kernel",
-            f"{platform.system()} {platform.release()} {platform.version()}",
-            "install Linux with PREEMPT_RT: on Ubuntu `sudo pro enable realtime-kernel`, on Debian "
-            "`sudo apt install linux-image-rt-amd64`; then restart",
-            warning="PREEMPT_RT" not in platform.version(),
-        ),
-        find(
-            "clock rate",
-            f"governor {' '.join(governors)}",
-            "sudo cpupower frequency-set -g performance; on a virtual machine set it at the host",
-            warning=governors != ["performance"],
-        ),
-        find(
-            "other work",
-            f"{load:.1f} processes on {cores} cores",
-            "find it with `top`, and end it; use a machine with two cores or more",
-            warning=cores < 2 or load > 0.5 * cores,
-        ),
-        find(
-            "room for logs",
-            f"{free >> 20} MiB free",
-            "a full disk ends a log, not a run: make room, or give another folder",
-            warning=free < 1 << 30,  # [B]: a run of ten minutes writes tens of megabytes
-        ),
-    ]
-
-
 def check_settings(granted: dict[str, str]) -> list[Finding]:
     """Judge the real-time settings of a process, see `equipoise.rig.realtime.prepare`."""
     remedy = (
@@ -193,8 +114,8 @@ def check_deadlines(late: Array) -> Finding:
     return find(
         "deadlines",
         f"late by {_spread(late)}; a run ends at {1e3 * MAX_STALL:g} ms",
-        "end other programs, set the governor, allow real-time priority; measure again with "
-        "--seconds 60",
+        "end other programs, set the governor, install a kernel with PREEMPT_RT; see "
+        "docs/how-to/real-time.md; measure again with --seconds 60",
         warning=bool(uneven),
         bad=longest > MAX_STALL,
     )
@@ -262,7 +183,7 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> list[
     fits = fitting_actuators(policy, actuator)
     nearest = policy.actuators[fits[0] if fits else 0]
     joint, room = _nearest_limit(arm, arm.home)
-    findings = [
+    return [
         find(
             "policy and arm",
             f"{_named(arm)}, the policy is for {_named(trained)}",
@@ -288,15 +209,6 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> list[
             bad=room < rig.position_margin_deg + HOME_MARGIN_DEG,
         ),
     ]
-    if rig.table_height_mm is not None:
-        pose = arm.kinematics(arm.home_free)
-        pivot = pose.position + pose.rotation @ np.array(arm.pivot)
-        length = 1.5 * policy.pendulum.g / policy.pendulum.w2.value  # of a uniform rod
-        below = float(pivot[2] - length) - 1e-3 * rig.table_height_mm
-        found = f"{1e3 * below:.0f} mm, expected {1e3 * MIN_CLEARANCE:g}"
-        remedy = "choose a higher home, or clear the table"
-        findings.append(find("room below", found, remedy, bad=below < MIN_CLEARANCE))
-    return findings
 
 
 def fitting_actuators(policy: TaskPolicy, actuator: Actuator) -> list[int]:

@@ -14,11 +14,11 @@ refused::
 from functools import cached_property
 from math import degrees, radians
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
-from equipoise.artefacts import Name, Value, first_fault, value_digest
+from equipoise.artefacts import Name, Value, first_fault
 from equipoise.errors import ArmError, SettingsError
 from equipoise.model.arms.arm import MOST_JOINTS, Arm
 from equipoise.model.arms.resolve import SUFFIXES, resolve_arm
@@ -32,8 +32,6 @@ Millimetres = Annotated[float, Field(ge=-1e3, le=1e3)]
 class RigSettings(Value):
     """Contents of `rig.toml`."""
 
-    name: Name = "rig"
-    """Name of the rig in logs."""
     arm: Name = "iiwa7"
     """Name of the arm, or path of its URDF (from the folder of this file)."""
     held: int | None = None
@@ -56,9 +54,6 @@ class RigSettings(Value):
     """Encoder counts per revolution, after x4."""
     encoder_sign: Literal[1, -1] = 1
     """1 if counts grow with theta, the pendulum's angle from hanging, else -1."""
-    table_height_mm: float | None = Field(default=None, ge=-2e3, le=2e3)
-    """Height of the highest obstacle below the track, above the plane of the arm's base [mm]; None
-    without an obstacle. The hanging pendulum must keep clear of it."""
     position_margin_deg: float = Field(default=degrees(POSITION_MARGIN), ge=1.0, le=30.0)
     """Minimum distance of setpoints from the joints' position limits [deg]."""
     speed_share: float = Field(default=1.0, gt=0.0, le=1.0)
@@ -66,15 +61,6 @@ class RigSettings(Value):
     torque_share: float = Field(default=TORQUE_SHARE, gt=0.0, le=1.0)
     """Maximum change of an external torque from its value at home, as a share of the joint's torque
     limit [-]; a run stops beyond it."""
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 of all fields."""
-        return value_digest(self)
-
-    def changed(self, **fields: Any) -> Self:
-        """Return a rig with some fields changed; unlike `model_copy`, it rebuilds the arm."""
-        return self.model_validate(self.model_dump() | fields)
 
     @cached_property
     def described_arm(self) -> Arm:

@@ -78,28 +78,6 @@ def world_of(robot: str) -> str | None:
     return name if name.startswith(TWIN) else None
 
 
-def check_addresses(robot: str, encoder: str | None) -> None:
-    """Check the two addresses of a rig; nothing is opened.
-
-    Raises:
-        InputError: An address is invalid, missing or superfluous.
-        SettingsError: The twin is unknown.
-    """
-    world, clock = world_of(robot), SystemClock()
-    if world is None:
-        open_robot(robot, clock)
-        if encoder is None:
-            raise InputError("a robot alone does not balance; give --encoder serial:///dev/ttyACM0")
-        open_encoder(encoder, clock)
-    elif encoder is not None or robot_plugin(robot).emulate is None:
-        raise InputError(
-            f"{robot} with --encoder {encoder} is no rig: a twin has an encoder of its own, and "
-            "needs a robot with an emulator"
-        )
-    else:
-        read_world(world)
-
-
 def open_robot(
     robot: str,
     clock: Clock,
@@ -170,8 +148,8 @@ def connect(
 
     Args:
         robot: Address of a robot, such as `kst://HOST`; or `twin:NAME`, a digital twin in this
-            process in virtual time, with its own encoder and operator; or
-            `SCHEME://twin:NAME`, the same with the driver and the emulator of a kind of robot.
+            process in virtual time behind the driver and the emulator of a KST server, with an
+            encoder and an operator; or `SCHEME://twin:NAME`, the same with another robot.
         encoder: Address of an angle sensor, such as `serial:///dev/ttyACM0`; None for a twin.
         settings: The settings of the rig.
         pendulum: The pendulum on a twin.
@@ -181,15 +159,20 @@ def connect(
         attend: Called about once a second meanwhile; its exception ends the wait.
 
     Raises:
-        InputError: An address is invalid.
+        InputError: An address is invalid, missing or superfluous.
         SettingsError: The twin is unknown.
     """
-    check_addresses(robot, encoder)
-    if encoder is None:
-        world = read_world(world_of(robot) or robot)
+    twin = world_of(robot)
+    if twin is not None and encoder is None:
+        world = read_world(twin)
         swinging = pendulum_on(pendulum, world.settings)
         scheme = scheme_of(robot)
         return emulated_rig(world, settings, swinging, robot=scheme, seed=seed, period=period).rig
+    if twin is not None or encoder is None:
+        raise InputError(
+            f"{robot} with --encoder {encoder} is no rig: a robot needs an encoder such as "
+            "serial:///dev/ttyACM0, and a twin has one of its own"
+        )
     clock, counts = SystemClock(), settings.counts_per_rev
     sensor = open_encoder(encoder, clock, counts_per_rev=counts, sign=settings.encoder_sign)
     draining = DrainingClock(clock, sensor)
@@ -218,7 +201,7 @@ def emulated_rig(
     settings: RigSettings,
     pendulum: PendulumParameters,
     *,
-    robot: str = "twin",
+    robot: str = "kst",
     seed: int = 0,
     period: float = SETPOINT_PERIOD,
 ) -> EmulatedRig:
@@ -231,7 +214,7 @@ def emulated_rig(
         world: The twin.
         settings: The settings of the rig.
         pendulum: The pendulum, with the friction that acts in the twin.
-        robot: Scheme of the robot; `twin` has no link, and the twin's own encoder.
+        robot: Scheme of the robot.
         seed: Seed of all random numbers.
         period: Time between two setpoints [s].
 
@@ -241,7 +224,7 @@ def emulated_rig(
         SettingsError: Twin and rig differ in the counts per revolution.
     """
     plugin = robot_plugin(robot)
-    sensors = sensor_plugin("twin" if robot == "twin" else "serial")
+    sensors = sensor_plugin("serial")
     if plugin.emulate is None or sensors.emulate is None:
         raise InputError(f"the robot {robot!r} has no emulator; choose another")
     numbers = world.settings.model_copy(update=dict(plugin.servo))
@@ -259,9 +242,7 @@ def emulated_rig(
     clock.attach(bench.advance)
     sensor = sensors.emulate(bench, clock, settings.counts_per_rev, settings.encoder_sign, seed)
     draining = DrainingClock(clock, sensor.device)
-    # Without a link waits are short, so that no samples have to be dropped.
-    session = Session(draining if plugin.link_share else clock)
-    emulated = plugin.emulate(bench, arm, session, delay, seed)
+    emulated = plugin.emulate(bench, arm, Session(draining), delay, seed)
     clock.attach(emulated.advance)
     clock.attach(sensor.advance)
     operator = EmulatedOperator(bench, clock, seed=seed)

@@ -12,14 +12,13 @@ equation:
 It is constant in an undisturbed run. A push appears as a step. A zero error b of the encoder, or a
 base that is tilted by b, appears as a slope of :math:`-w_2 b`.
 
-**The encoder.** Counts that are constant while the pivot accelerates.
-
 **The outcome in the log.** A rule that names a root cause (a late tick, a contact) ranks high. A
 rule that names a symptom (the angle, the track) ranks last.
 """
 
+from contextlib import suppress
 from enum import StrEnum
-from math import cos, degrees, radians
+from math import degrees, radians
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -129,26 +128,21 @@ def explain(run: RunLog) -> list[Cause]:
         except ArtefactError:
             balanced = False
     score = 0.2 if end.outcome in SYMPTOMS else 0.95
-    found: list[Cause | None] = [
-        Cause(end.outcome, score, run.lasted if balanced else None, describe(end))
-    ]
+    causes = [Cause(end.outcome, score, run.lasted if balanced else None, describe(end))]
     regular = end.outcome in (Outcome.LASTED, Outcome.OPERATOR, Outcome.EXCITED)
     if balanced and len(run.time) > 0 and not regular:
-        found += detect(run)
-    best: dict[str, Cause] = {}
-    for cause in sorted(filter(None, found), key=lambda cause: -cause.score):
-        best.setdefault(cause.cause, cause)
-    return list(best.values())
+        causes += root_causes(run)
+    return sorted(causes, key=lambda cause: -cause.score)
 
 
-def detect(run: RunLog) -> list[Cause | None]:
-    """Return what each detector finds in a balancing; None where it finds nothing."""
-    found = [_outside(run), _frozen(run)]
-    try:
+def root_causes(run: RunLog) -> list[Cause]:
+    """Return the root causes that the measurements of a balancing show."""
+    found = [_outside(run)]
+    # A run that is too short, or of an unknown arm, has no unexplained rate.
+    with suppress(ArtefactError, RecordingError, ValueError):
         time, rate = unexplained_rate(run)
-    except (ArtefactError, RecordingError, ValueError):  # too short, or of an unknown arm
-        return found
-    return [*found, _push(run, time, rate), _zero(run, time, rate)]
+        found += [_push(run, time, rate), _zero(run, time, rate)]
+    return [cause for cause in found if cause is not None]
 
 
 def unexplained_rate(run: RunLog) -> tuple[Array, Array]:
@@ -187,9 +181,6 @@ def _local_fits(time: Array, values: Array, at: Array, half: float) -> tuple[Arr
     return (y - slope * t) / n + slope * at, slope
 
 
-# Detectors.
-
-
 def _outside(log: RunLog) -> Cause | None:
     """Detect the time after which no command could hold the pendulum."""
     pendulum = log.conditions.pendulum_parameters
@@ -208,31 +199,26 @@ def _outside(log: RunLog) -> Cause | None:
     )
     if time <= 0.05:  # [s]: the duration of the release
         return Cause(RootCause.OUTSIDE, 0.85, time, f"released too far out: {where}")
-    before = slice(max(first - 15, 0), first + 1)
-    largest = float(np.mean(np.abs(log.u[before]) >= 0.99 * u_max))
-    where += f"; the largest command stood for {largest:.0%} of the 0.15 s before"
-    return Cause(RootCause.SATURATION, 0.35 + 0.1 * largest, time, where)
+    return Cause(RootCause.SATURATION, 0.4, time, where)
 
 
 def _push(log: RunLog, time: Array, rate: Array) -> Cause | None:
     """Detect the largest step of the unexplained rate in the last 2.5 s."""
-    step = 0.08  # [s]: duration of a push
-    wide, half = round(step / GRID_STEP), round(0.5 / GRID_STEP)
+    duration = 0.08  # [s]: of a push
+    wide = round(duration / GRID_STEP)
     if len(time) <= wide + 2:
         return None
     steps = rate[wide:] - rate[:-wide]
     middle = time[wide // 2 : wide // 2 + len(steps)]
-    windows = (steps[max(i - half, 0) : i + half + 1] for i in range(len(steps)))
-    usual = np.array([np.median(window) for window in windows])
     late = middle >= log.lasted - 2.5
-    unusual = np.where(late, np.abs(steps - usual), 0.0)
-    i = int(np.argmax(unusual))
-    if unusual[i] < 0.35:  # [rad/s]: noise and a wrong pendulum model reach 0.05
+    unusual = np.where(late, steps - np.median(steps), 0.0)
+    i = int(np.argmax(np.abs(unusual)))
+    size, when = float(unusual[i]), float(middle[i])
+    if abs(size) < 0.35:  # [rad/s]: noise and a wrong pendulum model reach 0.05
         return None
-    size, when = float(steps[i] - usual[i]), float(middle[i])
     text = (
         f"at {when:.2f} s the pendulum's rate changed by {degrees(size):+.0f} deg/s within "
-        f"{1e3 * step:.0f} ms, more than gravity and the flange explain"
+        f"{1e3 * duration:.0f} ms, more than gravity and the flange explain"
     )
     # 1.2 rad/s end a run by themselves.
     return Cause(RootCause.PUSH, 0.5 + 0.32 * min(abs(size) / 1.2, 1.0), when, text)
@@ -240,44 +226,21 @@ def _push(log: RunLog, time: Array, rate: Array) -> Cause | None:
 
 def _zero(log: RunLog, time: Array, rate: Array) -> Cause | None:
     """Detect a slope of the unexplained rate in the last 0.8 s."""
-    late = time >= max(time[-1] - 0.8, 0.0)
-    if late.sum() * GRID_STEP < 0.12:
+    last = rate[time >= max(time[-1] - 0.8, 0.0)]
+    seconds = len(last) * GRID_STEP
+    if seconds < 0.12:
         return None
     # The median of all slopes over a quarter of the window is robust to a step, which is a push.
-    quarter = max(int(late.sum()) // 4, 1)
-    slopes = (rate[late][quarter:] - rate[late][:-quarter]) / (quarter * GRID_STEP)
+    quarter = max(len(last) // 4, 1)
+    slopes = (last[quarter:] - last[:-quarter]) / (quarter * GRID_STEP)
     error = -float(np.median(slopes)) / log.conditions.pendulum_parameters.w2
     # A referenced zero is good to 0.1 deg, a base is level to 0.5 deg; 2.5 deg end a run.
     if abs(error) < radians(0.75):
         return None
     score = 0.5 + 0.35 * min(abs(error) / radians(2.5), 1.0)
     text = (
-        f"over the last {late.sum() * GRID_STEP:.1f} s the encoder read {degrees(error):+.1f} deg "
-        "from upright while gravity pulled as upright (the observer's estimate: "
+        f"over the last {seconds:.1f} s the encoder read {degrees(error):+.1f} deg from upright "
+        f"while gravity pulled as upright (the observer's estimate: "
         f"{degrees(float(log.bias[-1])):+.1f} deg)"
     )
     return Cause(RootCause.ZERO, score, log.lasted, text)
-
-
-def _frozen(log: RunLog) -> Cause | None:
-    """Detect counts that were constant to the end while the pivot accelerated."""
-    encoder = log.encoder
-    if len(encoder.time) < 3:
-        return None
-    changes = np.flatnonzero(np.diff(encoder.counts))
-    since = float(encoder.time[changes[-1] + 1]) if len(changes) else float(encoder.time[0])
-    lasted = float(encoder.time[-1]) - since
-    ticks = log.time >= since
-    if lasted < 0.06 or ticks.sum() < 2:
-        return None
-    # The observed x_dot is ahead of the arm: it includes the pending commands.
-    turned = (
-        log.conditions.pendulum_parameters.k * cos(log.phi[-1]) * float(np.ptp(log.x_dot[ticks]))
-    )
-    if turned < 0.2:  # [rad/s]
-        return None
-    text = (
-        f"from {since:.2f} s the count stood at {encoder.counts[-1]} for {1e3 * lasted:.0f} ms, "
-        f"while the flange should have turned the pendulum by {degrees(turned):.0f} deg/s"
-    )
-    return Cause(Outcome.ENCODER_STALE, 0.9, since, text)

@@ -17,9 +17,6 @@ from contextlib import suppress
 from time import perf_counter
 from typing import Any, Final, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from equipoise.control.ticks import Job, OperatorMessage, TickInputs, missed_ticks
 from equipoise.errors import LinkError
 from equipoise.logs.recorder import Recorder, push_event
@@ -28,20 +25,14 @@ from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import AngleSensor, Clock, Operator, Sample
 from equipoise.rig.run_controller import RunController
 
-Array = npt.NDArray[np.float64]
-
 
 class LoopResult(NamedTuple):
-    """End of a loop, and its timing."""
+    """End of a loop."""
 
     fault: End | None
     """Fault that ended the loop; None after a regular end."""
     stoppable: bool
     """Whether software still commands the arm; otherwise the operator must stop it."""
-    late: Array
-    """Lateness of each tick [s], shape (n,)."""
-    compute: Array
-    """Time of each tick from reading to sending [s], shape (n,)."""
     missed: int
     """Number of ticks that were skipped."""
 
@@ -64,7 +55,6 @@ def run_loop(
     recorder: Recorder,
     operator: Operator,
     *,
-    max_duration: float,
     submit: Callable[[Job], "Future[Any]"] = run_inline,
     idle: Callable[[], None] = lambda: None,
 ) -> LoopResult:
@@ -77,15 +67,13 @@ def run_loop(
         controller: Decides on the setpoints.
         recorder: Rings for the log.
         operator: Receives messages and returns input, without blocking.
-        max_duration: Maximum duration of the recorded timing [s].
         submit: Starts a job that takes longer than a tick (default: inline, between two ticks).
         idle: Called once in a tick after its last setpoint, for example to drain the rings in
             virtual time.
     """
     h = controller.h
-    late, compute = np.zeros((2, round(max_duration / h)))
     pending: Future[Any] | None = None
-    ticks = missed = unsent = 0
+    missed = unsent = 0
     faults: list[End] = []
     sensor_lost = refused = still = False
     deadline = clock.now() + h
@@ -120,9 +108,6 @@ def run_loop(
                 robot.send(setpoint, to_rest=output.to_rest, from_rest=still)
             still = not first
             sent, took = clock.now(), perf_counter() - begin
-            if ticks < len(late):
-                late[ticks], compute[ticks] = lateness, took
-            ticks += 1
             recorder.record_tick(now, took, inputs, output)
             if first:
                 recorder.stream.push(sent, robot.last)  # as sent: the guard may have replaced it
@@ -167,7 +152,7 @@ def run_loop(
             _notify_best_effort(recorder, operator, clock, CANNOT_STOP)
     recorder.pulse["ticks"] = 0.0  # no further tick
     idle()
-    return LoopResult(fault, stoppable, late[:ticks], compute[:ticks], missed)
+    return LoopResult(fault, stoppable, missed)
 
 
 CANNOT_STOP: Final = (

@@ -1,27 +1,46 @@
-"""Checks of a run before the arm moves: its request, the connected rig, the policy's time."""
+"""Measurements and checks before the arm moves, for the pre-flight of a run and the diagnosis.
 
+Deadlines are absolute, as in a run: a stall over several deadlines makes all of them late.
+"""
+
+from collections.abc import Generator
 from statistics import median
 from time import perf_counter
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
 
 from equipoise.control.controller import Controller, FlangeKinematics
 from equipoise.control.policy import tick_policy
-from equipoise.errors import InputError
+from equipoise.errors import InputError, LinkError
 from equipoise.rig.checks import (
+    EncoderStream,
     Finding,
+    check_deadlines,
     check_encoder,
-    check_fit,
     check_link,
     check_posture,
     check_settings,
     check_speed,
+    find,
     max_flange_speed,
-    require,
 )
-from equipoise.rig.clocks import DrainingClock
-from equipoise.rig.connection import Rig, check_addresses
+from equipoise.rig.clocks import DrainingClock, SystemClock
+from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import Rig
+from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, ServoedArm
 from equipoise.rig.phases.balancing import POLICY_TIME_SHARE
-from equipoise.rig.probes import listen, round_trips
+from equipoise.rig.realtime import prepare
 from equipoise.rig.request import RunRequest
+from equipoise.user_code import guest_code
+
+Array = npt.NDArray[np.float64]
+
+READ_PERIOD: Final = 0.001
+"""Time between two reads of the encoder [s]: the period of a board at 1 kHz."""
+DISCARD_TIME: Final = 0.1
+"""Time for discarding buffered samples before a measurement [s]."""
 
 
 def preflight(
@@ -56,15 +75,38 @@ def preflight(
     return results, max_speed
 
 
-def check_request(request: RunRequest) -> None:
-    """Validate a request without its rig; the pre-flight checks the rest.
+def examine(
+    robot: ServoedArm | None, sensor: AngleSensor | None, rig: RigSettings | None, seconds: float
+) -> list[Finding]:
+    """Measure a machine and a rig, and judge the measurements; no arm moves.
 
-    Raises:
-        InputError: Addresses, policy, actuator and `rig.toml` do not fit each other.
-        SettingsError: The twin is unknown.
+    This thread keeps the real-time settings of a run's loop.
+
+    Args:
+        robot: The robot, not connected; None examines none.
+        sensor: The encoder, not connected; None examines none.
+        rig: Contents of `rig.toml`; None where they are unknown.
+        seconds: Duration of each measurement [s].
     """
-    check_addresses(request.robot, request.encoder)
-    require(check_fit(request.policy, request.actuator, request.settings))
+    clock = SystemClock()
+    findings = [*check_settings(prepare()), check_deadlines(lateness(clock, seconds))]
+    for device in (sensor, robot):
+        if device is None:
+            continue
+        name = "encoder" if device is sensor else "robot"
+        try:
+            with guest_code(f"the driver of the {name}"):
+                device.connect()
+                if isinstance(device, AngleSensor):
+                    findings += check_encoder(listen(device, clock, seconds), rig)
+                else:
+                    findings.append(check_link(round_trips(device, clock, seconds)))
+        except LinkError as error:
+            remedy = "check its power, its cable and its address"
+            findings.append(find(name, str(error), remedy, bad=True))
+        finally:
+            device.close()
+    return findings
 
 
 def warm_up(request: RunRequest) -> None:
@@ -76,7 +118,8 @@ def warm_up(request: RunRequest) -> None:
         InputError: The policy raises, returns no finite number, or takes too long.
     """
     settings, policy = request.settings, tick_policy(request.policy)
-    arm, params = settings.described_arm, request.controller(settings.counts_per_rev)
+    arm = settings.described_arm
+    params = request.response(request.actuator, settings.counts_per_rev).params
     controller, took = Controller(arm, params, request.policy.settings.boxes), list[float]()
     policy.reset()
     for _ in range(20):
@@ -92,3 +135,85 @@ def warm_up(request: RunRequest) -> None:
             f"{request.policy.name} takes {1e3 * typical:.1f} ms, expected at most "
             f"{1e3 * limit:.1f} ms; make it faster"
         )
+
+
+def lateness(clock: Clock, seconds: float, *, period: float = SETPOINT_PERIOD) -> Array:
+    """Measure how late absolute deadlines are met [s], shape (n,).
+
+    Args:
+        clock: The clock to wait at.
+        seconds: Length of the measurement [s]; at least one deadline.
+        period: Time between deadlines [s].
+    """
+    late = np.zeros(max(round(seconds / period), 1))
+    begin = clock.now()
+    for k in range(len(late)):
+        deadline = begin + (k + 1) * period
+        clock.wait_until(deadline)
+        late[k] = clock.now() - deadline
+    return late
+
+
+def round_trips(
+    robot: ServoedArm, clock: Clock, seconds: float, *, period: float = SETPOINT_PERIOD
+) -> Array:
+    """Measure how long a connected robot at rest takes to return its joints [s], shape (n,).
+
+    Args:
+        robot: The robot; it does not move.
+        clock: The rig's clock.
+        seconds: Length of the measurement [s]; at least one round trip is measured.
+        period: Time between two requests, where the reply has arrived by then [s].
+
+    Raises:
+        LinkError: The robot does not answer.
+    """
+    robot.measured()
+    trips: list[float] = []
+    begin = clock.now()
+    for k in range(max(round(seconds / period), 1)):
+        clock.wait_until(begin + k * period)
+        asked = clock.now()
+        if k and asked - begin >= seconds:
+            break
+        robot.measured()
+        trips.append(clock.now() - asked)
+    return np.array(trips)
+
+
+def listen(sensor: AngleSensor, clock: Clock, seconds: float) -> EncoderStream:
+    """Measure the stream of a connected encoder.
+
+    Args:
+        sensor: The encoder.
+        clock: The rig's clock.
+        seconds: Length of the measurement [s].
+
+    Raises:
+        LinkError: The encoder is disconnected or silent.
+    """
+    for _ in _reads(clock, DISCARD_TIME):
+        sensor.samples()
+    before, begin = sensor.rejected, clock.now()
+    newest, received, missing, illegal = begin, 0, 0, 0
+    ages: list[float] = []
+    for _ in _reads(clock, seconds):
+        samples, now = sensor.samples(), clock.now()
+        for sample in samples:
+            missing, illegal = missing + sample.missing, illegal + sample.illegal
+            newest = sample.time
+        received += len(samples)
+        ages.append(now - newest)
+    lost = missing + sensor.rejected - before
+    rate = received / (clock.now() - begin)
+    share = lost / max(received + lost, 1)
+    return EncoderStream(sensor.counts_per_rev, rate, np.array(ages), share, illegal)
+
+
+def _reads(clock: Clock, seconds: float) -> Generator[None]:
+    """Yield once per read period."""
+    begin = deadline = clock.now()
+    while (now := clock.now()) < begin + seconds:
+        deadline = max(deadline + READ_PERIOD, now)
+        clock.wait_until(deadline)
+        yield

@@ -19,15 +19,10 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
-from functools import partial
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
-import numpy as np
-import numpy.typing as npt
-
-from equipoise.control.policy import Policy
 from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import EquipoiseError, OutsideError
 from equipoise.logs.conditions import RunEnd
@@ -45,7 +40,6 @@ from equipoise.rig.run_controller import PHASES
 from equipoise.rig.signals import SIGNALS, handled_signals, start_process
 from equipoise.user_code import format_error, guest_code
 
-T = TypeVar("T")
 Live = Callable[[str, float], None]
 """Shows the phase of the run and the angle from upright [rad]; never blocks."""
 
@@ -219,7 +213,6 @@ def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
                 recorder,
                 measures=realtime.prepare,
                 submit=helper.submit,
-                supervise=InterruptedPolicy,
             )
         except EquipoiseError as error:
             result = type(error)(str(error))
@@ -239,44 +232,6 @@ def end_with_parent() -> None:
         os._exit(0)
 
     threading.Thread(target=wait, daemon=True).start()
-
-
-class InterruptedPolicy:
-    """Policy with a time limit per call, enforced by a timer of the system.
-
-    The timer interrupts Python code in the main thread; compiled code returns first.
-    """
-
-    def __init__(self, policy: Policy, limit: float) -> None:
-        """Limit the time of each call of `policy` to `limit` [s]."""
-        self._policy, self._limit, self._running = policy, limit, False
-        signal.signal(signal.SIGALRM, self._interrupt)
-
-    def reset(self) -> None:
-        """Reset the policy."""
-        self._within(self._policy.reset)
-
-    def act(self, observation: npt.NDArray[np.float64]) -> float:
-        """Return u [m/s^2] for the observation, shape (4,).
-
-        Raises:
-            KeyboardInterrupt: The call exceeds the time limit. No handler of `Exception` in the
-                policy catches it, and `guest_code` passes it on.
-        """
-        return self._within(partial(self._policy.act, observation))
-
-    def _within(self, call: Callable[[], T]) -> T:
-        try:
-            self._running = True
-            signal.setitimer(signal.ITIMER_REAL, self._limit)
-            return call()
-        finally:
-            self._running = False
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
-
-    def _interrupt(self, *_: object) -> None:
-        if self._running:
-            raise KeyboardInterrupt(f"it took more than {1e3 * self._limit:.1f} ms")
 
 
 class OperatorProxy:

@@ -6,13 +6,8 @@ A run is possible without them; late ticks are then likelier. The log contains w
 import ctypes
 import gc
 import os
-import threading
 from collections.abc import Callable
-from concurrent.futures import Future
-from contextlib import suppress
-from typing import Final, TypeVar
-
-T = TypeVar("T")
+from typing import Final
 
 PRIORITY: Final = 60
 """Priority of the loop under SCHED_FIFO: above all ordinary work. The threads of the kernel's
@@ -61,27 +56,3 @@ def _lock_memory() -> None:
     current, future = 1, 2  # MCL_CURRENT, MCL_FUTURE
     if libc.mlockall(current | future):
         raise OSError(os.strerror(ctypes.get_errno()))
-
-
-def run_as_loop(work: Callable[[], T]) -> T:
-    """Run a function that applies the settings on a thread of its own, and undo them.
-
-    Priority and core belong to the thread and end with it; garbage collection and the memory lock
-    belong to the process.
-    """
-    done: Future[T] = Future()
-
-    def run() -> None:
-        try:
-            done.set_result(work())
-        except BaseException as error:
-            done.set_exception(error)
-
-    try:
-        threading.Thread(target=run, daemon=True).start()
-        return done.result()
-    finally:
-        gc.unfreeze()
-        gc.enable()
-        with suppress(AttributeError, OSError, TypeError):
-            ctypes.CDLL(None).munlockall()

@@ -89,7 +89,7 @@ class ReleaseState(Enum):
 class ReleaseDetector:
     """Detector of a release, from successive encoder samples.
 
-    Its memory has a fixed size. `RELEASED` stays until `reset`.
+    Its memory has a fixed size. `RELEASED` stays.
     """
 
     def __init__(self, pendulum: PendulumParameters) -> None:
@@ -100,14 +100,8 @@ class ReleaseDetector:
         """
         self._w2, self._c, self._w = pendulum.w2, pendulum.c, sqrt(pendulum.w2)
         self._time, self._phi = np.zeros(BUFFER_SIZE), np.zeros(BUFFER_SIZE)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget all samples; the pendulum counts as held."""
-        self.state = ReleaseState.HELD
+        self.state: ReleaseState
         """Holder of the pendulum."""
-        self.denied = False
-        """Whether an armed pendulum turned out to be still held."""
         self._forget()
 
     def feed(self, time: float, phi: float) -> ReleaseState:
@@ -142,7 +136,6 @@ class ReleaseDetector:
         self._count, self._oldest, self._last = 0, 0, -inf
 
     def _deny(self) -> None:
-        self.denied = self.state is ReleaseState.ARMED or self.denied
         self.state = ReleaseState.HELD
         self._still_since = self._beyond_since = self._falling_since = inf
 
@@ -172,7 +165,7 @@ class ReleaseDetector:
             return
         self._still_since = min(self._still_since, time)
         if time - self._still_since >= ARM_TIME:
-            self.state, self.denied = ReleaseState.ARMED, False
+            self.state = ReleaseState.ARMED
 
     def _watch(self, time: float, phi: float) -> None:
         """Decide whether an armed pendulum falls or is held."""

@@ -1,24 +1,23 @@
 """Request for a run on a rig: policy, rig and options, and what follows from them."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import inf, radians
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.control.control_step import ControllerParams, horizon, make_controller_params
+from equipoise.control.control_step import horizon, make_controller_params
 from equipoise.control.policy import Policy, TaskPolicy, shipped_policy
 from equipoise.errors import InputError
 from equipoise.logs.conditions import RunConditions, named
 from equipoise.model.actuator import Actuator
-from equipoise.model.worlds import pivot_friction, read_world
 from equipoise.rig.checks import fitting_actuators
 from equipoise.rig.config import RigSettings
-from equipoise.rig.connection import Rig, connect, world_of
+from equipoise.rig.connection import Rig, connect
 from equipoise.rig.phases.context import ArmResponse, Excitation, RunParts
 from equipoise.rig.run_controller import PHASES
-from equipoise.safety.rules import SafetyParams, make_safety_params
+from equipoise.safety.rules import make_safety_params
 from equipoise.worlds.twin.excitation import excitation
 
 Array = npt.NDArray[np.float64]
@@ -50,52 +49,50 @@ class RunRequest:
     """Further actuators: with any, the run selects one of all from the move of the self-test."""
     identify: Callable[[Array, Array], Actuator] | None = None
     """Identification of the arm from an excitation before the lift, such as
+<<<<<<< HEAD
     `equipoise.identification.actuator.identify_actuator`; None without one."""
     anyway: bool = False
     """Whether a policy also runs that does not fit the identified arm."""
+=======
+    `equipoise.identification.actuator.identify_actuator`; None without one."""
+>>>>>>> main
 
-    def controller(self, counts_per_rev: int) -> ControllerParams:
-        """Return the constants of the control step on the rig.
+    def response(
+        self, actuator: Actuator, counts_per_rev: int, max_speed: float = inf
+    ) -> ArmResponse:
+        """Return an actuator, the constants of the control step with it, and the safety limits.
+
+        Args:
+            actuator: The actuator.
+            counts_per_rev: Counts per revolution that the rig's encoder reports.
+            max_speed: Flange speed limit from the pre-flight [m/s].
 
         Raises:
             ArmError: Home is a singular posture.
             SettingsError: The delay exceeds the controller's history.
         """
-        policy, plant = self.policy, self.policy.settings.plant
-        return make_controller_params(
-            self.settings.described_arm,
+        rig, policy, plant = self.settings, self.policy, self.policy.settings.plant
+        arm = rig.described_arm
+        params = make_controller_params(
+            arm,
             policy.settings,
-            self.actuator,
+            actuator,
             policy.pendulum.parameters(linearised=plant.linearised),
             h=policy.h,
             counts_per_rev=counts_per_rev,
         )
-
-    def guard(self, counts_per_rev: int, max_speed: float = inf) -> SafetyParams:
-        """Return the safety parameters of the rig.
-
-        Args:
-            counts_per_rev: Counts per revolution that its encoder reports.
-            max_speed: Flange speed limit from the pre-flight [m/s].
-        """
-        arm = self.settings.described_arm
-        return make_safety_params(
+        safety = make_safety_params(
             arm,
-            reaction=horizon(arm, self.actuator, 0.0),
-            u_max=self.policy.u_max,
-            h=self.policy.h,
+            reaction=horizon(arm, actuator, 0.0),
+            u_max=policy.u_max,
+            h=policy.h,
             counts_per_rev=counts_per_rev,
             speed=max_speed,
-            margin=radians(self.settings.position_margin_deg),
-            speed_share=self.settings.speed_share,
-            torque_share=self.settings.torque_share,
+            margin=radians(rig.position_margin_deg),
+            speed_share=rig.speed_share,
+            torque_share=rig.torque_share,
         )
-
-    def response(self, actuator: Actuator, counts_per_rev: int, max_speed: float) -> ArmResponse:
-        """Return the response of the arm with an actuator; further arguments as of `guard`."""
-        one = replace(self, actuator=actuator)
-        parts = one.controller(counts_per_rev), one.guard(counts_per_rev, max_speed)
-        return ArmResponse(actuator, *parts)
+        return ArmResponse(actuator, params, safety)
 
     def parts(
         self,
@@ -126,7 +123,7 @@ class RunRequest:
 
             def respond(actuator: Actuator) -> tuple[ArmResponse, str]:
                 text = describe_fit(self.policy, actuator)
-                if not (fitting_actuators(self.policy, actuator) or self.anyway):
+                if not fitting_actuators(self.policy, actuator):
                     raise InputError(text)
                 return self.response(actuator, counts_per_rev, max_speed), text
 
@@ -148,11 +145,8 @@ class RunRequest:
         Raises:
             SettingsError: The twin is unknown.
         """
-        policy, world = self.policy, world_of(self.robot)
+        policy = self.policy
         plant = policy.settings.plant
-        friction = None
-        if world is not None:
-            friction = pivot_friction(policy.pendulum, read_world(world).settings)
         return RunConditions(
             policy=policy.digest,
             policy_name=policy.name,
@@ -160,14 +154,12 @@ class RunRequest:
             arm=self.settings.described_arm,
             pendulum=named(policy.pendulum.parameters(linearised=plant.linearised)),
             pendulum_digest=policy.pendulum.digest,
-            friction=friction and friction.model_dump(mode="json"),
             h=policy.h,
             duration=self.duration,
             seed=self.seed,
             actuator=self.actuator.digest,
             alternatives=tuple(each.digest for each in self.alternatives),
             identifies=self.identify is not None,
-            anyway=self.anyway,
             counts_per_rev=self.settings.counts_per_rev,
             settings=policy.settings,
             u_max=policy.u_max,
@@ -206,7 +198,7 @@ def describe_fit(policy: TaskPolicy, actuator: Actuator) -> str:
         policy: The policy of the run.
         actuator: The identified actuator.
     """
-    text, fits = f"The arm: {actuator.intervals}.", fitting_actuators(policy, actuator)
+    text, fits = f"The arm: {actuator.summary}.", fitting_actuators(policy, actuator)
     if fits:
         return f"{text} It fits actuator {fits[0] + 1} of the policy's {len(policy.actuators)}."
     cure = "train one with equipoise train --actuator and the actuator of this run"

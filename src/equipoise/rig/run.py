@@ -11,10 +11,7 @@ from math import inf, nan
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-import numpy.typing as npt
-
-from equipoise.control.policy import Policy, tick_policy
+from equipoise.control.policy import tick_policy
 from equipoise.control.ticks import Job, OperatorMessage
 from equipoise.errors import EquipoiseError, LinkError, OutsideError
 from equipoise.logs.conditions import RunEnd
@@ -28,7 +25,6 @@ from equipoise.rig.connection import Rig
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import Clock, Operator
 from equipoise.rig.loop import LoopResult, run_inline, run_loop
-from equipoise.rig.phases.balancing import POLICY_TIME_SHARE
 from equipoise.rig.preflight import preflight
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
@@ -120,7 +116,6 @@ def run_on_rig(
     submit: Callable[[Job], "Future[Any]"] = run_inline,
     idle: Callable[[], None] = lambda: None,
     wrap: Callable[[RunController], RunController] = lambda controller: controller,
-    supervise: Callable[[Policy, float], Policy] = lambda policy, _: policy,
 ) -> RunEnd:
     """Connect a rig, run a policy on it, bring the arm to rest, and disconnect the rig.
 
@@ -133,14 +128,13 @@ def run_on_rig(
         submit: Starts a long job (default: inline).
         idle: Called in each tick, e.g. to drain the rings.
         wrap: Wraps the controller; tests inject faults there.
-        supervise: Wraps a policy without a kernel with a limit of its computing time [s].
 
     Raises:
         InputError: The policy does not fit the rig.
         OutsideError: A device fails.
     """
-    period = request.policy.h / 2.0
-    robot = GuardedRobot(rig.robot, request.guard(request.settings.counts_per_rev).limits, period)
+    response = request.response(request.actuator, request.settings.counts_per_rev)
+    robot = GuardedRobot(rig.robot, response.safety.limits, request.policy.h / 2.0)
 
     def check_links() -> None:
         """Request the joints, and drop the encoder's samples; each raises where its link failed."""
@@ -178,8 +172,6 @@ def run_on_rig(
             return _unmoved(Outcome.OPERATOR, typed=printable(said))
         counts_per_rev = rig.sensor.counts_per_rev
         policy, kernel = tick_policy(request.policy), request.policy.kernel
-        if kernel is None:
-            policy = supervise(policy, POLICY_TIME_SHARE * request.policy.h)
         rig.sensor.samples()
         robot.start()
         began = rig.clock.now()
@@ -201,7 +193,6 @@ def run_on_rig(
             wrap(controller),
             recorder,
             operator,
-            max_duration=600.0 + request.duration,  # [s]: the phases before the balancing
             submit=submit,
             idle=idle,
         )
@@ -236,22 +227,12 @@ def run_end(controller: RunController, ending: LoopResult, max_speed: float = in
         max_speed=max_speed if max_speed < inf else None,
         identified=controller.identified,
         missed=ending.missed,
-        late=_percentiles(ending.late),
-        compute=_percentiles(ending.compute),
     )
 
 
 def log_warning(problem: str) -> OperatorMessage:
     """Return the message that a log is incomplete, with the problem of its writer."""
     return OperatorMessage("warning", f"the log is incomplete: {problem}")
-
-
-def _percentiles(times: npt.NDArray[np.float64]) -> dict[str, float]:
-    """Return p50, p99, p99.9 and maximum of times [s]; empty without any."""
-    if not len(times):
-        return {}
-    p50, p99, p999 = np.percentile(times, (50.0, 99.0, 99.9)).tolist()
-    return {"p50": p50, "p99": p99, "p99.9": p999, "max": float(times.max())}
 
 
 def run_virtually(

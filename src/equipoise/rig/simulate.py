@@ -30,12 +30,11 @@ from equipoise.model.worlds import (
     TwinSettings,
     World,
     pendulum_on,
-    pivot_friction,
     read_world,
 )
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import Settings
-from equipoise.worlds import Recorder, find_world, run_trial, setup_of, simulate
+from equipoise.worlds import Recorder, run_trial, setup_of, simulate
 
 Array = npt.NDArray[np.float64]
 
@@ -70,10 +69,9 @@ def simulate_run(
     setup = setup_of(policy, world, settings, actuator)
     pendulum, arm, settings, h = setup.pendulum, setup.arm, setup.settings, setup.h
     duration = settings.evaluation.duration if duration is None else duration
-    name, twin = find_world(world)
     simulation = simulate(world, setup, seed=seed, stream=DEPLOYMENT)
     trial, loop = simulation.draw(1).trial(0), simulation.loop()
-    recorder = Recorder(len(arm.joints), round(duration / h))
+    recorder, twin = Recorder(), simulation.twin
     _, cause, _ = run_trial(loop, policy, trial, duration, recorder)
     rows = recorder.rows
     used = setup.actuators[loop.chosen]
@@ -99,7 +97,7 @@ def simulate_run(
             policy=policy.digest,
             policy_name=policy.name,
             pendulum_digest=pendulum.digest,
-            world=name,
+            world=simulation.name,
             start=trial.start,
             h=h,
             duration=duration,
@@ -107,7 +105,7 @@ def simulate_run(
             actuator=IDEAL if used.kind == "ideal" else used.digest,
             zero_error=loop.zero,
             pendulum=named(loop.pendulum),
-            **_twin_conditions(pendulum, twin),
+            **_twin_conditions(twin),
         ),
         RunEnd(outcome=TRIAL_OUTCOMES[cause], evidence=evidence, lasted=round(len(time) * h, 9)),
         {
@@ -175,7 +173,7 @@ def excite(
             actuator="",
             pendulum=named(parameters),
             pendulum_digest=pendulum.digest,
-            **_twin_conditions(pendulum, twin.settings),
+            **_twin_conditions(twin.settings),
         ),
         RunEnd(outcome=Outcome.EXCITED),
         {},
@@ -185,12 +183,11 @@ def excite(
     )
 
 
-def _twin_conditions(pendulum: Pendulum, twin: TwinSettings | None) -> dict[str, Any]:
+def _twin_conditions(twin: TwinSettings | None) -> dict[str, Any]:
     """Return the conditions of a run that a twin adds."""
     return {
         "counts_per_rev": twin and twin.counts_per_rev,
         "world_settings": twin and twin.model_dump(),
-        "friction": twin and pivot_friction(pendulum, twin).model_dump(),
     }
 
 

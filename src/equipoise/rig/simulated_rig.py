@@ -1,9 +1,8 @@
 """Simulated rig: the twin with an operator's hand and button, in time.
 
-On it an emulated cabinet and an emulated encoder board run, or robot and encoder in process
-(`equipoise.robots.twin`). Virtual time drives it by `clock.attach(bench.advance)`, real time
-by calls of `advance` with the time: the rig catches up in whole milliseconds. Equal seeds and equal
-acts at equal times give equal motion.
+On it an emulated cabinet and an emulated encoder board run. Virtual time drives it by
+`clock.attach(bench.advance)`, real time by calls of `advance` with the time: the rig catches up in
+whole milliseconds. Equal seeds and equal acts at equal times give equal motion.
 
 Each fault of the bodies is a method: `push`, `touch`, `slip`, and `stop` of the arm.
 """

@@ -106,17 +106,16 @@ TILT_LIMIT: Final = radians(2.0)
 
 NO_VIOLATION: Final = -1
 """Code for no broken rule."""
-FOLLOWING_CODE: Final = SAFETY_RULES.index(Outcome.FOLLOWING)
-POSITION_CODE: Final = SAFETY_RULES.index(Outcome.POSITION)
-JUMP_CODE: Final = SAFETY_RULES.index(Outcome.JUMP)
-VELOCITY_CODE: Final = SAFETY_RULES.index(Outcome.VELOCITY)
-ACCELERATION_CODE: Final = SAFETY_RULES.index(Outcome.ACCELERATION)
-SINGULAR_CODE: Final = SAFETY_RULES.index(Outcome.SINGULAR)
-TRACK_CODE: Final = SAFETY_RULES.index(Outcome.TRACK)
-SPEED_CODE: Final = SAFETY_RULES.index(Outcome.SPEED)
-DRIFT_CODE: Final = SAFETY_RULES.index(Outcome.DRIFT)
-TILT_CODE: Final = SAFETY_RULES.index(Outcome.TILT)
-ANGLE_CODE: Final = SAFETY_RULES.index(Outcome.ANGLE)
+# Codes of the rules of a setpoint, of the flange, and of the whole run, as kernels return them.
+POSITION_CODE, JUMP_CODE, VELOCITY_CODE, ACCELERATION_CODE = map(
+    SAFETY_RULES.index,
+    (Outcome.POSITION, Outcome.JUMP, Outcome.VELOCITY, Outcome.ACCELERATION),
+)
+SINGULAR_CODE, TRACK_CODE, SPEED_CODE, DRIFT_CODE, TILT_CODE = map(
+    SAFETY_RULES.index,
+    (Outcome.SINGULAR, Outcome.TRACK, Outcome.SPEED, Outcome.DRIFT, Outcome.TILT),
+)
+FOLLOWING_CODE, ANGLE_CODE = map(SAFETY_RULES.index, (Outcome.FOLLOWING, Outcome.ANGLE))
 
 FROM_MEASURED: Final = frozenset(
     {Outcome.NOT_FOLLOWING, Outcome.FOLLOWING, Outcome.TORQUE, Outcome.FIRST}

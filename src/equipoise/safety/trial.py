@@ -34,11 +34,6 @@ Array = npt.NDArray[np.float64]
 
 SETPOINT_HISTORY: Final = 64
 """Number of setpoints in memory: 0.32 s, more than delay and age of a reply together."""
-AT_REST_SETPOINTS: Final = 2
-"""Number of equal setpoints of an arm at rest."""
-_NONE: Final = (0.0,) * FREE_JOINTS
-NO_SAFETY: Final = SafetyParams(Limits(_NONE, _NONE, _NONE, _NONE), _NONE, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""Placeholder where no rule applies."""
 
 
 class TrialSafetyMonitor(NamedTuple):
@@ -92,10 +87,11 @@ def trial_safety(
 
 def new_trial_monitor(arm: Arm, params: SafetyParams | None) -> TrialSafetyMonitor:
     """Return the monitor of a trial before its start; without `params` no rule applies."""
-    active, rules = params is not None, params or NO_SAFETY
-    if active:
-        limits = Limits(*(arm.without_held(row) for row in rules.limits))
-        rules = rules._replace(limits=limits, torque=arm.without_held(rules.torque))
+    active, none = params is not None, (0.0,) * len(arm.joints)
+    # Where no rule applies, the limits are placeholders.
+    rules = params or SafetyParams(Limits(none, none, none, none), none, 0.0, 0.0, 0.0, 0.0, 0.0)
+    limits = Limits(*(arm.without_held(row) for row in rules.limits))
+    rules = rules._replace(limits=limits, torque=arm.without_held(rules.torque))
     size, number, error_time = SETPOINT_HISTORY, np.zeros(1, np.int64), np.zeros(1)
     sent, setpoints = np.zeros(size), np.zeros((size, FREE_JOINTS))
     still, frame = np.zeros(FREE_JOINTS * BATCH_SIZE), np.zeros(FRAME_SIZE * BATCH_SIZE)
@@ -106,11 +102,11 @@ def new_trial_monitor(arm: Arm, params: SafetyParams | None) -> TrialSafetyMonit
 def reset_trial_monitor(monitor: TrialSafetyMonitor, q: Array) -> None:
     """Begin with an arm that rests at the free joints `q` [rad], shape (6,)."""
     # Rules need the last two setpoints; earlier ones do not matter.
-    for row in range(AT_REST_SETPOINTS):
+    for row in range(2):
         monitor.sent[row] = -inf
         for i in range(FREE_JOINTS):
             monitor.setpoints[row, i] = q[i]
-    monitor.number[0] = AT_REST_SETPOINTS
+    monitor.number[0] = 2
     monitor.error_time[0] = 0.0
 
 

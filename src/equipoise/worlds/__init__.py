@@ -12,7 +12,7 @@ from equipoise.artefacts import quoted
 from equipoise.control.policy import TaskPolicy
 from equipoise.errors import SettingsError
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
-from equipoise.model.worlds import PREFIX, TwinSettings, World
+from equipoise.model.worlds import PREFIX, World
 from equipoise.settings import Settings
 from equipoise.user_code import guest_code, load_object
 from equipoise.worlds.external import ExternalLoop
@@ -38,12 +38,11 @@ __all__ = [
     "Trial",
     "TrialRecord",
     "Trials",
-    "find_world",
-    "has_ideal_arm",
     "predicted",
     "run_trial",
     "setup_of",
     "simulate",
+    "world_class",
 ]
 
 GROUP: Final = "equipoise.worlds"
@@ -74,21 +73,6 @@ def world_class(world: str | World) -> type[Simulation]:
     return found
 
 
-def find_world(world: str | World) -> tuple[str, TwinSettings | None]:
-    """Return the name of a world, and the numbers of its digital twin; `None` without one.
-
-    Raises:
-        InputError: The class of the world cannot be imported.
-        SettingsError: The world does not exist.
-    """
-    return world if isinstance(world, World) else world_class(world).find(world)
-
-
-def has_ideal_arm(world: str | World) -> bool:
-    """Return whether the arm of a world has no delay, and its state is known exactly."""
-    return world_class(world).ideal_arm
-
-
 def setup_of(
     policy: TaskPolicy,
     world: str | World,
@@ -100,7 +84,7 @@ def setup_of(
     In a world with an ideal arm, such as `ideal`, the arm has no delay, also with a given actuator.
     """
     carried = policy.actuators if actuator is None else (actuator,)
-    responses = (IDEAL_ACTUATOR,) if has_ideal_arm(world) else carried
+    responses = (IDEAL_ACTUATOR,) if world_class(world).ideal_arm else carried
     return Setup(policy.pendulum, policy.arm, settings or policy.settings, responses, policy.h)
 
 

@@ -20,10 +20,10 @@ from equipoise.control.baselines import baselines
 from equipoise.control.policy import MAX_ACTUATORS, PolicyKernel, TaskPolicy
 from equipoise.model.actuator import Actuator
 from equipoise.model.random import TEST
-from equipoise.model.worlds import MODEL, PivotFriction, TwinSettings, World, pivot_friction
+from equipoise.model.worlds import MODEL, TwinSettings, World
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
-from equipoise.worlds import Trials, find_world, setup_of, simulate
+from equipoise.worlds import Trials, setup_of, simulate
 
 CONFIDENCE = 0.95
 """Confidence of all reported intervals [-]."""
@@ -124,9 +124,6 @@ class Evaluation(Artefact):
     selects one from the move of the self-test before its release."""
     pendulum: Name
     """Digest of the pendulum that the trials vary."""
-    friction: PivotFriction | None = None
-    """Dry friction and drag of that pendulum in the twin; `None` on a plant, where they are the
-    pendulum's own."""
     settings: Settings
     """Resolved settings: starts, noise, number and length of the trials."""
     seed: Seed
@@ -189,7 +186,6 @@ def evaluate(
     """
     setup = setup_of(policy, world, settings, actuator)
     pendulum, arm, settings, h = setup.pendulum, setup.arm, setup.settings, setup.h
-    place, numbers = find_world(world)
     simulation = simulate(world, setup, seed=seed, stream=TEST)
     count, span = settings.evaluation.trials, settings.evaluation.duration
 
@@ -209,13 +205,12 @@ def evaluate(
     others = baselines(nominal, h) if with_baselines else {}
     return Evaluation(
         policy=policy.digest,
-        world=place,
-        world_settings=numbers,
+        world=simulation.name,
+        world_settings=simulation.twin,
         arm=arm.name,
         arm_digest=arm.digest,
         actuators=tuple(each.digest for each in setup.actuators),
         pendulum=pendulum.digest,
-        friction=None if numbers is None else pivot_friction(pendulum, numbers),
         settings=settings,
         seed=seed,
         results=run(policy.name, policy),

@@ -1,7 +1,5 @@
 """Text for numbers of trials and runs."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from equipoise.outcomes import Outcome
@@ -15,13 +13,6 @@ def format_end(outcome: Outcome) -> str:
         Outcome.TRACK: "left the track",
         Outcome.JOINT_LIMIT: "met a joint limit",
     }.get(outcome, f"ended by {outcome}")
-
-
-def format_failures(outcomes: Mapping[Outcome, int]) -> str:
-    """Return the numbers of failed trials by outcome as text."""
-    lasted = Outcome.LASTED
-    failed = [f"{n} {format_end(outcome)}" for outcome, n in outcomes.items() if outcome != lasted]
-    return ", ".join(sorted(failed)) or "none failed"
 
 
 def percent(share: float) -> str:

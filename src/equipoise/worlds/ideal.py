@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from equipoise.artefacts import quoted
 from equipoise.control.control_step import OBS_PHI, OBS_PHI_DOT, OBS_X, OBS_X_DOT
 from equipoise.control.grid import TRUNCATED
 from equipoise.control.policy import RANDOM, TABLE, PolicyKernel, act, table_action
@@ -18,7 +17,7 @@ from equipoise.jit import kernel, struct_ref
 from equipoise.model.elementary import BATCH_SIZE, at
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import philox, uniform
-from equipoise.model.worlds import IDEAL, MODEL, TwinSettings, World
+from equipoise.model.worlds import IDEAL, MODEL, World
 from equipoise.worlds.interface import Array, ClosedLoop, Setup, Simulation
 from equipoise.worlds.plant import (
     TRACKED,
@@ -78,20 +77,15 @@ class PlantSimulation(Simulation):
     BATCH: ClassVar[int] = BATCH_SIZE
     PIECE: ClassVar[int] = 4 * BATCH_SIZE
 
-    @classmethod
-    def find(cls, name: str) -> tuple[str, TwinSettings | None]:
-        """Return the name of a world; see `Simulation.find`."""
-        if name not in (IDEAL, MODEL):
-            raise SettingsError(f"there is no world {quoted(name)}; choose {IDEAL} or {MODEL}")
-        return name, None
-
     def __init__(self, world: str | World, setup: Setup, *, seed: int, stream: int) -> None:
         """Set up the plant, with the first one of several actuators; see `Simulation`.
 
         Raises:
             ArmError: Home is a singular posture.
-            SettingsError: The delay exceeds the controller's history.
+            SettingsError: The world does not exist, or the delay exceeds the controller's history.
         """
+        if world not in (IDEAL, MODEL):
+            raise SettingsError(f"there is no world {world}; choose {IDEAL} or {MODEL}")
         super().__init__(world, setup, seed=seed, stream=stream)
         arm, settings = setup.arm, setup.settings
         self.params = make_loop_params(arm, settings, setup.h, self.pendulum, setup.actuator)

@@ -15,15 +15,12 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.control.control_step import (
-    ControllerParams,
-    ControllerState,
-)
+from equipoise.control.control_step import ControllerParams, ControllerState
 from equipoise.control.grid import TRUNCATED
 from equipoise.control.policy import KernelPolicy, Policy, PolicyKernel, TaskPolicy
 from equipoise.executors import completed
 from equipoise.model.actuator import Actuator
-from equipoise.model.arms.arm import FREE_JOINTS, Arm
+from equipoise.model.arms.arm import Arm
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import TwinSettings, World
@@ -131,17 +128,8 @@ class Simulation(ABC):
     """Maximum number of compiled trials that a thread takes at a time, a multiple of `BATCH`; 0 for
     a world whose trials run from Python."""
 
-    @classmethod
-    def find(cls, name: str) -> tuple[str, TwinSettings | None]:
-        """Return the name of a world in results, and the numbers of its twin; `None` without one.
-
-        Raises:
-            SettingsError: The world does not exist.
-        """
-        return name, None
-
     def __init__(self, world: str | World, setup: Setup, *, seed: int, stream: int) -> None:
-        """Set up a world.
+        """Set up a world; a subclass may raise `SettingsError` for a name.
 
         Args:
             world: Name of the world, or a twin with its numbers.
@@ -150,6 +138,10 @@ class Simulation(ABC):
             stream: Purpose of the trials: each has random numbers of its own.
         """
         self.world, self.setup, self.seed, self.stream = world, setup, seed, stream
+        self.name = world.name if isinstance(world, World) else world
+        """Name of the world in results."""
+        self.twin: TwinSettings | None = None
+        """Numbers of the digital twin; None without one."""
         linearised = setup.settings.plant.linearised
         self.pendulum = setup.pendulum.parameters(linearised=linearised)
         """Nominal parameters, which the trials vary."""
@@ -237,10 +229,10 @@ def run_trial(
     while steps < max_steps and cause == TRUNCATED:
         u = float(policy.act(predicted(loop)))
         if record is not None:
-            record.before(loop, steps, u)
+            record.before(loop, u)
         cause = loop.step(u)
         if record is not None:
-            record.after(loop, steps)
+            record.after(loop)
         steps += 1
         sum_x2 += float(loop.state()[0]) ** 2
     return steps, cause, sum_x2
@@ -276,38 +268,28 @@ class TrialRecord(NamedTuple):
 class Recorder:
     """Recorder of a `TrialRecord`."""
 
-    def __init__(self, joints: int, max_steps: int) -> None:
-        """Allocate the rows of a trial.
+    def __init__(self) -> None:
+        """Start without ticks."""
+        self._before: tuple[Any, ...] = ()
+        self._rows: list[tuple[Any, ...]] = []
 
-        Args:
-            joints: Number of joints of the arm.
-            max_steps: Maximum number of steps of the trial.
-        """
-        widths = (4, 0, 3, 4, joints, 2, FREE_JOINTS + 1, 2 * FREE_JOINTS, FREE_JOINTS, FREE_JOINTS)
-        shapes = [(max_steps, width) if width else max_steps for width in (*widths, 0)]
-        self._rows, self._ticks = TrialRecord(*map(np.zeros, shapes)), 0
+    def before(self, loop: ClosedLoop, u: float) -> None:
+        """Record the state and the measurements at a tick, and the u that the policy commands."""
+        state, measured = loop.state(), loop.measurement()
+        estimate, encoder, joints = np.append(state[2:], 0.0), (nan, nan), np.full(7, nan)
+        if measured is not None:
+            estimate = loop.controller.estimate[: 3 * BATCH_SIZE : BATCH_SIZE].copy()
+            encoder = measured.counts, measured.counted_at
+            joints = np.append(measured.q, measured.measured_at)
+        self._before = predicted(loop), u, estimate, state, loop.joints(), encoder, joints
 
-    def before(self, loop: ClosedLoop, tick: int, u: float) -> None:
-        """Write the state and the measurements at a tick, and the u that the policy commands."""
-        rows, state = self._rows, loop.state()
-        rows.observation[tick], rows.u[tick], rows.state[tick] = predicted(loop), u, state
-        rows.joints[tick] = loop.joints()
-        rows.estimate[tick, :2] = state[2:]
-        rows.encoder[tick] = rows.measured[tick] = nan
-        if (measured := loop.measurement()) is not None:
-            rows.estimate[tick] = loop.controller.estimate[: 3 * BATCH_SIZE : BATCH_SIZE]
-            rows.encoder[tick] = measured.counts, measured.counted_at
-            rows.measured[tick] = *measured.q, measured.measured_at
-
-    def after(self, loop: ClosedLoop, tick: int) -> None:
-        """Write the commands and the tracked acceleration of a tick."""
-        rows, controller = self._rows, loop.controller
-        rows.setpoints[tick] = controller.setpoints[::BATCH_SIZE]
-        rows.q[tick], rows.dq[tick] = controller.q[::BATCH_SIZE], controller.dq[::BATCH_SIZE]
-        rows.tracked[tick] = loop.tracked
-        self._ticks = tick + 1
+    def after(self, loop: ClosedLoop) -> None:
+        """Record the commands and the tracked acceleration of a tick."""
+        c = loop.controller
+        commands = (block[::BATCH_SIZE].copy() for block in (c.setpoints, c.q, c.dq))
+        self._rows.append((*self._before, *commands, loop.tracked))
 
     @property
     def rows(self) -> TrialRecord:
-        """Record up to the latest tick."""
-        return TrialRecord(*(column[: self._ticks] for column in self._rows))
+        """Record up to the latest tick; at least one tick has passed."""
+        return TrialRecord(*map(np.array, zip(*self._rows, strict=True)))

@@ -26,16 +26,16 @@ def swinging(time):
     return 1.2 * sin(8.4 * time)
 
 
-@pytest.mark.parametrize("drift", [0.0, 1e-4, -1e-4, 9e-4, -9e-4])
-@pytest.mark.parametrize("offset_us", [0, 2**32 - 2_000_000])
-def test_each_sample_is_the_angle_at_its_time(drift, offset_us):
-    bench = Bench(drift=drift, offset_us=offset_us)
+@pytest.mark.parametrize("drift", [0.0, 9e-4, -9e-4])
+def test_each_sample_is_the_angle_at_its_time(drift):
+    # The clock of the board wraps after two seconds.
+    bench = Bench(drift=drift, offset_us=2**32 - 2_000_000)
     bench.motion = swinging
     bench.sensor.connect()
-    samples = bench.run(10.0)
+    samples = bench.run(5.0)
     time = np.array([sample.time for sample in samples])
     counts = np.array([sample.counts for sample in samples])
-    assert len(samples) == pytest.approx(10_000, abs=20)
+    assert len(samples) == pytest.approx(5_000, abs=15)
     assert np.all(np.diff(time) > 0.8e-3)
     # A line takes 1 ms, which nobody can see from one end; looks are 5 ms apart.
     theta = np.array([swinging(t - 0.001) for t in time])
@@ -43,39 +43,29 @@ def test_each_sample_is_the_angle_at_its_time(drift, offset_us):
     assert all(sample.missing == 0 and not sample.illegal for sample in samples)
 
 
-def test_counts_and_sequence_wrap_unnoticed():
-    bench = Bench()
-    shift = 2**31 - 50
-    state = {}
+def test_counts_and_sequence_wrap_unnoticed_and_the_sign_makes_counts_grow():
+    bench = Bench(sign=-1, sensor_sign=-1)
+    seen = []
 
     def shifted(data):
-        lines = []
-        for line in data.split(b"\n")[:-1]:
-            said = decode(line)
+        lines = [decode(line) for line in data.split(b"\n")[:-1]]
+        for i, said in enumerate(lines):
             if isinstance(said, Reading):
-                counts = (said.counts + shift + 2**31) % 2**32 - 2**31
-                said = said._replace(counts=counts, seq=(said.seq + 65_000) % 65_536)
-                state["last"] = said
-            lines.append(encode(said))
-        return b"".join(lines)
+                counts = (said.counts + 50) % 2**32 - 2**31
+                lines[i] = said._replace(counts=counts, seq=(said.seq + 65_000) % 65_536)
+                seen.append(counts)
+        return b"".join(map(encode, lines))
 
     bench.garble = shifted
-    bench.motion = lambda time: max(0.0, time - 0.3) * 1.0
+    bench.motion = lambda time: max(0.0, time - 0.3)
     bench.sensor.connect()
     samples = bench.run(2.0)
-    assert state["last"].counts < 0
-    assert np.all(np.diff([sample.counts for sample in samples]) >= 0)
-    assert samples[-1].counts > 2**31
+    assert seen[0] < 0 < seen[-1]
+    counts = [sample.counts for sample in samples]
+    assert np.all(np.diff(counts) >= 0)
+    turned = samples[-1].time - 0.3
+    assert counts[-1] - counts[0] == pytest.approx(turned / RESOLUTION, abs=5)
     assert sum(sample.missing for sample in samples) == bench.sensor.rejected == 0
-
-
-def test_the_sign_makes_counts_grow_with_theta():
-    for board, host in ((1, 1), (-1, -1)):
-        bench = Bench(sign=board, sensor_sign=host)
-        bench.motion = lambda time: time
-        bench.sensor.connect()
-        samples = bench.run(1.0)
-        assert samples[-1].counts - samples[0].counts == pytest.approx(8192 / (2 * pi), rel=0.02)
 
 
 def test_button_and_illegal_transitions_are_told_once(bench):
@@ -94,32 +84,17 @@ def test_a_board_of_other_counts_is_refused():
         Bench(expected=4096).sensor.connect()
 
 
-def test_a_board_that_boots_when_its_port_is_opened_is_waited_for():
-    bench = Bench()
-    opened = bench.open
-
-    def resetting():
-        bench.board.reboot()
-        return opened()
-
-    bench.sensor._open = resetting
-    bench.sensor.connect()
-    assert len(bench.run(0.1)) == pytest.approx(100, abs=8)
-
-
-def test_a_board_that_restarts_while_connecting_is_timed_again():
+@pytest.mark.parametrize("restart", [0.0, 0.4])
+def test_a_board_that_restarts_while_connecting_is_timed_again(restart):
+    # At once, since its port is opened; or later.
     bench = Bench()
     bench.clock.wait_until(1.0)
-    restart = [1.1]
-
-    def work(now):
-        if restart and now > restart[0]:
-            restart.clear()
-            bench.board.reboot()
-
-    bench.clock.attach(work)
+    bench.clock.attach(
+        lambda now: bench.board.reboot() if abs(now - 1.001 - restart) < 1e-4 else None
+    )
     bench.sensor.connect()
     samples = bench.run(0.1)
+    assert len(samples) == pytest.approx(100, abs=8)
     assert abs(samples[-1].time - bench.clock.now()) < 0.01
 
 
@@ -128,31 +103,27 @@ def failing(bench, saying, within=1.0):
     began = bench.clock.now()
     with pytest.raises(LinkError, match=saying) as first:
         bench.run(within)
-    took = bench.clock.now() - began
-    for _ in range(3):
-        with pytest.raises(LinkError) as again:
-            bench.sensor.samples()
-        assert str(again.value) == str(first.value)
-    return took
+    with pytest.raises(LinkError) as again:
+        bench.sensor.samples()
+    assert str(again.value) == str(first.value)
+    return bench.clock.now() - began
 
 
-def test_an_unplugged_board_is_an_error_that_stays(bench):
-    bench.unplug()
-    assert failing(bench, "is gone: the other end has closed") < 0.02
-
-
-def test_a_board_that_falls_silent_is_an_error(bench):
-    bench.board.silent = True
-    assert failing(bench, "sent no valid line") == pytest.approx(0.5, abs=0.02)
-
-
-def test_a_restart_is_an_error(bench):
+@pytest.mark.parametrize(
+    ("fail", "saying", "within"),
+    [
+        (lambda bench: bench.unplug(), "is gone: the other end has closed", 0.02),
+        (lambda bench: setattr(bench.board, "silent", True), "sent no valid line", 0.52),
+        (lambda bench: bench.board.reboot(), "its zero is void", 0.33),
+    ],
+)
+def test_a_board_that_fails_is_an_error_that_stays(bench, fail, saying, within):
     bench.run(1.5)
-    bench.board.reboot()
-    assert failing(bench, "its zero is void") < 0.33
+    fail(bench)
+    assert failing(bench, saying) < within
 
 
-@pytest.mark.parametrize("counts", [60, -60, 150, 1000, -4096, 2**28])
+@pytest.mark.parametrize("counts", [60, -150, 2**28])
 @pytest.mark.parametrize("turning", [False, True])
 def test_a_jump_of_the_count_is_an_error(bench, counts, turning):
     if turning:
@@ -162,42 +133,41 @@ def test_a_jump_of_the_count_is_an_error(bench, counts, turning):
         counts *= 4
     bench.board.jump(counts)
     assert failing(bench, "jumped") < 0.02
-    assert bench.sensor._dropped == MAX_INCONSISTENT
-
-
-def forged(change, at=50):
-    """Let one line say something else, under a right checksum: what slips through the codec."""
-    seen = [0]
-
-    def garble(data):
-        said = decode(data[:-1])
-        seen[0] += isinstance(said, Reading)
-        return encode(change(said)) if seen[0] == at else data
-
-    return garble
+    assert bench.sensor.rejected == MAX_INCONSISTENT
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("field", "by"),
     [
-        lambda said: said._replace(seq=said.seq + 500, t_us=said.t_us + 500_000),
-        lambda said: said._replace(counts=said.counts + 60),
-        lambda said: said._replace(counts=-(2**31)),
-        lambda said: said._replace(seq=(said.seq + 1) % 65536),
-        lambda said: said._replace(seq=(said.seq - 1) % 65536),
-        lambda said: said._replace(seq=(said.seq + 30_000) % 65536),
-        lambda said: said._replace(t_us=(said.t_us + 1_000) % 2**32),
-        lambda said: said._replace(t_us=(said.t_us - 1_000) % 2**32),
-        lambda said: said._replace(t_us=(said.t_us + 10**9) % 2**32),
+        ("counts", 60),
+        ("counts", -(2**31)),
+        ("seq", 1),
+        ("seq", -1),
+        ("t_us", 1_000),
+        ("t_us", -1_000),
+        ("t_us", 10**9),
+        ("both", 500),
     ],
 )
-def test_a_wrong_line_with_a_right_checksum_is_dropped_alone(bench, change):
-    bench.garble = forged(change)
+def test_a_wrong_line_with_a_right_checksum_is_dropped_alone(bench, field, by):
+    """One line says something else under a right checksum: what slips through the codec."""
+    lines = [0]
+
+    def forged(data):
+        said = decode(data[:-1])
+        lines[0] += isinstance(said, Reading)
+        if lines[0] != 50:
+            return data
+        if field == "both":
+            return encode(said._replace(seq=said.seq + by, t_us=said.t_us + 1000 * by))
+        return encode(said._replace(**{field: getattr(said, field) + by}))
+
+    bench.garble = forged
     samples = bench.run(0.2)
     assert len(samples) == 199
     assert all(sample.counts == 0 for sample in samples)
     assert np.max(np.diff([sample.time for sample in samples])) < 2.2e-3
-    assert bench.sensor._dropped == 1
+    assert bench.sensor.rejected == 1
     assert [sample.missing for sample in samples if sample.missing] == [1]
 
 
@@ -206,14 +176,14 @@ def test_a_board_of_malformed_lines_gives_only_true_samples():
     bench.motion = swinging
     bench.sensor.connect()
     bench.board.malformed = 0.2
-    samples = bench.run(20.0)
-    assert bench.sensor.rejected > 2000
-    assert 14_000 < len(samples) < 16_000
+    samples = bench.run(10.0)
+    assert bench.sensor.rejected > 1000
+    assert 7_000 < len(samples) < 8_000
     for sample in samples:
         assert abs(sample.counts * RESOLUTION - swinging(sample.time - 0.001)) < 0.02
     # What is not given out is told as missing, the damaged lines at the very end apart.
     told = sum(sample.missing for sample in samples)
-    assert told + len(samples) == pytest.approx(20_000, abs=25)
+    assert told + len(samples) == pytest.approx(10_000, abs=20)
 
 
 def test_a_link_that_cannot_be_opened_says_why():

@@ -10,11 +10,11 @@ import pytest
 
 from equipoise.errors import InputError, LinkError
 from equipoise.rig.clocks import SystemClock
+from equipoise.robots.emulation import Terminal
 from equipoise.robots.encoder.board import Board
 from equipoise.robots.encoder.codec import Decoder
+from equipoise.robots.encoder.plugin import device_of, open_serial
 from equipoise.robots.encoder.sensor import LineEncoder
-from equipoise.robots.encoder.serial_port import device_of, open_serial
-from equipoise.robots.encoder.terminal import Terminal
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
 

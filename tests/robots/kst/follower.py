@@ -4,7 +4,7 @@ from math import exp, isnan
 
 from equipoise.rig.clocks import TICK, VirtualClock
 from equipoise.rig.transports import memory_pipe
-from equipoise.robots.kst.server_emulator import Faults, KstServer
+from equipoise.robots.kst.server_emulator import KstServer
 
 HOME = (0.0, 0.4364, 0.0, -1.3962, 0.0, 1.309, 0.0)
 LAG = 0.005
@@ -13,12 +13,10 @@ LAG = 0.005
 class Follower:
     """The simplest arm: each joint closes in on the target within LAG."""
 
-    def __init__(self, q=HOME):
-        self.q = list(q)
-        self.goal = list(q)
+    def __init__(self):
+        self.q, self.goal = list(HOME), list(HOME)
         self.targets = []
         self.running = False
-        self.frozen = False
         self.external = (0.5, -1.25, 1e-4, 0.0, 0.0, 0.0, 0.125)
 
     def measured(self):
@@ -26,9 +24,6 @@ class Follower:
 
     def torques(self, external):
         return self.external if external else (0.0, -12.5, 0.0, 8.25, 0.0, 0.5, 0.0)
-
-    def flange(self):
-        return (400.5, 0.0, 600.25, 3.0, 0.0, -3.0)
 
     def servo(self, running):
         self.running = running
@@ -39,7 +34,7 @@ class Follower:
         self.goal = list(q)
 
     def advance(self, now):
-        if self.running and not self.frozen:
+        if self.running:
             share = 1.0 - exp(-TICK / LAG)
             self.q = [
                 q + (0.0 if isnan(goal) else share * (goal - q))
@@ -50,23 +45,19 @@ class Follower:
 class Bench:
     """Follower, server and a pipe to it, in virtual time."""
 
-    def __init__(self, *, faults=Faults(), delay=0.0, q=HOME):  # noqa: B008
+    def __init__(self, *, delay=0.0):
         self.clock = VirtualClock()
-        self.body = Follower(q)
-        self.server = KstServer(self.body, faults=faults)
+        self.body = Follower()
+        self.server = KstServer(self.body)
         self.client, self.end = memory_pipe(self.clock, delay)
         self.heard, self.heard_at = b"", []
         self.clock.attach(self.body.advance)
         self.clock.attach(self.run)
 
     def run(self, now):
-        if self.server.closed:
-            self.server.advance(now)
-            self.end.close()
-            return
-        data = self.end.read()
-        self.heard += data
+        data = b"" if self.server.closed else self.end.read()
         if data:
+            self.heard += data
             self.heard_at.append((now, data))
         self.server.feed(data, now)
         for segment in self.server.advance(now):

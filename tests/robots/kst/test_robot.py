@@ -1,7 +1,6 @@
 """The driver against the emulated server, in virtual time."""
 
 import math
-from dataclasses import replace
 
 import pytest
 
@@ -14,13 +13,10 @@ from tests.robots.kst.follower import HOME, Bench
 class Rig(Bench):
     """A bench with the driver at its end, counting what is opened."""
 
-    def __init__(self, *, opens_after=0.0, **options):
+    def __init__(self, *, opens_after=0.0, attend=lambda: None, **options):
         super().__init__(**options)
         self.told, self.opened, self.tried, self.opens_after = [], 0, 0, opens_after
-        self.robot = KstRobot(
-            self.open, self.clock, notify=self.told.append, attend=lambda: self.attend()
-        )
-        self.attend = lambda: None
+        self.robot = KstRobot(self.open, self.clock, notify=self.told.append, attend=attend)
 
     def open(self):
         self.tried += 1
@@ -28,9 +24,6 @@ class Rig(Bench):
             raise LinkError("nobody listens")
         self.opened += 1
         return self.client
-
-    def fault(self, **faults):
-        self.server.faults = replace(self.server.faults, **faults)
 
     def stream(self, duration, q=HOME, period=0.005):
         """Send one setpoint in each period, and return the replies."""
@@ -62,27 +55,22 @@ def off(value):
 def latched(rig):
     """Whether nothing works any more, and nothing more is sent."""
     rig.wait(0.01)
-    heard = rig.heard
-    for call in (
-        rig.robot.measured,
-        rig.robot.start,
-        rig.robot.replies,
-        rig.robot.stop,
-        rig.robot.connect,
-        lambda: rig.robot.send(HOME),
-    ):
+    heard, robot = rig.heard, rig.robot
+    calls = (robot.measured, robot.start, robot.replies, robot.stop, robot.connect)
+    for call in (*calls, lambda: robot.send(HOME)):
         with pytest.raises(LinkError, match="E-stop|No servo runs|was closed|was used"):
             call()
     rig.wait(2.0)
     return rig.heard == heard and rig.opened == 1
 
 
-def test_session_is_these_bytes(rig, monkeypatch):
+def test_session_is_these_bytes_after_the_waits_that_the_server_requires(rig, monkeypatch):
     monkeypatch.setattr("equipoise.robots.kst.robot.TORQUE_EVERY", 2)
     rig.robot.start()
     rig.robot.send((0.005123456789, *HOME[1:]))
     rig.robot.send(HOME)
     rig.robot.stop()
+    rig.robot.measured()
     rig.robot.close()
     home = b"0_0.4364_0_-1.3962_0_1.309_0_\n"
     assert rig.heard == (
@@ -91,8 +79,19 @@ def test_session_is_these_bytes(rig, monkeypatch):
         b"getJointsPositions\n"
         b"jpJP_" + home + b"jpJP_0.00512345679_0.4364_0_-1.3962_0_1.309_0_\n"
         b"jpExT_" + home + b"stopDirectServoJoints\n"
+        b"getJointsPositions\n"
         b"end\n"
     )
+    times = dict[str, list[float]]()
+    for now, data in rig.heard_at:
+        times.setdefault(data.decode().strip().split("_")[0], []).append(now)
+    (asked, again, last), (held, first) = times["getJointsPositions"], times["jpJP"]
+    (start,), (stop,) = times["startDirectServoJoints"], times["stopDirectServoJoints"]
+    assert asked >= 1.0
+    assert 0.5 <= again - start < 0.51
+    assert again < held < first
+    assert 0.5 <= stop - first < 0.51
+    assert 0.3 <= last - stop < 0.31
 
 
 def test_connect_waits_for_the_operator_with_instructions():
@@ -105,14 +104,11 @@ def test_connect_waits_for_the_operator_with_instructions():
 
 def test_who_attends_to_the_wait_can_end_it():
     def give_up():
-        if rig.clock.now() > 5.0:
-            raise InterruptedError
+        raise InterruptedError
 
-    rig = Rig(opens_after=30.0)
-    rig.attend = give_up
+    rig = Rig(opens_after=30.0, attend=give_up)
     with pytest.raises(InterruptedError):
         rig.robot.connect()
-    assert 5.0 < rig.clock.now() < 7.0
     assert rig.opened == 0
 
 
@@ -126,80 +122,50 @@ def test_connect_gives_up_after_a_minute():
 
 def test_nothing_works_before_connect_and_nothing_is_spoilt_by_trying():
     rig = Rig()
-    for call in (rig.robot.measured, rig.robot.start, rig.robot.replies, rig.robot.stop):
+    robot = rig.robot
+    calls = (robot.measured, robot.start, robot.replies, robot.stop)
+    for call in (*calls, lambda: robot.send(HOME)):
         with pytest.raises(LinkError, match="connect first"):
             call()
-    with pytest.raises(LinkError, match="connect first"):
-        rig.robot.send(HOME)
-    rig.robot.close()
-    rig.robot.connect()
+    robot.close()
+    robot.connect()
     with pytest.raises(LinkError, match="was used"):
-        rig.robot.connect()
-    assert rig.robot.measured() == pytest.approx(HOME)
-
-
-def test_what_the_races_of_the_server_require_is_waited_for():
-    rig = Rig()
-    rig.robot.connect()
-    rig.robot.start()
-    rig.robot.send(HOME)
-    rig.robot.stop()
-    rig.robot.measured()
-    times = dict[str, list[float]]()
-    for now, data in rig.heard_at:
-        times.setdefault(data.decode().strip().split("_")[0], []).append(now)
-    asked, first = times["getJointsPositions"], times["jpJP"]
-    assert asked[0] >= 1.0
-    assert 0.5 <= asked[1] - times["startDirectServoJoints"][0] < 0.51
-    assert asked[1] < first[0] < first[1]
-    assert 0.5 <= times["stopDirectServoJoints"][0] - first[1] < 0.51
-    assert 0.3 <= asked[2] - times["stopDirectServoJoints"][0] < 0.31
+        robot.connect()
+    assert robot.measured() == pytest.approx(HOME)
 
 
 def test_replies_have_their_times_in_order():
     rig = Rig(delay=0.004)
     rig.robot.connect()
     rig.robot.start()
-    sent = []
-    replies = []
-    for i in range(100):
-        sent.append(rig.clock.now())
-        rig.robot.send(off(1e-4 * i))
-        rig.wait(0.003)
-        replies += rig.robot.replies()
-    for _ in range(20):
-        rig.wait(0.001)
-        replies += rig.robot.replies()
-    assert [reply.sent for reply in replies] == sent
+    replies = rig.stream(0.5, off(0.01))
+    rig.robot.stop()
+    replies += rig.robot.replies()
     trips = [reply.received - reply.sent for reply in replies]
     assert min(trips) >= 0.008 - 1e-9
     assert max(trips) < 0.02
-    for i, reply in enumerate(replies):
-        if i % 10 == 9:
-            assert reply.q is None
-            assert reply.torque == rig.body.external
-        else:
-            assert reply.torque is None
-            assert len(reply.q) == 7
-    joints = [reply.q[0] for reply in replies if reply.q]
+    assert [reply.torque is not None for reply in replies] == [i % 10 == 9 for i in range(100)]
+    assert {reply.torque for reply in replies} == {None, rig.body.external}
+    joints = [reply.q[0] for reply in replies if reply.torque is None]
     assert joints == sorted(joints)
 
 
 def test_stop_ends_the_servo_and_another_may_start(streaming):
+    robot = streaming.robot
     streaming.stream(0.1, off(0.01))
-    streaming.robot.send(off(0.01))
-    streaming.robot.stop()
+    robot.send(off(0.01))
+    robot.stop()
     assert not streaming.body.running
-    assert streaming.robot.measured()[0] == pytest.approx(0.01, abs=1e-6)
-    assert len(streaming.robot.replies()) == 1
-    streaming.robot.stop()
+    assert robot.measured()[0] == pytest.approx(0.01, abs=1e-6)
+    assert len(robot.replies()) == 1
+    robot.stop()
     with pytest.raises(LinkError, match="start it first"):
-        streaming.robot.send(HOME)
-    streaming.robot.start()
+        robot.send(HOME)
+    robot.start()
     streaming.stream(0.1)
 
 
-@pytest.mark.parametrize("q", [HOME[:6], (*HOME, 0.0), (math.nan, *HOME[1:]), off(math.inf)])
+@pytest.mark.parametrize("q", [HOME[:6], off(math.inf)])
 def test_setpoint_of_other_than_seven_finite_numbers_is_not_sent(streaming, q):
     heard = streaming.heard
     with pytest.raises(InputError):
@@ -212,19 +178,23 @@ def test_setpoint_of_other_than_seven_finite_numbers_is_not_sent(streaming, q):
 # Whatever goes wrong ends the link for good.
 
 
-def test_silence_ends_the_link_after_the_timeout(streaming):
+@pytest.mark.parametrize(
+    ("period", "saying", "within"),
+    [(0.02, r"setpoint within 0\.1 s", 0.121), (0.0005, "20 setpoints wait", 0.021)],
+)
+def test_silence_ends_the_link(streaming, period, saying, within):
     streaming.stream(0.1)
-    streaming.fault(drop=1.0)
+    streaming.server.drops = True
     began = streaming.clock.now()
-    with pytest.raises(LinkError, match=r"setpoint within 0\.1 s"):
-        streaming.stream(1.0, period=0.02)
-    assert 0.1 < streaming.clock.now() - began <= 0.121
+    with pytest.raises(LinkError, match=saying):
+        streaming.stream(1.0, period=period)
+    assert streaming.clock.now() - began <= within
     assert latched(streaming)
 
 
 @pytest.mark.parametrize(("step", "believed"), [(0.24, True), (0.26, False), (-0.26, False)])
 def test_joints_that_cannot_have_been_reached_are_not_believed(streaming, step, believed):
-    streaming.fault(deaf=True)
+    streaming.server.deaf = True
     streaming.robot.send(HOME)
     streaming.wait(0.05)  # 0.2 rad at 4 rad/s, and 0.05 rad of noise
     streaming.end.write(numbers_reply(off(step)))
@@ -235,18 +205,11 @@ def test_joints_that_cannot_have_been_reached_are_not_believed(streaming, step, 
             streaming.robot.replies()
 
 
-def test_too_many_setpoints_without_an_answer_end_the_link(streaming):
-    streaming.fault(drop=1.0)
-    with pytest.raises(LinkError, match="20 setpoints wait"):
-        streaming.stream(1.0, period=0.0005)
-    assert latched(streaming)
-
-
 def test_one_lost_answer_is_found_at_the_next_question_for_torques(streaming):
-    streaming.fault(drop=1.0)
+    streaming.server.drops = True
     streaming.robot.send(HOME)
     streaming.wait(0.005)
-    streaming.fault(drop=0.0)
+    streaming.server.drops = False
     began = streaming.clock.now()
     with pytest.raises(LinkError, match="these are torques"):
         streaming.stream(1.0)
@@ -254,18 +217,7 @@ def test_one_lost_answer_is_found_at_the_next_question_for_torques(streaming):
     assert latched(streaming)
 
 
-@pytest.mark.parametrize(
-    "extra",
-    [
-        b"done\n",
-        b"nak\n",
-        b"0.0_\n",
-        b"0.0_" * 8 + b"\n",
-        b"NaN_" * 7 + b"\n",
-        b"0.0_" * 6 + b"0.0\n",
-        b"\xff\n",
-    ],
-)
+@pytest.mark.parametrize("extra", [b"done\n", b"0.0_" * 8 + b"\n", b"\xff\n"])
 def test_wrong_answer_ends_the_link(streaming, extra):
     streaming.robot.send(HOME)
     streaming.end.write(extra)
@@ -276,7 +228,7 @@ def test_wrong_answer_ends_the_link(streaming, extra):
 
 @pytest.mark.parametrize("what", ["start", "measured"])
 def test_refusal_at_rest_ends_the_link(rig, what):
-    rig.fault(refuse=1.0)
+    rig.server.refuses = True
     with pytest.raises(LinkError, match="nak"):
         getattr(rig.robot, what)()
     assert latched(rig)
@@ -285,7 +237,7 @@ def test_refusal_at_rest_ends_the_link(rig, what):
 def test_closed_connection_ends_the_link_and_says_what_that_means(streaming):
     streaming.robot.send(off(0.01))
     streaming.wait(0.001)
-    streaming.fault(close=True)
+    streaming.server.cut = True
     streaming.wait(0.1)
     with pytest.raises(LinkError, match=r"software cannot stop it: be ready at the E-stop"):
         streaming.stream(1.0)
@@ -295,7 +247,7 @@ def test_closed_connection_ends_the_link_and_says_what_that_means(streaming):
 
 
 def test_failed_link_still_says_goodbye_which_ends_the_servo(streaming):
-    streaming.fault(refuse=1.0)
+    streaming.server.refuses = True
     with pytest.raises(LinkError):
         streaming.stream(0.1)
     streaming.robot.close()

@@ -20,7 +20,7 @@ from equipoise.artefacts import quoted
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.errors import SettingsError
 from equipoise.model.pendulum import step as pendulum_step
-from equipoise.model.worlds import TwinSettings, World
+from equipoise.model.worlds import World
 from equipoise.worlds import ExternalLoop, Setup, Simulation
 from equipoise.worlds.interface import Array
 
@@ -50,12 +50,6 @@ class CoppeliaSimulation(Simulation):
     """Trials in a CoppeliaSim."""
 
     ideal_arm: ClassVar[bool] = True
-
-    @classmethod
-    def find(cls, name: str) -> tuple[str, TwinSettings | None]:
-        """Return the name of a world; see `read_address`."""
-        read_address(name)
-        return name, None
 
     def __init__(self, world: str | World, setup: Setup, *, seed: int, stream: int) -> None:
         """Connect, and build the scene; see `Simulation`.

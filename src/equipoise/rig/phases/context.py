@@ -1,7 +1,7 @@
 """What the phases of a run share: its parts, its measurements, its motion, its latch."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -78,11 +78,9 @@ class RunParts(NamedTuple):
 class RunPhase:
     """A phase of a run."""
 
-    kind: ClassVar[Phase]
+    kind: Phase
     """Name of the phase, in the log."""
-    leads_to: ClassVar[frozenset[Phase]] = frozenset()
-    """Phases that may follow, beside a stop."""
-    moves: ClassVar[bool] = False
+    moves: bool = False
     """Whether the arm moves, so that Enter stops, too."""
 
     def __init__(self, run: "RunContext") -> None:
@@ -191,10 +189,10 @@ class RunContext:
         """Begin another phase.
 
         Raises:
-            RuntimeError: The phase may not follow; the guard then brings the arm to rest.
+            RuntimeError: The run has stopped; the guard then brings the arm to rest.
         """
-        if phase.kind not in self.phase.leads_to:
-            raise RuntimeError(f"{phase.kind.value} may not follow {self.phase.kind.value}")
+        if self.end is not None:
+            raise RuntimeError(f"{phase.kind.value} may not follow a stop")
         self._begin(phase)
         phase.enter()
 

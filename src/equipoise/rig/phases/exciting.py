@@ -13,7 +13,7 @@ from equipoise.rig.phases.release import Lifting
 class Exciting(RunPhase):
     """Every joint moves about home, the pendulum hanging; then the arm is identified."""
 
-    kind, leads_to, moves = Phase.EXCITING, frozenset({Phase.LIFTING}), True
+    kind, moves = Phase.EXCITING, True
 
     def __init__(self, run: RunContext, plan: Excitation) -> None:
         """Create the phase from its plan."""

@@ -17,7 +17,7 @@ REST_TIME: Final = 2.0
 class Homing(RunPhase):
     """On the way home, inside the servo stream."""
 
-    kind, leads_to, moves = Phase.HOMING, frozenset({Phase.AT_HOME}), True
+    kind, moves = Phase.HOMING, True
 
     def enter(self) -> None:
         """Plan the path."""
@@ -52,7 +52,7 @@ class Homing(RunPhase):
 class Confirming(RunPhase):
     """Held at home, until the operator confirms."""
 
-    kind, leads_to = Phase.AT_HOME, frozenset({Phase.REFERENCING})
+    kind = Phase.AT_HOME
 
     def enter(self) -> None:
         """Ask whether this is home."""
@@ -74,7 +74,7 @@ class Confirming(RunPhase):
 class Referencing(RunPhase):
     """Held, the pendulum hanging, until it is still and the button is pressed."""
 
-    kind, leads_to = Phase.REFERENCING, frozenset({Phase.SELF_TEST})
+    kind = Phase.REFERENCING
 
     def enter(self) -> None:
         """Begin without a zero."""

@@ -8,49 +8,22 @@ from equipoise.rig.release import ReleaseDetector, ReleaseState
 
 
 class Lifting(RunPhase):
-    """Held, the operator lifts the pendulum."""
+    """Held, the operator lifts the pendulum; armed while it stands in a hand that may release it.
 
-    kind, leads_to = Phase.LIFTING, frozenset({Phase.ARMED})
+    Its kind is `Phase.LIFTING` or `Phase.ARMED`, as the detector says.
+    """
 
-    def __init__(self, run: RunContext, held: ReleaseDetector | None = None) -> None:
-        """Create the phase; `held` is the detector that has found the hand still on, if any."""
+    kind = Phase.LIFTING
+
+    def __init__(self, run: RunContext) -> None:
+        """Create the phase, the pendulum hanging."""
         super().__init__(run)
-        self._denied = held is not None
-        self._detector = held or ReleaseDetector(run.response.params.pendulum)
+        self._detector = ReleaseDetector(run.response.params.pendulum)
 
     def enter(self) -> None:
         """Ask for the lift."""
-        if self._denied:
-            text = "Your hand is still on. Hold the pendulum upright again."
-            self.run.notify("disarmed", text)
-        else:
-            text = "Lift the pendulum until it stands upright, and hold it there."
-            self.run.notify("lift", text)
-
-    def take_sample(self, sample: Sample) -> None:
-        """Watch the pendulum."""
-        self._detector.feed(sample.time, self.run.encoder.phi())
-
-    def tick(self, now: float) -> Setpoints:
-        """Wait until the pendulum stands."""
-        if self._detector.state is ReleaseState.ARMED:
-            self.run.go(Armed(self.run, self._detector))
-        return self.run.still()
-
-
-class Armed(RunPhase):
-    """Held, the pendulum stands in a hand that may release it."""
-
-    kind, leads_to = Phase.ARMED, frozenset({Phase.LIFTING, Phase.BALANCING})
-
-    def __init__(self, run: RunContext, detector: ReleaseDetector) -> None:
-        """Create the phase with the detector that has armed."""
-        super().__init__(run)
-        self._detector = detector
-
-    def enter(self) -> None:
-        """Ask for the release."""
-        self.run.notify("armed", "\aArmed. Let go.")
+        text = "Lift the pendulum until it stands upright, and hold it there."
+        self.run.notify("lift", text)
 
     def take_sample(self, sample: Sample) -> None:
         """Watch the pendulum."""
@@ -59,14 +32,19 @@ class Armed(RunPhase):
     def tick(self, now: float) -> Setpoints:
         """Wait for the release, in which the policy begins."""
         run, state = self.run, self._detector.state
-        interval = round(5.0 / run.h)  # 5 s
-        if self.ticks % interval == interval - 1:
-            run.notify("nudge", "Let go. If it stands by itself, nudge it.")
-        if state is ReleaseState.HELD:
-            run.go(Lifting(run, self._detector))
-        elif state is ReleaseState.RELEASED:
+        if state is ReleaseState.RELEASED:
             balancing = Balancing(run)
             run.began = now
             run.go(balancing)
             return balancing.decide(now, first=True)
+        kind = Phase.ARMED if state is ReleaseState.ARMED else Phase.LIFTING
+        interval = round(5.0 / run.h)  # 5 s
+        if kind is not self.kind:
+            self.kind, self.ticks = kind, 0
+            if kind is Phase.ARMED:
+                run.notify("armed", "\aArmed. Let go.")
+            else:
+                run.notify("disarmed", "Your hand is still on. Hold the pendulum upright again.")
+        elif kind is Phase.ARMED and self.ticks % interval == interval - 1:
+            run.notify("nudge", "Let go. If it stands by itself, nudge it.")
         return run.still()

@@ -65,7 +65,6 @@ class SelfTesting(RunPhase):
     """The flange moves by 40 mm, the pendulum answers and swings out, and the flange returns."""
 
     kind, moves = Phase.SELF_TEST, True
-    leads_to = frozenset({Phase.REFERENCING, Phase.EXCITING, Phase.LIFTING})
 
     def __init__(self, run: RunContext, reference: Callable[[RunContext], RunPhase]) -> None:
         """Create the phase; `reference` makes the phase that takes a refused zero anew."""

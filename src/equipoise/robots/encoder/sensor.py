@@ -5,9 +5,8 @@ row show that the board has restarted or its counts have jumped: the zero is voi
 permanent error. The error of an accepted line is bounded by a possible motion.
 
 Consistent lines never count as a restart, however late they arrive (latency timer of a USB adapter,
-stalled host). If lines arrive earlier than those before, converted times catch up at once while
-they are not in use: in the first second, and while the count is constant. Otherwise that is an
-error, which names the lateness.
+stalled host). Lines that arrive much earlier than those before are an error, which names the
+lateness of those before.
 
 `samples` never blocks, prints or waits.
 """
@@ -23,25 +22,19 @@ from equipoise.robots.encoder.consistency import (
     MAX_LATENESS,
     MAX_RATE,
     SILENCE,
-    SLACK_COUNTS,
+    HostTime,
     Inconsistency,
     LineOrder,
 )
-from equipoise.robots.encoder.mapping import FAST_SLEW, SLEW, HostTime
 
 CONNECT_TIMEOUT: Final = 6.0
 """Timeout of the banner [s]. An Arduino restarts when its port is opened, and its boot loader waits
 2 s."""
-REQUEST_PERIOD: Final = 0.5
-"""Time between two requests for the banner [s]."""
 BANNER_TIME: Final = 1.0
-"""Time after connecting in which a banner may be a late reply and the times of samples are not in
-use [s]; a later banner shows a restart."""
+"""Time after connecting in which a banner may be a late reply [s]; a later one shows a restart."""
 SETTLING: Final = 0.2
 """Duration of the timing of lines before the first sample [s]; restarts when a line
 arrives earlier than those before by more than `POLL_PERIOD`."""
-STILL: Final = 1.0
-"""Time of a constant count after which the times of samples are not in use [s]."""
 POLL_PERIOD: Final = 0.005
 """Time between two reads while connecting [s]."""
 
@@ -133,7 +126,7 @@ class LineEncoder:
         while (now := clock.now()) < began + CONNECT_TIMEOUT:
             if now >= due:
                 transport.write(REQUEST)
-                due += REQUEST_PERIOD
+                due += 0.5  # the time between two requests
             for line in self._decoder.feed(transport.read()):
                 if isinstance(line, Banner):
                     if self._expected not in (None, line.counts_per_rev):
@@ -182,9 +175,8 @@ class LineEncoder:
         )
 
     def _begin(self, now: float, last: Reading) -> None:
-        self._unused_until = now + BANNER_TIME
+        self._banner_until = now + BANNER_TIME
         self._block_end, self._block_lateness = now + 1.0, inf
-        self._rest_counts, self._moved = self._counts, now
         time = self._time(last.t_us, now)
         self._first = [Sample(time, self._counts, False, bool(last.flags & Flags.ILLEGAL), 0)]
 
@@ -210,7 +202,7 @@ class LineEncoder:
         for line in self._decoder.feed(data):
             if not isinstance(line, Banner):
                 samples += self._take(line, now)
-            elif now > self._unused_until:
+            elif now > self._banner_until:
                 raise self._fail(
                     "sent a banner: it restarted, and its zero is void; check its power"
                 )
@@ -234,28 +226,17 @@ class LineEncoder:
         if why := self._order.inconsistency(line, ahead):
             self._drop(line, why)
             return []
-        slew = SLEW if ahead <= MAX_LATENESS else self._catch_up(ahead, now)
+        if ahead > MAX_LATENESS:
+            raise self._late(ahead)
         missing, step = self._order.accept(line)
         self._received = now
         self._counts += self._sign * step
         down = bool(line.flags & Flags.DOWN)
         pressed = bool(line.flags & Flags.PRESSED) or (down and not self._down)
         self._down = down
-        if abs(self._counts - self._rest_counts) > SLACK_COUNTS:
-            self._rest_counts, self._moved = self._counts, now
-        time = self._time(line.t_us, now, slew)
+        time = self._time(line.t_us, now)
         self._watch_lateness(now)
         return [Sample(time, self._counts, pressed, bool(line.flags & Flags.ILLEGAL), missing)]
-
-    def _catch_up(self, ahead: float, now: float) -> float:
-        """Return the slew with which times catch up with lines that are no longer late.
-
-        Raises:
-            LinkError: The returned times are in use.
-        """
-        if now <= self._unused_until or now > self._moved + STILL:
-            return FAST_SLEW
-        raise self._late(ahead)
 
     def _drop(self, line: Reading, why: Inconsistency) -> None:
         self._dropped += 1

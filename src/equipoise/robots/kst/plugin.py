@@ -7,20 +7,18 @@ from typing import Final
 from urllib.parse import urlsplit
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.errors import InputError, LinkError
 from equipoise.model.actuator import speed_of_peak
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
+from equipoise.rig.interfaces import Array
 from equipoise.rig.plugins import Emulated, RobotPlugin, Session
 from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.rig.transports import memory_pipe
 from equipoise.robots.kst.codec import PORT
 from equipoise.robots.kst.robot import KstRobot, dial
 from equipoise.robots.kst.server_emulator import KstServer
-
-Array = npt.NDArray[np.float64]
 
 SHAPED_SHARE: Final = 0.8
 """Maximum share of a joint's speed limit for the shaped peak of its velocity [-]."""
@@ -57,7 +55,7 @@ def emulate(
     rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: int
 ) -> Emulated[KstRobot]:
     """Return the driver in front of an emulated server that drives a simulated arm."""
-    server = KstServer(rig.body, rig.joints, seed=seed)
+    server = KstServer(rig.body, rig.joints)
     host, cabinet = memory_pipe(session.clock, delay)
 
     def advance(now: float) -> None:

@@ -17,10 +17,7 @@ Not modelled: Cartesian, impedance and velocity servos, point-to-point motions, 
 forces, which are not answered; the server does not end when no client connects for 60 s.
 """
 
-from dataclasses import dataclass
 from typing import Final
-
-import numpy as np
 
 from equipoise.errors import InputError, LinkError
 from equipoise.robots.kst import codec
@@ -29,8 +26,6 @@ from equipoise.worlds.twin.simulated_arm import SimulatedArm
 
 DONE: Final = b"done\n"
 """Acknowledgement of the server."""
-NAK: Final = b"nak\n"
-"""Reply of the server after an error in its main thread."""
 SERVO_START: Final = 5e-3
 """Time from the acknowledgement until a servo exists [s]: "a few milliseconds"."""
 SERVO_STOP: Final = 3e-3
@@ -40,58 +35,38 @@ EPSILON: Final = 1e-9
 _KINDS: Final[dict[str, ReplyKind]] = {command: kind for kind, command in SETPOINTS.items()}
 
 
-@dataclass(frozen=True)
-class Faults:
-    """Injected faults, in addition to the faults of the real server."""
-
-    delay: float = 0.0
-    """Delay of each reply [s]."""
-    drop: float = 0.0
-    """Share of replies that are lost, 0 to 1; their commands are executed."""
-    refuse: float = 0.0
-    """Share of replies that are `nak` instead, 0 to 1."""
-    deaf: bool = False
-    """Whether received bytes are dropped, as on a half-open link; the servo continues."""
-    close: bool = False
-    """Whether the connection is cut; the servo continues."""
-
-
 class KstServer:
     """An emulated KST server for one client: bytes and times in, bytes out.
 
-    Feed received bytes, and advance at least once a millisecond, after the arm::
+    Faults beyond those of the real server are attributes that may be set at any time. Feed received
+    bytes, and advance at least once a millisecond, after the arm::
 
         server.feed(data, now)
         for segment in server.advance(now):
             connection.send(segment)
     """
 
-    def __init__(
-        self,
-        body: SimulatedArm,
-        joints: int = codec.JOINTS,
-        *,
-        faults: Faults = Faults(),
-        seed: int = 0,
-    ) -> None:
+    def __init__(self, body: SimulatedArm, joints: int = codec.JOINTS) -> None:
         """Begin with a connected client, the arm at rest and no servo.
 
         Args:
             body: The arm.
             joints: Number of joints; lines have as many fields.
-            faults: Injected faults; may be replaced at any time.
-            seed: Seed of random faults.
         """
-        self.faults = faults
+        self.drops = self.refuses = False
+        """Whether replies are lost, or `nak`: faults; their commands are executed."""
+        self.deaf = False
+        """Whether received bytes are dropped, as on a half-open link: a fault."""
+        self.cut = False
+        """Whether the connection is cut: a fault; the servo continues."""
         self.ended = False
         """Whether the server's program has ended; the connection is closed then."""
         self.deserted = False
         """Whether the client left without an `end`; no other is ever served."""
         self._body, self._target = body, [0.0] * joints
-        self._random = np.random.default_rng(seed)
         self._lines = codec.KstLineSplitter()
         self._reads = True
-        self._segments: list[tuple[float, bytes]] = []
+        self._segments: list[bytes] = []
         self._now = 0.0
         self._waiting = ""
         self._starts: float | None = None  # of the servo; None without one
@@ -101,7 +76,7 @@ class KstServer:
     @property
     def closed(self) -> bool:
         """Whether the connection is closed from this side."""
-        return self.faults.close or (self.ended and not self._segments)
+        return self.cut or (self.ended and not self._segments)
 
     @property
     def busy(self) -> bool:
@@ -116,7 +91,7 @@ class KstServer:
             now: The time [s].
         """
         self._now = now
-        if self.closed or self.faults.deaf or not self._reads:
+        if self.closed or self.deaf or not self._reads:
             return
         try:
             for line in self._lines.feed(data):
@@ -132,16 +107,15 @@ class KstServer:
             now: The time [s].
 
         Returns:
-            Segments sent to the client by now, in order.
+            Segments sent to the client since the last call, in order.
         """
         self._now = now
         self._step_servo()
         if not self.busy and self._waiting and not self.ended:
             waiting, self._waiting = self._waiting, ""
             self._main(waiting)
-        due = [segment for time, segment in self._segments if time <= now + EPSILON]
-        self._segments = self._segments[len(due) :]
-        return due if not (self.deserted or self.faults.close) else []
+        segments, self._segments = self._segments, []
+        return [] if self.deserted or self.cut else segments
 
     def vanished(self, now: float) -> None:
         """Record, unlike the real server, that the client left without an `end`.
@@ -186,12 +160,8 @@ class KstServer:
         self._say(DONE if kind == "done" else codec.numbers_reply(values))
 
     def _say(self, reply: bytes) -> None:
-        faults = self.faults
-        if faults.drop and self._random.random() < faults.drop:
-            return
-        if faults.refuse and self._random.random() < faults.refuse:
-            reply = NAK
-        self._segments.append((self._now + faults.delay, reply))
+        if not self.drops:
+            self._segments.append(b"nak\n" if self.refuses else reply)
 
     # The main thread.
 

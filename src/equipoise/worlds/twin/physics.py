@@ -87,10 +87,8 @@ def _loaded(arm: Arm, outward: float, bracket: float, m: float) -> Any:
     spec = _weighed(arm)
     if bracket > 0.0:
         _weigh(spec.body("flange"), bar_inertial(bracket, np.array(arm.pivot)))
-    l, along = 0.5 * SIZES.rod_length, 0.5 * m * SIZES.rod**2
-    inertia = (m * l**2 / 3.0, 0.0, 0.0, m * l**2 / 3.0, 0.0, along)
-    rod = Inertial(name="pendulum", mass=m, com=(0.0, 0.0, l), inertia=inertia)
-    _weigh(spec.body("pendulum"), rod)
+    # A rod as long as the drawn one, until `set_pendulum`.
+    _weigh(spec.body("pendulum"), rod_inertial(1.5 * GRAVITY / SIZES.rod_length, m))
     phi = spec.joint("phi")
     phi.solref_friction = [DRY_TIME, 1.0]
     phi.solimp_friction = [0.999, 0.999, *phi.solimp_friction[2:]]  # MuJoCo's default is 0.9

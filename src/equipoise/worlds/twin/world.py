@@ -13,15 +13,9 @@ from equipoise.control.control_step import (
 )
 from equipoise.control.policy import PolicyKernel
 from equipoise.model.arms.arm import FREE_JOINTS
-from equipoise.model.worlds import World, pivot_friction, read_world
+from equipoise.model.worlds import World, pendulum_on, read_world
 from equipoise.safety.trial import new_trial_monitor, trial_safety
-from equipoise.worlds.interface import (
-    Array,
-    ClosedLoop,
-    Measurement,
-    Setup,
-    Simulation,
-)
+from equipoise.worlds.interface import Array, ClosedLoop, Measurement, Setup, Simulation
 from equipoise.worlds.plant import scaled
 from equipoise.worlds.trials import Trial, Trials, draw_trials
 from equipoise.worlds.twin.servo_model import make_servo_params
@@ -40,11 +34,6 @@ class TwinSimulation(Simulation):
 
     PIECE: ClassVar[int] = 1
 
-    @classmethod
-    def find(cls, name: str) -> World:
-        """Return the twin of a name; see `read_world`."""
-        return read_world(name)
-
     def __init__(self, world: str | World, setup: Setup, *, seed: int, stream: int) -> None:
         """Set up a simulation; see `Simulation`.
 
@@ -54,10 +43,8 @@ class TwinSimulation(Simulation):
         """
         world = world if isinstance(world, World) else read_world(world)
         super().__init__(world, setup, seed=seed, stream=stream)
-        numbers = self.numbers = world.settings
+        numbers = self.twin = self.numbers = world.settings
         arm, settings, self.actuators, h = setup.arm, setup.settings, setup.actuators, setup.h
-        self.friction = pivot_friction(setup.pendulum, numbers)
-        """Friction of the pendulum in the twin."""
         self.servo = make_servo_params(arm, numbers)
         """Constants of the cabinet."""
         self.params = tuple(
@@ -145,7 +132,7 @@ class TwinLoop(ClosedLoop):
     def _set(self, trial: Trial) -> None:
         simulation, own = self._simulation, trial.variation
         varied = scaled(simulation.pendulum, own.inertia_factor, own.friction_factor)
-        self.pendulum = simulation.friction.on(varied)
+        self.pendulum = pendulum_on(simulation.setup.pendulum, simulation.numbers, varied)
         self._twin.set_trial(self.pendulum, simulation.seed, trial.number)
         if simulation.move is not None:
             self._select(simulation.move)

@@ -1,4 +1,7 @@
-"""The environments `equipoise/Balance-v0` and `equipoise/BalanceDiscrete-v0`."""
+"""Gymnasium environment of the balancing task, `equipoise/Balance-v0`.
+
+`import equipoise.envs` registers it, and Gymnasium itself finds it through an entry point.
+"""
 
 from collections.abc import Callable
 from math import inf, isfinite
@@ -23,15 +26,14 @@ from equipoise.model.random import ENVIRONMENT, TEST
 from equipoise.model.worlds import MODEL, World
 from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.settings import Settings
-from equipoise.worlds import Setup, Trial, has_ideal_arm, predicted, simulate
+from equipoise.worlds import Setup, Trial, predicted, simulate, world_class
 
 Array = npt.NDArray[np.float64]
 Reward = Callable[[Observation, float, Observation, bool], float]
 """Reward of a step: `reward(state, u, next_state, failed)`; the states are predicted ones."""
 
-WINDOW: Final = 256
-"""Number of trials drawn at a time."""
-NOT_RESET: Final = "the environment has not been reset; call env.reset() first"
+ID: Final = "equipoise/Balance-v0"
+"""Name of the environment for `gymnasium.make`."""
 
 
 class BalanceEnv(gym.Env[Array, Any]):
@@ -47,8 +49,7 @@ class BalanceEnv(gym.Env[Array, Any]):
     ## Action Space
 
     `Box(-2, 2, (1,), float64)`: acceleration u of the flange along x [m/s^2].
-    `discrete=True`, as in `equipoise/BalanceDiscrete-v0`, makes it the paper's `Discrete(8)`: -2,
-    -1.5, -1, -0.5, 0.5, 1, 1.5, 2 m/s^2.
+    `discrete=True` makes it the paper's `Discrete(8)`: -2, -1.5, -1, -0.5, 0.5, 1, 1.5, 2 m/s^2.
 
     ## Observation Space
 
@@ -122,7 +123,7 @@ class BalanceEnv(gym.Env[Array, Any]):
             pendulum or shipped_pendulum(),
             arm or iiwa(7),
             settings or Settings(),
-            (IDEAL_ACTUATOR if has_ideal_arm(world) else actuator or shipped_actuator(),),
+            (IDEAL_ACTUATOR if world_class(world).ideal_arm else actuator or shipped_actuator(),),
             paper.STEP,
         )
         self.reward = reward
@@ -138,7 +139,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         self._seed, self._number, self._steps, self._u = -1, 0, 0, 0.0
         self._state: Observation | None = None
         self.simulation = simulate(world, self.task, seed=0, stream=ENVIRONMENT)
-        self._loop, self._window = self.simulation.loop(), None
+        self._loop = self.simulation.loop()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -152,7 +153,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         super().reset(seed=seed)
         if seed is not None or self._seed < 0:
             self._seed = seed if seed is not None else int(self.np_random.integers(2**31))
-            self._number, self._window = -1, None
+            self._number = -1
         self._number += 1
         self._loop.reset(self._trial(options or {}))
         self._steps, self._u, self._state = 0, 0.0, Observation(*predicted(self._loop).tolist())
@@ -165,7 +166,7 @@ class BalanceEnv(gym.Env[Array, Any]):
             InputError: The action is not a finite number, or the environment was not reset.
         """
         if self._state is None:
-            raise InputError(NOT_RESET)
+            raise InputError("the environment has not been reset; call env.reset() first")
         discrete = self._discrete
         u = float(paper.ACTIONS[int(action)] if discrete else np.asarray(action, np.float64).item())
         if not isfinite(u):
@@ -188,8 +189,6 @@ class BalanceEnv(gym.Env[Array, Any]):
         if self.render_mode is None:
             gym.logger.warn("render() draws nothing without render_mode='rgb_array'")
             return None
-        if self._state is None:
-            raise InputError(NOT_RESET)
         if self._renderer is None:
             self._renderer = RigRenderer(self.task.arm, 640, 480)
         return self._renderer.draw(self._loop.joints(), float(self._loop.state()[2]), self._u)
@@ -205,16 +204,21 @@ class BalanceEnv(gym.Env[Array, Any]):
         if unknown := set(options) - {"trial", "seed"}:
             raise InputError(f"options has {sorted(unknown)}; expected 'trial' and 'seed'")
         simulation, number = self.simulation, self._number
+        simulation.seed, simulation.stream = self._seed, ENVIRONMENT
         if "trial" in options:
             number = int(options["trial"])
             simulation.seed, simulation.stream = int(options.get("seed", self._seed)), TEST
-            return simulation.draw(1, first=number).trial(0)
-        first = WINDOW * (number // WINDOW)
-        simulation.seed, simulation.stream = self._seed, ENVIRONMENT
-        if self._window is None or self._window.number[0] != first:
-            self._window = simulation.draw(WINDOW, first=first)
-        return self._window.trial(number - first)
+        return simulation.draw(1, first=number).trial(0)
 
     def _info(self, outcome: str) -> dict[str, Any]:
         loop = self._loop
         return {"time": loop.now, "outcome": outcome, "state": loop.state()}
+
+
+def register() -> None:
+    """Register the environment with Gymnasium, unless it is registered already."""
+    if ID not in gym.registry:
+        gym.register(ID, entry_point="equipoise.envs:BalanceEnv")
+
+
+register()
