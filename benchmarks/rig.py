@@ -227,7 +227,6 @@ def _deploy(given: argparse.Namespace, link: Path, log: Path, console: bool) -> 
             *(*EQUIPOISE, "deploy", *([given.policy] if given.policy else [])),
             *("--robot", f"kst://127.0.0.1:{given.port}", "--encoder", f"serial://{link}"),
             *("--duration", str(given.duration), "--out", str(log), "--json"),
-            *(["--console"] if console else []),
         ],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -238,22 +237,28 @@ def _deploy(given: argparse.Namespace, link: Path, log: Path, console: bool) -> 
     if process.stdin is None or process.stdout is None or process.stderr is None:
         raise RuntimeError("a process without pipes")
     result: list[str] = []
+    profile = tempfile.mkdtemp()
+    watchers: list[subprocess.Popen[str] | subprocess.Popen[bytes]] = []
+    if console:
+        watchers.append(
+            subprocess.Popen([*EQUIPOISE, "console"], stdout=subprocess.PIPE, text=True)
+        )
+        page = CONSOLE.search(watchers[0].stdout.readline())  # type: ignore[union-attr]
+        watchers.append(WATCHERS[given.console](page[0], profile))  # type: ignore[index]
     reader = threading.Thread(target=lambda: result.append(process.stdout.read()))  # type: ignore[union-attr]
     reader.start()
-    last, browser, profile = "", None, tempfile.mkdtemp()
+    last = ""
     for line in process.stderr:
         last = line.strip() or last
-        if browser is None and (page := CONSOLE.search(line)):
-            browser = WATCHERS[given.console](page[0], profile)
         for pattern, answer in ANSWERS:
             if asked := pattern.search(line):
                 process.stdin.write((answer or asked.group(1)) + "\n")
                 process.stdin.flush()
     code = process.wait()
     reader.join()
-    if browser is not None:
-        browser.terminate()
-        browser.wait()
+    for watcher in watchers:
+        watcher.terminate()
+        watcher.wait()
     shutil.rmtree(profile, ignore_errors=True)
     try:
         return {"code": code, **json.loads(result[0])}

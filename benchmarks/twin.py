@@ -72,7 +72,7 @@ def main() -> None:
                 actuator=actuator,
                 seed=seed,
                 workers=cores,
-            ).policy
+            )
             policy.save(file, command="train", inputs={"actuator": actuator.digest})
         policy, trained = TabularPolicy.load(file), time.perf_counter() - begin
         lengths = f"{given.trials}x{given.duration:g}s"

@@ -29,8 +29,9 @@ import equipoise as eq
 from equipoise import paper
 from equipoise.control.baselines import lqr_gains
 from equipoise.executors import available_cores
-from equipoise.learning.select import Candidate, race, trial_plants
+from equipoise.learning.select import race
 from equipoise.settings import BoxSettings
+from equipoise.worlds import setup_of
 
 LEVELS = np.array(paper.ACTIONS)
 """Accelerations of the actions [m/s^2], shape (8,), rising."""
@@ -111,8 +112,8 @@ def search_table(
         """Return the indices of the candidates, the best first."""
         selection = policy.settings.selection.model_copy(update={"spread": SPREAD, **rule})
         settings = policy.settings.model_copy(update={"selection": selection})
-        plants = trial_plants(policy.pendulum, policy.arm, settings, policy.actuators, seed)
-        found = race(plants, [Candidate(0, each) for each in candidates], workers=workers)
+        setup = setup_of(policy, "model", settings)
+        found = race(setup, [(0, each) for each in candidates], seed=seed, workers=workers)
         return [i for i, _ in found]
 
     begun = [lqr_table(policy.settings.boxes, policy.pendulum.parameters()), *starts]

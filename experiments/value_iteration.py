@@ -26,7 +26,8 @@ import equipoise.envs
 from equipoise import paper
 from equipoise.control.grid import box_indices, make_grid
 from equipoise.executors import available_cores
-from equipoise.learning.select import Candidate, race, trial_plants
+from equipoise.learning.select import race
+from equipoise.worlds import setup_of
 
 LEVELS = np.array(paper.ACTIONS)
 """Accelerations of the actions [m/s^2], shape (8,), rising."""
@@ -113,9 +114,9 @@ def solve_table(
         tables.append(solve(N, settings.learning.gamma))
         table = tables[-1].argmax(axis=1)
     envs.close()
-    plants = trial_plants(policy.pendulum, policy.arm, settings, policy.actuators, 0)
-    candidates = [Candidate(0, LEVELS[Q.argmax(axis=1)]) for Q in tables]
-    best = tables[race(plants, candidates, workers=workers)[0][0]]
+    candidates = [(0, LEVELS[Q.argmax(axis=1)]) for Q in tables]
+    setup = setup_of(policy, "model", settings)
+    best = tables[race(setup, candidates, seed=0, workers=workers)[0][0]]
     visits = tuple(map(tuple, N.sum(axis=2).tolist()))
     Q = tuple(map(tuple, best.tolist()))
     return policy.model_copy(update={"Q": Q, "visits": visits, "checkpoints": (), "tests": ()})

@@ -5,7 +5,7 @@ import json
 import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import pytest
 from hypothesis import given
@@ -38,7 +38,6 @@ class Gauge(Artefact):
     """A made-up artefact."""
 
     FORMAT: ClassVar[str] = "test-gauge"
-    VERSION: ClassVar[int] = 3
 
     label: str
     """Its name."""
@@ -59,14 +58,13 @@ def canonical_digest(body):
     return "sha256:" + hashlib.sha256(text.encode("ascii")).hexdigest()
 
 
-def signed(body, *, format="test-gauge", version: Any = 3, provenance=None):
+def signed(body):
     """Return the text of a file whose digest is right."""
     return json.dumps(
         {
-            "format": format,
-            "version": version,
+            "format": "test-gauge",
             "digest": canonical_digest(body),
-            "provenance": {} if provenance is None else provenance,
+            "provenance": {},
             "body": body,
         }
     )
@@ -121,8 +119,8 @@ def test_the_digest_is_the_sha256_of_the_canonical_json_of_the_body(saved):
 
 def test_a_file_says_what_it_is_and_where_it_comes_from(saved):
     document = read_document(saved)
-    assert list(document) == ["format", "version", "digest", "provenance", "body"]
-    assert (document["format"], document["version"]) == ("test-gauge", 3)
+    assert list(document) == ["format", "digest", "provenance", "body"]
+    assert document["format"] == "test-gauge"
     provenance = document["provenance"]
     assert provenance["command"] == "test"
     assert provenance["inputs"] == {"swing": "sha256:0"}
@@ -150,7 +148,7 @@ def test_an_estimate_holds_95_percent_of_a_normal_error_and_its_value():
 
 
 FOREIGN = (b"", b"hello", b"\x89PNG\0", b"{", b"\xff{}", b"null", b"3", b"{}", b"[" * 100_000)
-KINDS = [("format", 3), ("version", "3"), ("version", True), ("provenance", []), ("body", [])]
+KINDS = [("format", 3), ("provenance", []), ("body", [])]
 
 
 def test_what_is_no_file_of_equipoise_is_refused(tmp_path, saved):
@@ -200,10 +198,7 @@ def test_a_body_that_does_not_fit_is_refused_and_says_where(path, change, where)
     assert where in refusal(path, signed({"label": "a"} | change))
 
 
-def test_another_version_or_format_is_refused(path):
-    for version in (4, 1):
-        said = refusal(path, signed({"label": "a"}, version=version))
-        assert ("upgrade" in said) is (version == 4)
+def test_another_format_is_refused(path):
     GAUGE.save(path, command="test")
     assert "'test-gauge'" in refusal(path, path.read_text(), cls=Pendulum)
 

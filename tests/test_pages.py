@@ -151,7 +151,7 @@ ELSEWHERE = {
     r"^make ": "a step of the checks",
 }
 """Commands that are not run here, and why."""
-SERVERS = re.compile(r"equipoise (?:play|console|log show|rig emulate)|--console")
+SERVERS = re.compile(r"equipoise (?:play|console|log show|rig emulate)")
 """Commands that serve until Ctrl-C: tests/console and tests/cli/test_emulate.py run them."""
 RUN = (
     "README.md",

@@ -21,7 +21,7 @@ def summaries(pendulum, settings, seeds, tests=TESTS, learners=LEARNERS):
     for seed in seeds:
         policy = train_to_target(
             pendulum, iiwa(7), settings, learners=learners, seed=seed, workers=workers
-        ).policy
+        )
         evaluation = evaluate(policy, tests, seed=seed, with_baselines=False, workers=workers)
         yield evaluation.results.summary()
 
@@ -80,7 +80,7 @@ def test_every_seed_stands_a_minute_on_the_twin(pendulum):
     results = []
     for seed in range(10):
         cores = available_cores()
-        policy = train_to_target(pendulum, iiwa(7), tests, seed=seed, workers=cores).policy
+        policy = train_to_target(pendulum, iiwa(7), tests, seed=seed, workers=cores)
         evaluation = evaluate(
             policy,
             tests,

@@ -70,8 +70,8 @@ def take_console(folder: Path) -> Path:
     with program("rig", "emulate", "--port", "0", "--seed", "3") as rig:
         robot, encoder = (rig.find(rf"{name} +(\S+://\S+)")[1] for name in ("robot", "encoder"))
         words = ("--robot", robot, "--encoder", encoder, "--duration", "20", "--out", str(log))
-        with program("deploy", *words, "--console") as run:
-            with page_at(run.find(ADDRESS)[1]) as page:
+        with program("console") as console, program("deploy", *words) as run:
+            with page_at(console.find(ADDRESS)[1]) as page:
                 while "balancing" not in "".join(shown(page, "#equipoise-state")):
                     if run.process.poll() is not None:
                         raise SystemExit("\n".join(run.lines))

@@ -1,9 +1,9 @@
-"""Files of Equipoise: readable JSON with format, version, digest and provenance.
+"""Files of Equipoise: readable JSON with format, digest and provenance.
 
-A file is `{format, version, digest, provenance, body}`. The body is a frozen pydantic model. The
-digest is the SHA-256 of its canonical JSON, so that a truncated, damaged or edited body is rejected
-(it detects corruption, not forgery, and does not cover the provenance). NaN, infinity and files of
-another version are rejected. Files are written atomically.
+A file is `{format, digest, provenance, body}`. The body is a frozen pydantic model. The digest is
+the SHA-256 of its canonical JSON, so that a truncated, damaged or edited body is rejected (it
+detects corruption, not forgery, and does not cover the provenance). NaN, infinity and bodies with
+other fields are rejected. Files are written atomically.
 """
 
 import hashlib
@@ -19,7 +19,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -142,8 +142,6 @@ class Artefact(Value):
 
     FORMAT: ClassVar[str]
     """Name of the format in the file."""
-    VERSION: ClassVar[int]
-    """Version of the format; incremented with a change of the fields."""
 
     @property
     def digest(self) -> str:
@@ -164,7 +162,6 @@ class Artefact(Value):
         body = self.model_dump(mode="json")
         document = {
             "format": self.FORMAT,
-            "version": self.VERSION,
             "digest": _digest(body),
             "provenance": Provenance.now(command, inputs).model_dump(mode="json"),
             "body": body,
@@ -176,7 +173,7 @@ class Artefact(Value):
         """Read a value from `path`.
 
         Raises:
-            ArtefactError: The file is missing, corrupt, edited, or of another format or version.
+            ArtefactError: The file is missing, corrupt, edited, or of another format.
         """
         document = read_document(Path(path))
         if document["format"] != cls.FORMAT:
@@ -184,39 +181,26 @@ class Artefact(Value):
                 f"{path} holds {quoted(document['format'])}, expected {cls.FORMAT!r}; "
                 "give a file of that kind"
             )
-        check_version(path, cls.FORMAT, document["version"], cls.VERSION, "make the file again")
         try:
             return cls.model_validate_json(json.dumps(document["body"]), strict=True)
         except ValidationError as error:
-            fault = first_fault(error)
-            cure = "upgrade Equipoise, or make the file again"  # the digest excludes a damaged file
-            where = f"{cls.FORMAT!r} file: {fault.where or 'body'}"
-            raise ArtefactError(f"{path} is not a valid {where}: {fault.what}; {cure}") from None
-
-
-def check_version(path: StrPath, name: str, version: int, expected: int, cure: str) -> None:
-    """Reject a file of another version of the format `name`.
-
-    Raises:
-        ArtefactError: The file is older, or newer; an older one needs the remedy `cure`.
-    """
-    if version != expected:
-        remedy = "upgrade Equipoise" if version > expected else cure
-        found = f"{path} has version {quoted(version)} of {name!r}"
-        raise ArtefactError(f"{found}, expected {expected}; {remedy}")
+            raise ArtefactError(
+                f"{path} is not a valid {cls.FORMAT!r} file: {first_fault(error)}; upgrade "
+                "Equipoise, or make the file again"  # the digest excludes a damaged file
+            ) from None
 
 
 def read_document(path: Path) -> dict[str, Any]:
     """Read a file of Equipoise of any format and verify its digest.
 
     Returns:
-        The keys format, version, digest, provenance and body.
+        The keys format, digest, provenance and body.
 
     Raises:
         ArtefactError: The file is missing, not of Equipoise, or does not match its digest.
     """
     data = read_bytes(path, MAX_FILE_SIZE, "a file of Equipoise", ArtefactError)
-    kinds = {"format": str, "version": int, "digest": str, "provenance": dict, "body": dict}
+    kinds = {"format": str, "digest": str, "provenance": dict, "body": dict}
     cure = "make the file again, or give a file that Equipoise wrote"
     try:
         document: Any = json.loads(data)
@@ -257,28 +241,16 @@ def read_bytes(path: Path, limit: int, kind: str, error: type[InputError]) -> by
     return data
 
 
-class FieldError(NamedTuple):
-    """First fault of a value that violates its model, as text of bounded length."""
-
-    where: str
-    """Path of the field, with dots; empty for the value as a whole."""
-    what: str
-    """Expected value."""
-    got: str
-    """Actual value, quoted."""
-    unknown: bool
-    """Whether the model has no such field."""
-
-
-def first_fault(error: ValidationError) -> FieldError:
-    """Return the first fault of a validation."""
+def first_fault(error: ValidationError) -> str:
+    """Return the first fault of a validation: path of the field, expected and actual value."""
     first = error.errors(include_url=False, include_context=False)[0]
-    return FieldError(
-        where=".".join(shortened(str(part)) for part in first["loc"]),
-        what=shortened(first["msg"].removeprefix("Value error, "), 5 * MAX_QUOTE_LENGTH),
-        got=quoted(first["input"]),
-        unknown=first["type"] == "extra_forbidden",
-    )
+    where = ".".join(shortened(str(part)) for part in first["loc"])
+    what = shortened(first["msg"].removeprefix("Value error, "), 5 * MAX_QUOTE_LENGTH)
+    if first["type"] == "extra_forbidden":
+        what = "there is no such field"
+    # A fault of a whole value names its parts.
+    got = "" if first["type"] in ("missing", "value_error") else f", got {quoted(first['input'])}"
+    return f"{where}: {what}{got}" if where else f"{what}{got}"
 
 
 def quoted(value: Any) -> str:

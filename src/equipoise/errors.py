@@ -15,6 +15,7 @@ The tree, with the exit code of the command line in brackets::
 A message gives the fault with its value, the expected value, and a remedy.
 """
 
+from importlib import import_module
 from typing import Any, Final
 
 INTERRUPTED: Final = 130
@@ -27,14 +28,6 @@ class EquipoiseError(Exception):
     """Base class of all exceptions of Equipoise."""
 
     exit_code = 2
-
-    def __reduce__(self) -> Any:
-        """Return what gives an equal exception in another process, whatever its type was given."""
-        return _equal, (type(self), self.args)
-
-
-def _equal(kind: type[EquipoiseError], args: tuple[Any, ...]) -> EquipoiseError:
-    return kind.__new__(kind, *args)
 
 
 class InputError(EquipoiseError, ValueError):
@@ -60,13 +53,6 @@ class ArmError(InputError):
 class MissingExtraError(InputError, ImportError):
     """Missing optional dependency."""
 
-    def __init__(self, package: str, extra: str) -> None:
-        """Create an error for a missing `package`, installed by the extra `extra`."""
-        super().__init__(
-            f"this needs the package {package}, which is not installed; install it with: "
-            f"python -m pip install {package} (or '.[{extra}]' in the sources of Equipoise)"
-        )
-
 
 class OutsideError(EquipoiseError, OSError):
     """Failure outside the program: disk full, link lost, device disconnected."""
@@ -76,3 +62,23 @@ class OutsideError(EquipoiseError, OSError):
 
 class LinkError(OutsideError, ConnectionError):
     """Robot or sensor that is disconnected, silent, or sends invalid data."""
+
+
+def import_optional(module: str, extra: str) -> Any:
+    """Import a module of an optional package.
+
+    Args:
+        module: Name of the module.
+        extra: Name of the extra that installs the package.
+
+    Raises:
+        MissingExtraError: The package is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError:
+        package = module.replace("_", "-")
+        raise MissingExtraError(
+            f"this needs the package {package}, which is not installed; install it with: "
+            f"python -m pip install {package} (or '.[{extra}]' in the sources of Equipoise)"
+        ) from None

@@ -1,4 +1,4 @@
-"""Execution of independent tasks in threads.
+"""Execution of independent tasks in threads, and their progress.
 
 A result does not depend on the number of threads. Compiled kernels release the interpreter, so that
 threads use all cores.
@@ -7,10 +7,14 @@ threads use all cores.
 import os
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from threading import Lock
 from typing import TypeVar
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+Show = Callable[[str, float | None, str], None]
+"""Callback for the progress of a stage, also from other threads: its name, the completed share from
+0 to 1 (None while it is unknown), and its state in a few words."""
 
 
 def completed(
@@ -45,3 +49,27 @@ def available_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def counted(stage: str, total: int, show: Show) -> Callable[[int], None]:
+    """Return a callback that counts finished trials.
+
+    Args:
+        stage: Name of the stage.
+        total: Number of all trials.
+        show: Called with the progress.
+    """
+    lock, finished = Lock(), 0
+
+    def done(more: int) -> None:
+        nonlocal finished
+        with lock:
+            finished += more
+            show(stage, min(finished / total, 1.0), f"{finished:,} of {total:,} trials")
+
+    return done
+
+
+def running(stage: str, show: Show) -> Callable[[int, int], None]:
+    """Return a callback for finished trials of a stage, and the number that is expected."""
+    return lambda done, of: show(stage, done / of, f"{done:,} trials")

@@ -10,7 +10,6 @@ import io
 import os
 import tempfile
 from collections.abc import Callable, Iterator
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -18,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.artefacts import write_whole
-from equipoise.errors import InputError, MissingExtraError, OutsideError
+from equipoise.errors import InputError, OutsideError, import_optional
 from equipoise.logs.motion import Motion
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
@@ -214,10 +213,7 @@ def check_format(suffix: str) -> None:
     if suffix not in FORMATS:
         raise InputError(f"a film ends in {' or '.join(FORMATS)}, got {suffix!r}; rename it")
     for package in ("imageio", "imageio_ffmpeg") if suffix == MP4 else ():
-        try:
-            import_module(package)
-        except ImportError:
-            raise MissingExtraError(package.replace("_", "-"), "video") from None
+        import_optional(package, "video")
 
 
 def write_film(

@@ -376,10 +376,7 @@ def resolve(
     try:
         return Settings.model_validate(tree)
     except ValidationError as error:
-        fault = first_fault(error)
-        got = f", got {fault.got}" if "." in fault.where else ""
-        where = f"setting {fault.where}" if fault.where else "settings"
-        raise SettingsError(f"{where}: {fault.what}{got}") from None
+        raise SettingsError(f"setting {first_fault(error)}") from None
 
 
 def describe_recipe(settings: Settings) -> str:

@@ -40,7 +40,6 @@ REFUSED = {
     (*TWIN, "--excite"): "--excite",
     (*TWIN, "--encoder", BOARD): "--encoder",
     (*TWIN, "--rig", "none.toml"): "none.toml",
-    (*TWIN, "--console"): "--console",
     ("deploy", "small.json", *TWIN[1:]): "iiwa14",
     ("rig", "doctor", "--robot", "twin:nominal"): "twin:nominal",
     ("rig", "record", "--out", "new.csv"): "--encoder",

@@ -47,7 +47,7 @@ def test_train_writes_a_policy_and_marks_one_that_misses_the_target(
 ):
     ran = equipoise("train", pendulum_file, *SHORT, "--target=0.9", "--learners=2", "--json")
     assert (ran.code, ran.err) == (1, "")
-    assert set(ran.json["learners"]) == {"0", "1"}
+    assert ran.json["learner"] in (0, 1)
     policy = TabularPolicy.load(tmp_path / "policy.json")
     assert policy.shortfall
     assert policy.pendulum == Pendulum.load(pendulum_file)
@@ -114,7 +114,7 @@ def test_refine_trains_on_where_the_model_moved(equipoise, quick_settings, tmp_p
     assert ran.code == 0, ran
     assert ran.json["kept"] in ("old", "new")
     refined = Pendulum.load(tmp_path / "refined-pendulum.json")
-    assert refined.w2.value == pytest.approx(run.conditions.pendulum["w2"], rel=0.01)
+    assert refined.w2.value == pytest.approx(run.conditions.pendulum.w2, rel=0.01)
     assert TabularPolicy.load(tmp_path / "refined.json").pendulum == refined
     ran = equipoise("refine", "policy.json", "run.mcap", "--no-train", "--out=no.json")
     assert (ran.code, (tmp_path / "no.json").exists()) == (0, False)

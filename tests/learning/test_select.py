@@ -11,17 +11,17 @@ from equipoise.control.grid import TRACK
 from equipoise.control.policy import shipped_policy
 from equipoise.learning import select
 from equipoise.learning.select import (
-    Candidate,
     confidence_sequence,
-    measure_share,
+    kernel_of_tables,
     not_worse,
-    race,
-    trial_plants,
+    trial_simulations,
     trials_to_meet,
 )
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.random import SELECTION, TARGET_TEST
 from equipoise.settings import resolve
+from equipoise.worlds import Setup
 from equipoise.worlds.ideal import PlantSimulation
 
 # The confidence sequence
@@ -108,12 +108,21 @@ QUICK = ("selection.duration=3", "selection.rounds=4", "selection.test_trials=30
 
 
 @pytest.fixture(scope="module")
-def make_plant(pendulum):
-    def make(*overrides, seed=3, actuator=None):
+def make_setup(pendulum):
+    def make(*overrides, actuators=None):
         settings = resolve(overrides=[*QUICK, *overrides])
-        return trial_plants(pendulum, iiwa(7), settings, [actuator or shipped_actuator()], seed)[0]
+        return Setup(pendulum, iiwa(7), settings, actuators or (shipped_actuator(),), paper.STEP)
 
     return make
+
+
+def race(setup, field, **given):
+    return select.race(setup, field, seed=3, **given)
+
+
+def measure_share(setup, table, **given):
+    (simulation,) = trial_simulations(setup, seed=3, stream=TARGET_TEST)
+    return select.measure_share(simulation, table, **given)
 
 
 @pytest.fixture
@@ -135,13 +144,13 @@ def candidates(count, good=2):
     rng = np.random.default_rng(0)
     tables = [rng.choice(paper.ACTIONS, 270) for _ in range(count)]
     tables[good] = shipped_policy().u_of_box
-    return [Candidate(20 * i, table) for i, table in enumerate(tables)]
+    return [(20 * i, table) for i, table in enumerate(tables)]
 
 
 @pytest.mark.compiled_only
-def test_the_policy_that_balances_wins_and_no_pair_runs_twice(make_plant, pairs):
+def test_the_policy_that_balances_wins_and_no_pair_runs_twice(make_setup, pairs):
     field = candidates(30)
-    order = race([make_plant()], field)
+    order = race(make_setup(), field)
     assert sorted(i for i, _ in order) == list(range(30))
     assert order[0][0] == 2
     assert order[0][1].episodes == 40
@@ -156,12 +165,13 @@ def test_the_policy_that_balances_wins_and_no_pair_runs_twice(make_plant, pairs)
 
 
 @pytest.mark.compiled_only
-def test_a_result_is_that_of_the_policy_alone_on_the_same_trials(make_plant):
-    plant, field = make_plant(), candidates(5)
-    for i, result in race([plant], field):
-        simulation = plant.simulation(select.SELECTION, plant.settings.selection.spread)
+def test_a_result_is_that_of_the_policy_alone_on_the_same_trials(make_setup):
+    setup, field = make_setup(), candidates(5)
+    for i, result in race(setup, field):
+        spread = setup.settings.selection.spread
+        (simulation,) = trial_simulations(setup, seed=3, stream=SELECTION, spread=spread)
         trials = simulation.draw(result.trials)
-        kernel = plant.tables(field[i].u_of_box)
+        kernel = kernel_of_tables(setup, field[i][1])
         simulation.run(kernel, trials, range(result.trials), duration=3.0)
         assert result.survived == np.sum(trials.cause == 0)
         assert result.mean_duration == pytest.approx(0.01 * np.mean(trials.steps), rel=1e-12)
@@ -173,47 +183,50 @@ def test_a_result_is_that_of_the_policy_alone_on_the_same_trials(make_plant):
 
 
 @pytest.mark.compiled_only
-def test_behind_two_actuators_the_worst_one_scores(make_plant):
-    plants = [make_plant(), make_plant(actuator=Actuator.assumed("kst", delay=0.08, lag=0.08))]
+def test_behind_two_actuators_the_worst_one_scores(make_setup):
+    both = shipped_actuator(), Actuator.assumed("kst", delay=0.08, lag=0.08)
     field = candidates(4)
-    alone = [dict(race([plant], field)) for plant in plants]
-    for i, result in race(plants, field):
+    alone = [dict(race(make_setup(actuators=(one,)), field)) for one in both]
+    found = race(make_setup(actuators=both), field)
+    for i, result in found:
         worst = min(each[i].score for each in alone if each[i].trials == result.trials)
         assert result.score == worst
     # The policy balances behind the first actuator alone.
-    assert race(plants[:1], field)[0][1].survived == race(plants[:1], field)[0][1].trials
-    best = race(plants, field)[0][1]
-    assert best.survived < best.trials
+    assert alone[0][2].survived == alone[0][2].trials
+    assert found[0][1].survived < found[0][1].trials
 
 
 @pytest.mark.compiled_only
-def test_workers_do_not_change_a_race_or_a_test(make_plant):
-    plant, field = make_plant(), candidates(12)
-    assert race([plant], field, workers=3) == race([plant], field)
-    table = field[2].u_of_box
-    one, three = (measure_share(plant, table, target=0.99, workers=n) for n in (1, 3))
+def test_workers_do_not_change_a_race_or_a_test_and_progress_ends(make_setup):
+    setup, field, told = make_setup(), candidates(12), []
+    results = race(setup, field, workers=3, running=lambda *now: told.append(now))
+    assert results == race(setup, field)
+    total = sum(result.trials for _, result in results)
+    assert told[-1] == (total, total)
+    assert all(done < of for done, of in told[:-1])
+    table = field[2][1]
+    one, three = (measure_share(setup, table, target=0.99, workers=n) for n in (1, 3))
     assert one == three
 
 
 @pytest.mark.compiled_only
-def test_a_race_of_one_is_short_and_one_of_equals_runs_all_rounds(make_plant):
+def test_a_race_of_one_is_short_and_one_of_equals_runs_all_rounds(make_setup):
     good = shipped_policy().u_of_box
-    assert race([make_plant()], [Candidate(1, good)])[0][1].trials == select.FIRST_BLOCK
-    plant = make_plant("selection.rounds=4", "selection.duration=0.3")
-    equal = race([plant], [Candidate(1, good), Candidate(2, good)])
+    assert race(make_setup(), [(1, good)])[0][1].trials == select.FIRST_BLOCK
+    equal = race(make_setup("selection.duration=0.3"), [(1, good), (2, good)])
     assert [result.trials for _, result in equal] == [8 * select.FIRST_BLOCK] * 2
     assert equal[0][0] == 0
 
 
 @pytest.mark.compiled_only
-def test_the_trials_of_a_round_limit_the_candidates(make_plant, pairs):
+def test_the_trials_of_a_round_limit_the_candidates(make_setup, pairs):
     good = shipped_policy().u_of_box
     rng, field = np.random.default_rng(0), []
     for i in range(12):  # policies that differ in a box or two, of which most balance as well
         table = good.copy()
         table[rng.integers(0, 270, 2)] = rng.choice(paper.ACTIONS, 2)
-        field.append(Candidate(i, table))
-    results = race([make_plant("selection.round_trials=48")], field)
+        field.append((i, table))
+    results = race(make_setup("selection.round_trials=48"), field)
     by_number = Counter(n for _, _, n in pairs)
     assert by_number[0] == 12
     assert all(by_number[n] <= 48 // 8 for n in range(8, 16))
@@ -221,50 +234,38 @@ def test_the_trials_of_a_round_limit_the_candidates(make_plant, pairs):
     assert results[0][1].score == max(r.score for _, r in results if r.trials == 32)
 
 
-@pytest.mark.compiled_only
-@pytest.mark.parametrize("workers", [1, 2])
-def test_progress_ends_with_the_number_of_trials(make_plant, workers):
-    told = []
-    results = race(
-        [make_plant()], candidates(6), workers=workers, running=lambda *now: told.append(now)
-    )
-    total = sum(result.trials for _, result in results)
-    assert told[-1] == (total, total)
-    assert all(done < of for done, of in told[:-1])
-
-
 # The test
 
 
 @pytest.mark.compiled_only
-def test_a_test_ends_when_the_target_is_decided(make_plant):
-    bad, good = (each.u_of_box for each in candidates(2, good=1))
-    plant = make_plant("selection.test_trials=2000", "selection.duration=0.3")
-    met = measure_share(plant, good, target=0.99, error=0.025)
+def test_a_test_ends_when_the_target_is_decided(make_setup):
+    bad, good = (table for _, table in candidates(2, good=1))
+    setup = make_setup("selection.test_trials=2000", "selection.duration=0.3")
+    met = measure_share(setup, good, target=0.99, error=0.025)
     assert (met.met, met.trials, met.survived) == (True, 448, 448)
     assert met.interval[0] >= 0.99
-    missed = measure_share(make_plant(), bad, target=0.99)
+    missed = measure_share(make_setup(), bad, target=0.99)
     assert (missed.met, missed.trials) == (False, 64)
     assert missed.interval[1] < 0.99
     assert sum(missed.causes.values()) == missed.trials
     assert missed.causes.get("lasted", 0) == missed.survived
 
 
-def test_a_test_ends_when_failures_put_the_target_out_of_reach(make_plant, monkeypatch):
+def test_a_test_ends_when_failures_put_the_target_out_of_reach(make_setup, monkeypatch):
     failing = {5, 60, 100, 130}
 
     def fall(self, policy, trials, rows, duration):
         trials.cause[rows] = [TRACK * (int(trials.number[i]) in failing) for i in rows]
 
     monkeypatch.setattr(PlantSimulation, "run_piece", fall)
-    plant, table = make_plant("selection.test_trials=500"), np.zeros(270)
+    setup, table = make_setup("selection.test_trials=500"), np.zeros(270)
     # The interval of three failures in 128 trials contains the target, and needs 576 to reach it.
-    test = measure_share(plant, table, target=0.98)
+    test = measure_share(setup, table, target=0.98)
     assert (test.met, test.trials, test.survived) == (False, 128, 125)
     assert test.causes == {"lasted": 125, "track": 3}
     assert test.interval[0] < 0.98 <= test.interval[1]
     assert trials_to_meet(0.98, select.ERROR, 128, 3, 500) is None
     # Without a failure the trials go on: the share is of interest, though the target is too high.
     failing.clear()
-    test = measure_share(plant, table, target=1.0)
+    test = measure_share(setup, table, target=1.0)
     assert (test.met, test.trials, test.survived) == (False, 500, 500)

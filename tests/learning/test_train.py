@@ -16,12 +16,8 @@ from equipoise.learning.episodes import (
     new_training_state,
     train_episodes,
 )
-from equipoise.learning.target import (
-    compare_policies,
-    measure_policy,
-    train_to_target,
-)
-from equipoise.learning.train import TrainingObserver, check_task, train, training_config
+from equipoise.learning.target import compare_policies, measure_policy, train_to_target
+from equipoise.learning.train import check_task, train, training_config
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
@@ -44,6 +40,8 @@ QUICK = [
     "selection.duration=2",
     "selection.test_trials=100",
 ]
+KST = Actuator.assumed("kst", delay=0.0125, lag=0.008)
+SLOW = Actuator.assumed("kst", delay=0.01, lag=0.004, cycle=0.016)
 
 
 def settings(*overrides, recipe="robust"):
@@ -60,91 +58,74 @@ def learners(pendulum):
     return [train(pendulum, ARM, settings(), seed=5, learner=i) for i in range(3)]
 
 
-# What the result depends on
-
-
-def test_equal_seeds_give_equal_files(pendulum, learners):
-    assert train(pendulum, ARM, settings(), seed=5).digest == learners[0].digest
-
-
-def test_other_seeds_and_learners_give_other_tables(pendulum, learners):
-    policies = [*learners, train(pendulum, ARM, settings(), seed=6)]
-    assert len({policy.Q for policy in policies}) == 4
-
-
-@pytest.mark.parametrize("workers", [1, 3])
-def test_without_a_policy_that_meets_the_target_the_best_learner_is_the_result(
-    pendulum, learners, workers
-):
-    found = train_to_target(
-        pendulum, ARM, settings(), target=0.9, learners=3, seed=5, workers=workers
-    )
-    assert [each.learner for each in found.learners] == [0, 1, 2]
-    lows = [each.test.interval[0] for each in found.learners]
-    assert found.policy.test.interval[0] == max(lows)
-    assert not found.policy.test.met
-    assert "misses the target" in found.policy.shortfall
-    untested = found.policy.model_copy(update={"tests": ()})
-    assert untested.digest == learners[found.policy.learner].digest
-
-
-@pytest.mark.parametrize("workers", [1, 3])
-def test_the_first_learner_that_meets_the_target_is_the_result(
-    monkeypatch, pendulum, learners, workers
-):
-    # Learner 1 and all later ones meet it, in whatever order they finish.
-
-    def tested(policy, **given):
-        (test,) = measure_policy(policy, **given)
-        return (test.model_copy(update={"met": policy.learner >= 1}),)
-
-    monkeypatch.setattr(target_module, "measure_policy", tested)
-    found = train_to_target(
-        pendulum, ARM, settings(), target=0.9, learners=5, seed=5, workers=workers
-    )
-    assert [each.learner for each in found.learners] == [0, 1]
-    assert found.policy.learner == 1
-    assert found.policy.shortfall == ""
-    assert found.policy.Q == learners[1].Q
-
-
-def test_a_target_of_zero_takes_the_first_learner(pendulum, learners):
-    found = train_to_target(pendulum, ARM, settings(), target=0.0, learners=3, seed=5)
-    assert [each.learner for each in found.learners] == [0]
-    assert found.policy.test.met
-    assert found.policy.Q == learners[0].Q
-    # The last table of a training without a selection is tested, too.
-    last = train_to_target(pendulum, ARM, of_paper(), target=0.0)
-    assert (last.policy.checkpoints, last.learners[0].score) == ((), None)
-    assert last.policy.test.trials == 64
-
-
-def test_a_target_that_the_test_cannot_show_is_refused(pendulum):
-    for target in (0.99, 1.0):
-        with pytest.raises(InputError, match="100 trials cannot show a share of"):
-            train_to_target(pendulum, ARM, settings(), target=target)
-    with pytest.raises(InputError, match="expected at least one"):
-        train_to_target(pendulum, ARM, settings(), target=0.5, learners=0)
-
-
-# Behind an actuator
-
-KST = Actuator.assumed("kst", delay=0.0125, lag=0.008)
-SLOW = Actuator.assumed("kst", delay=0.01, lag=0.004, cycle=0.016)
-
-
-@pytest.fixture(scope="module")
-def behind(pendulum):
-    """Two learners of one seed behind an actuator, each trained alone on one thread."""
-    overrides = settings("learning.episodes=120")
-    return [train(pendulum, ARM, overrides, actuator=KST, seed=5, learner=i) for i in range(2)]
-
-
 @pytest.fixture(scope="module")
 def of_both(pendulum):
     """A policy behind two actuators, tested behind each."""
     given = {"actuator": [KST, SLOW], "target": 0.5, "learners": 1, "seed": 5}
-    return train_to_target(pendulum, ARM, settings(), **given).policy
+    return train_to_target(pendulum, ARM, settings(), **given)
+
+
+def test_equal_seeds_give_equal_files_and_others_other_tables(pendulum, learners):
+    assert train(pendulum, ARM, settings(), seed=5, workers=3).digest == learners[0].digest
+    policies = [*learners, train(pendulum, ARM, settings(), seed=6)]
+    assert len({policy.Q for policy in policies}) == 4
+
+
+# The target
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "chosen"),
+    [
+        ([(False, 0.2), (False, 0.5), (False, 0.3)], 1),
+        ([(False, 0.7), (True, 0.6)], 1),
+        ([(True, 0.6)], 0),
+    ],
+)
+def test_the_first_learner_that_meets_the_target_or_the_best_one_is_the_result(
+    monkeypatch, pendulum, learners, of_both, verdicts, chosen
+):
+    def tested(policy, **_):
+        met, low = verdicts[policy.learner]  # no later learner is tested
+        return (of_both.tests[0].model_copy(update={"met": met, "interval": (low, 1.0)}),)
+
+    monkeypatch.setattr(target_module, "train", lambda *_, learner, **__: learners[learner])
+    monkeypatch.setattr(target_module, "measure_policy", tested)
+    found = train_to_target(pendulum, ARM, settings(), target=0.9, learners=3, seed=5)
+    assert found.learner == chosen
+    assert found.Q == learners[chosen].Q
+    assert ("misses the target" in found.shortfall) is not verdicts[chosen][0]
+
+
+def test_each_stage_of_each_learner_is_shown_to_its_end(pendulum, learners):
+    shown = {}
+
+    def show(stage, share, text):
+        shown.setdefault(stage, []).append(share)
+
+    given = {"target": 0.9, "learners": 2, "seed": 5, "workers": 2, "show": show}
+    found = train_to_target(pendulum, ARM, settings(), **given)
+    assert set(shown) == {f"{name}{n}" for name in ("train", "select", "test") for n in ("", " 2")}
+    for shares in shown.values():
+        assert shares == sorted(shares)
+        assert shares[-1] == 1.0 > shares[0]
+    alone = learners[found.learner]
+    assert found.model_copy(update={"tests": ()}).digest == alone.digest
+    assert found.tests == measure_policy(alone, target=0.9, error=(0.025, 0.05 / 6)[found.learner])
+
+
+def test_the_last_table_of_a_training_without_a_selection_is_tested_too(pendulum):
+    last = train_to_target(pendulum, ARM, of_paper(), target=0.0)
+    assert (last.checkpoints, last.learner, last.test.trials) == ((), 0, 64)
+
+
+def test_a_target_that_the_test_cannot_show_is_refused(pendulum):
+    for target, learners in ((0.99, 6), (1.0, 6), (0.5, 0)):
+        with pytest.raises(InputError):
+            train_to_target(pendulum, ARM, settings(), target=target, learners=learners)
+
+
+# Behind actuators
 
 
 def test_behind_two_actuators_episodes_take_turns_on_one_table(monkeypatch, pendulum, of_both):
@@ -163,46 +144,34 @@ def test_behind_two_actuators_episodes_take_turns_on_one_table(monkeypatch, pend
     monkeypatch.setattr(train_module, "train_episodes", both)
     again = train(pendulum, ARM, settings(), actuator=[KST, SLOW], seed=5)
     assert again.actuators == (KST, SLOW)
-    assert again.actuator == KST
     assert again.episodes == alone.episodes == 60
     assert [int(totals[ENDED]) for totals in ended] == [30, 30]
     assert again.Q == of_both.Q != alone.Q
 
 
-def test_each_of_two_actuators_has_its_test_and_the_worst_one_counts(pendulum, of_both):
+def test_each_of_two_actuators_has_its_test_and_the_worst_one_counts(of_both):
     for actuator, test in zip(of_both.actuators, of_both.tests, strict=True):
         alone = of_both.model_copy(update={"actuators": (actuator,)})
         assert (test,) == measure_policy(alone, target=0.5, error=0.025)
-    assert of_both.test.interval[0] == min(test.interval[0] for test in of_both.tests)
     missed = of_both.tests[0].model_copy(update={"met": False, "interval": (0.0, 0.1)})
     bad = of_both.model_copy(update={"tests": (of_both.tests[1], missed)})
+    assert bad.test == missed
     assert "misses the target" in bad.shortfall
-
-
-def test_actuators_that_are_none_or_equal_give_one_error(pendulum):
-    with pytest.raises(InputError, match="actuators are given"):
-        train(pendulum, ARM, settings(), actuator=[])
-    with pytest.raises(InputError, match="actuators are given"):
-        train(pendulum, ARM, settings(), actuator=[KST, SLOW, KST])
 
 
 def test_without_an_actuator_it_is_the_shipped_one_or_by_the_settings_none(pendulum):
     few = ["learning.episodes=20", "selection.every=0"]
     shipped = train(pendulum, ARM, settings(*few))
-    assert shipped.actuator == shipped_actuator()
     assert shipped == train(pendulum, ARM, settings(*few), actuator=shipped_actuator())
     ideal = train(pendulum, ARM, settings(*few, "plant.ideal=true"))
-    assert ideal.actuator == IDEAL_ACTUATOR
-    assert ideal.Q == train(pendulum, ARM, settings(*few), actuator=IDEAL_ACTUATOR).Q
-    # The paper's recipe is the paper's simulation.
-    assert train(pendulum, ARM, of_paper()).actuator == IDEAL_ACTUATOR
+    assert ideal.Q == train(pendulum, ARM, settings(*few), actuator=IDEAL_ACTUATOR).Q != shipped.Q
 
 
 # The selection
 
 
-def test_the_winner_of_the_race_is_the_policy(pendulum):
-    policy = train(pendulum, ARM, settings(), seed=5)
+def test_the_winner_of_the_race_is_the_policy(pendulum, learners):
+    policy = learners[0]
     best = policy.checkpoints[0]
     assert len(policy.checkpoints) == 3
     assert best.trials == max(each.trials for each in policy.checkpoints)
@@ -279,67 +248,21 @@ def test_the_recipe_paper_selects_nothing_and_keeps_the_last_table(pendulum):
     assert np.array_equal(progress.tables.Q, policy.table)
 
 
-# What is said and kept
+# What is kept
 
 
-def test_the_learning_curve_is_told_as_it_grows(pendulum):
-    told = []
-
-    class Observer(TrainingObserver):
-        def report(self, learner, point):
-            told.append(point)
-
-    policy = train(pendulum, ARM, settings(), seed=5, observer=Observer())
-    assert tuple(told) == policy.learning_curve
-    episodes = [point.episodes for point in told]
-    steps = [point.steps for point in told]
+def test_the_learning_curve_counts_all_steps(learners):
+    policy = learners[0]
+    points = policy.learning_curve
+    episodes, steps = [each.episodes for each in points], [each.steps for each in points]
     assert episodes == sorted(set(episodes))
     assert episodes[-1] == policy.episodes == 60
     assert steps == sorted(set(steps))
     assert steps[-1] == policy.steps
     # Mean durations times episodes are the steps of the episodes that ended: all, in the end.
-    ended = np.cumsum(np.diff([0, *episodes]) * [point.duration for point in told] / 0.01)
+    ended = np.cumsum(np.diff([0, *episodes]) * [point.duration for point in points] / 0.01)
     assert ended[-1] == pytest.approx(steps[-1], rel=1e-12)
     assert np.all(ended <= np.array(steps) * (1.0 + 1e-12))
-
-
-class Told(TrainingObserver):
-    """Everything that a training reports, by learner."""
-
-    def __init__(self):
-        self.points, self.raced, self.tested = [], [], []
-
-    def report(self, learner, point):
-        self.points.append((learner, point))
-
-    def selecting(self, learner, done, of):
-        self.raced.append((learner, done, of))
-
-    def testing(self, learner, done, of):
-        self.tested.append((learner, done, of))
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_several_learners_tell_whose_progress_it_is(pendulum, workers):
-    told = Told()
-    found = train_to_target(
-        *(pendulum, ARM, settings()),
-        target=0.9,
-        learners=3,
-        seed=5,
-        workers=workers,
-        observer=told,
-    )
-    points = tuple(point for n, point in told.points if n == found.policy.learner)
-    assert points == found.policy.learning_curve
-    for result in found.learners:
-        tested = [(done, of) for n, done, of in told.tested if n == result.learner]
-        assert tested[-1] == (result.test.trials, result.test.trials)
-        raced = [(done, of) for n, done, of in told.raced if n == result.learner]
-        # A stage ends once, with its last trials.
-        for reports in (tested, raced):
-            assert all(done < of for done, of in reports[:-1] if done != reports[-1][0])
-            assert reports[-1][0] == reports[-1][1]
 
 
 # The physical limit

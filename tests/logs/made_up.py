@@ -8,9 +8,12 @@ import numpy as np
 
 from equipoise.logs.columns import tables
 from equipoise.logs.conditions import RunConditions, RunEnd
+from equipoise.logs.recorder import Recorder
 from equipoise.logs.run_log import RunLog, simulated_log
+from equipoise.logs.writer import RunWriter
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x
+from equipoise.model.pendulum import PendulumParameters
 from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.run_controller import PHASES
 from equipoise.settings import resolve
@@ -31,7 +34,7 @@ def conditions(**changes):
         "policy": "sha256:0123",
         "world": "twin:nominal",
         "arm": iiwa(7),
-        "pendulum": {"w2": 70.2, "k": 7.15, "c": 0.15, "coulomb": 0.0, "drag": 0.0},
+        "pendulum": PendulumParameters(70.2, 7.15, 0.15),
         "start": (0.0, 0.0, 0.03, 0.2),
         "h": 0.01,
         "duration": 60.0,
@@ -105,6 +108,29 @@ def changed_table(run, table, **new):
     for name, values in new.items():
         rows[name] = values
     return dataclasses.replace(run, tables=dict(run.tables) | {table: rows})
+
+
+RIG, POSTURE = rig_conditions(), np.linspace(0.0, 0.6, 7)
+
+
+def push(recorder, ticks, begin=0):
+    """Record the rows of ticks; nothing depends on what they mean."""
+    for i in range(begin, begin + ticks):
+        t = 0.01 * i
+        observed = (0.1, np.nan, 0.2, 0.3, 17, -2.0, 0.2, 0.3, 0.0)
+        recorder.tick.push(t, 1e-5, 2e-4, 3, *observed, POSTURE, POSTURE)
+        recorder.stream.push(t, POSTURE)
+        recorder.reply.push(t, t - 0.004, POSTURE, np.full(7, np.nan), t)
+        recorder.encoder.push(t, 4096 + i, 0, 0, 0, t)
+
+
+def drained(path, ticks):
+    """Begin a log on a rig; return its recorder and its writer."""
+    recorder, writer = Recorder(7), RunWriter(path, RIG, 0.0)
+    for begin in range(0, ticks, 100):
+        push(recorder, min(100, ticks - begin), begin)
+        writer.drain(recorder)
+    return recorder, writer
 
 
 RELEASE, END = 7.0, 10.0

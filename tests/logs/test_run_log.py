@@ -15,7 +15,7 @@ from equipoise.logs.columns import TABLES
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.run_log import RunLog, simulated_log
 from equipoise.outcomes import Outcome
-from tests.logs.made_up import arrays, columns, conditions, made_up
+from tests.logs.made_up import arrays, conditions, made_up
 
 
 def messages(file):
@@ -146,8 +146,6 @@ def conditions_with(entries, **changes):
 
 EDITS = {
     "half a count": lambda t, c: c | {"counts": 0.5} if t == "/encoder" else c,
-    "another version": lambda t, c: c | {"version": "9"} if t == "metadata" else c,
-    "no version": lambda t, c: {k: v for k, v in c.items() if k != "version"},
     "no conditions": lambda t, c: {**c, "conditions": ""} if t == "metadata" else c,
     "an unknown setting": lambda t, c: conditions_with(c, luck=1) if t == "metadata" else c,
     "a word for a number": lambda t, c: c | {"x": "far"} if t == "/tick" else c,
@@ -183,21 +181,3 @@ def test_a_disk_that_refuses_leaves_nothing(run, tmp_path):
     with pytest.raises(OutsideError):
         run.save(tmp_path / "taken" / "run.mcap", command="test")
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
-
-
-@pytest.mark.parametrize(
-    ("table", "new"),
-    [
-        ("ticks", {"phi": np.full(40, np.nan)}),
-        ("ticks", {"box": np.full(40, 0.5)}),
-        ("ticks", {"u": np.zeros(39)}),
-        ("ticks", {"q": np.zeros((40, 1))}),
-        ("truth", {"x": np.zeros(1)}),
-        ("stream", {"time": np.zeros(5), "q": np.zeros((5, 3))}),
-        ("replies", {"time": np.zeros(1), "q": np.full((1, 7), np.inf)}),
-        ("encoder", {"time": np.zeros(2), "counts": np.array([1.0, 1.5])}),
-    ],
-)
-def test_columns_that_are_no_numbers_or_of_another_length_are_refused(table, new):
-    with pytest.raises(ArtefactError, match=list(new)[-1]):
-        made_up(**{table: columns()[table] | new})

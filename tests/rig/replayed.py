@@ -10,23 +10,10 @@ from math import inf
 import numpy as np
 
 from equipoise.control.bound_policy import BoundPolicy
-<<<<<<< HEAD
-from equipoise.control.control_step import make_controller_params
-from equipoise.control.controller import Controller
-from equipoise.control.policy import TaskPolicy, tick_policy
-from equipoise.control.ticks import TickInputs, TickOutput, TickRecord
-from equipoise.identification.actuator import identify_actuator
-from equipoise.logs.recorder import FAILED as DEVICE_FAILED
-from equipoise.logs.recorder import WORD_TYPED
-from equipoise.logs.run_log import RunLog
-from equipoise.model.actuator import Actuator
-from equipoise.model.worlds import IDEAL
-=======
 from equipoise.control.policy import tick_policy
 from equipoise.control.ticks import TickInputs, TickRecord
 from equipoise.identification.actuator import identify_actuator
 from equipoise.logs.recorder import FAILED, WORD_TYPED
->>>>>>> main
 from equipoise.outcomes import End, Outcome
 from equipoise.rig.config import RigSettings
 from equipoise.rig.interfaces import Reply, Sample
@@ -39,97 +26,7 @@ JOBS_FAILED = {Outcome.SELF_TEST, Outcome.UNIDENTIFIED}
 """Ends by a job that failed."""
 
 
-<<<<<<< HEAD
-class Difference(NamedTuple):
-    """First difference between a replay and its log."""
-
-    tick: int
-    """Number of the tick, from zero."""
-    time: float
-    """Time of the tick in the log [s]."""
-    what: str
-    """Name of the column, e.g. `u`, `state` or `first setpoint`."""
-    logged: float
-    """Value in the log."""
-    replayed: float
-    """Value of the replay."""
-
-
-class Replayed(NamedTuple):
-    """Result of a replay."""
-
-    ticks: int
-    """Number of ticks that were compared."""
-    whole: bool
-    """Whether these are all ticks of the run; a damaged log has fewer."""
-    difference: Difference | None
-    """First difference of bits, if any."""
-
-
-def replay(run: RunLog, policy: TaskPolicy, actuator: Actuator | None = None) -> Replayed:
-    """Replay the measurements of a log through the controller, and compare the outputs.
-
-    Args:
-        run: The log.
-        policy: The policy that ran.
-        actuator: The actuator of its controller (default: the policy's).
-    """
-    carried = policy.actuators if actuator is None else (actuator,)
-    rows = (_of_twin if run.conditions.simulated else _of_rig)(run, policy, carried)
-    ticks = 0
-    for time, pairs in rows:
-        for what, (logged, replayed) in pairs.items():
-            if logged != replayed and not (isnan(logged) and isnan(replayed)):
-                difference = Difference(ticks, time, what, logged, replayed)
-                return Replayed(ticks, not run.damage, difference)
-        ticks += 1
-    return Replayed(ticks, not run.damage, None)
-
-
-def _with_digest(carried: Sequence[Actuator], digest: str) -> Actuator:
-    """Return the actuator of a digest in a log."""
-    return {IDEAL if each.kind == "ideal" else each.digest: each for each in carried}[digest]
-
-
-Pairs = dict[str, tuple[float, float]]
-Rows = Iterator[tuple[float, Pairs]]
-"""Time of each tick, and logged and replayed value by name."""
-
-
-# A run on a rig.
-
-
-def _of_rig(run: RunLog, policy: TaskPolicy, carried: Sequence[Actuator]) -> Rows:
-    conditions, tables = run.conditions, run.tables
-    digests = (conditions.actuator, *conditions.alternatives)
-    actuator, *others = (_with_digest(carried, digest) for digest in digests)
-    if isinstance(policy, BoundPolicy):
-        policy = replace(policy, settings=conditions.settings)
-    known = {name: getattr(conditions, name) for name in ("encoder", "duration", "t1", "seed")}
-    settings = RigSettings.model_validate(conditions.rig)
-    vars(settings)["described_arm"] = conditions.arm  # the URDF that it names may be elsewhere
-    known |= {"robot": conditions.world, "alternatives": tuple(others)}
-    known |= {"identify": identify_actuator if conditions.identifies else None}
-    known["anyway"] = conditions.anyway
-    request = RunRequest(policy, actuator, settings, dry_run=False, **known)
-    counts_per_rev = settings.counts_per_rev
-    reply = tables["reply"]
-    began = reply[np.isnan(reply["sent"])]
-    clock = _PolicyClock()
-    limit = None if run.end is None else run.end.max_speed
-    max_speed = inf if limit is None else limit
-    controller = RunController(
-        request.parts(tick_policy(policy), clock, counts_per_rev, max_speed),
-        request.response(actuator, counts_per_rev, max_speed),
-        began["q"][0].tolist(),
-    )
-    return _run_ticks(run, controller, clock)
-
-
-class _PolicyClock:
-=======
 class PolicyClock:
->>>>>>> main
     """Clock of the policy's computing time: a call takes no time, or exceeds its limit."""
 
     late, now = False, 0.0

@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 
 from equipoise.control.policy import shipped_policy, tick_policy
-<<<<<<< HEAD
-from equipoise.control.ticks import TickInputs, missed_ticks
-=======
-from equipoise.identification.self_test import SelfTest, SelfTestVerdict
 from equipoise.control.ticks import Reply, Sample, TickInputs, missed_ticks
->>>>>>> main
 from equipoise.errors import InputError, RecordingError
 from equipoise.identification.self_test import SelfTest, SelfTestVerdict
 from equipoise.outcomes import Outcome, Phase, describe
@@ -116,7 +111,7 @@ class Course:
             tests = self.pilot.phase.kind is Phase.SELF_TEST
             self.result = (SOUND, []) if tests else executed(output.job)
             if tests and self.verdicts:
-                self.result = SOUND._replace(verdict=self.verdicts.pop()), [], []
+                self.result = SOUND._replace(verdict=self.verdicts.pop()), []
         for event in output.events:
             if event.answers:
                 self.answers = [event.answers[0]]

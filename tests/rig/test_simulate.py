@@ -91,7 +91,7 @@ def test_the_pendulum_follows_the_nonlinear_equation(run):
     p = run.conditions.pendulum
 
     def law(_, y, u):
-        return [y[1], p["w2"] * np.sin(y[0]) - p["c"] * y[1] - p["k"] * u * np.cos(y[0])]
+        return [y[1], p.w2 * np.sin(y[0]) - p.c * y[1] - p.k * u * np.cos(y[0])]
 
     for i in range(0, len(run.time) - 1, 5):
         start = [run.phi[i], run.phi_dot[i]]

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from equipoise import paper
 from equipoise.errors import InputError, SettingsError
 from equipoise.learning.choice import compile_learner
 from equipoise.learning.episodes import (
@@ -14,13 +15,14 @@ from equipoise.learning.episodes import (
     train_episodes,
 )
 from equipoise.learning.in_world import train_in_world
-from equipoise.learning.select import trial_plants
+from equipoise.learning.select import trial_simulations
 from equipoise.learning.train import actuators_in, train, training_config
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TRAINING_NOISE
 from equipoise.settings import resolve
+from equipoise.worlds import Setup
 
 pytestmark = pytest.mark.compiled_only
 
@@ -44,9 +46,9 @@ def test_an_episode_in_a_world_teaches_what_it_teaches_compiled(learner, actuato
     for seed in range(3):
         states = [new_training_state(boxes, 2), new_training_state(boxes, 2)]
         key = np.array((seed, 0))
-        plant = trial_plants(PENDULUM, ARM, settings, (actuator,), seed)[0]
-        world = plant.simulation(TRAINING_NOISE)
-        given = (world.params, plant.pendulum, config, kernel)
+        setup = Setup(PENDULUM, ARM, settings, (actuator,), paper.STEP)
+        (world,) = trial_simulations(setup, seed=seed, stream=TRAINING_NOISE)
+        given = (world.params, world.pendulum, config, kernel)
         compiled, stepped = (new_training_loop(*given, state, key) for state in states)
         train_episodes(compiled, 1)
         train_in_world(stepped, states[1], world.loop(), 1)
@@ -71,8 +73,13 @@ def test_a_world_that_cannot_train_is_refused():
     kinematic = "coppeliasim://localhost"
     with pytest.raises(InputError):
         actuators_in("ideal", settings, None)
-    with pytest.raises(InputError):
-        actuators_in("twin:nominal", settings, (own, shipped_actuator()))
+    for world, actuators in (
+        ("twin:nominal", (own, shipped_actuator())),
+        ("model", ()),
+        ("model", (own, own)),
+    ):
+        with pytest.raises(InputError):
+            actuators_in(world, settings, actuators)
     with pytest.raises(InputError):
         actuators_in(kinematic, settings, own)
     assert actuators_in(kinematic, settings, None) == (IDEAL_ACTUATOR,)

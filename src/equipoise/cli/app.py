@@ -4,19 +4,16 @@ from functools import partial
 
 import typer
 
-from equipoise.cli.console import console
 from equipoise.cli.deploy import deploy
 from equipoise.cli.doctor import doctor
 from equipoise.cli.emulate import emulate
 from equipoise.cli.evaluate import evaluate
-from equipoise.cli.explain import explain
-from equipoise.cli.export import export
 from equipoise.cli.identify import identify
-from equipoise.cli.play import play
+from equipoise.cli.logs import explain, export
+from equipoise.cli.pages import console, play, show
 from equipoise.cli.record import record
 from equipoise.cli.refine import refine
 from equipoise.cli.reproduce import reproduce
-from equipoise.cli.show import show
 from equipoise.cli.train import train
 
 group = partial(

@@ -3,7 +3,6 @@
 One program for a simulated run, an emulated rig and a real rig.
 """
 
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -42,8 +41,6 @@ class OnRig(Options):
     """Stop where the flange reaches 0.23 m/s."""
     identify: bool = False
     """Identify the arm before the lift, and use its response."""
-    console: bool = False
-    """Show the run in the browser, with a button for each answer and a STOP."""
 
 
 @verb
@@ -71,11 +68,11 @@ def deploy(
     if run.excite and (policy or on_a_rig or task.actuator or task.settings):
         raise InputError("--excite moves a simulated arm; give it --arm and --pendulum alone")
     if not on_a_rig and on_rig != OnRig():
-        raise InputError("--dry-run, --t1, --identify and --console need --robot")
+        raise InputError("--dry-run, --t1 and --identify need --robot")
     identified = ("-actuator.json",) if on_rig.identify else ()
     out = files.file("run.mcap", policy, task.pendulum, rig.rig, suffix=".mcap", beside=identified)
     if on_a_rig:
-        _run_on_rig(output, _request(output, policy, run, task, rig, on_rig), out, on_rig.console)
+        _run_on_rig(output, _request(output, policy, run, task, rig, on_rig), out)
         return
 
     from equipoise.outcomes import Outcome
@@ -142,16 +139,11 @@ def _request(
         dry_run=on_rig.dry_run,
         seed=run.seed,
         alternatives=carried[1:],
-<<<<<<< HEAD
         identify=identify_actuator if on_rig.identify else None,
-        anyway=on_rig.anyway,
-=======
-        identify=identify_actuator if on_rig.identify else None,
->>>>>>> main
     )
 
 
-def _run_on_rig(output: Output, request: "RunRequest", out: Path, console: bool) -> None:
+def _run_on_rig(output: Output, request: "RunRequest", out: Path) -> None:
     """Run on an emulated or a real rig, write the log, and print the result."""
     from equipoise.cli.terminal_operator import TerminalOperator, single_keys
     from equipoise.rig.checks import check_fit, require
@@ -162,22 +154,11 @@ def _run_on_rig(output: Output, request: "RunRequest", out: Path, console: bool)
     require(check_fit(request.policy, request.actuator, request.settings))
     with guest_code(f"the driver of {request.robot}"):
         rig = request.connect()  # checks the addresses; nothing is opened before the run
-    in_virtual_time = bool(world_of(request.robot))
-    if console and in_virtual_time:
-        raise InputError(
-            f"--console shows a run in real time, and {request.robot} runs in virtual time; start "
-            "equipoise rig emulate, and give the --robot and --encoder that it prints"
-        )
-    if in_virtual_time:
+    if world_of(request.robot):
         with signals() as stopped, guest_code(f"the driver of {request.robot}"):
             end = run_virtually(request, out, TerminalOperator(output, stopped), rig=rig)
     else:
-        with ExitStack() as stack:
-            if console:
-                from equipoise.apps.console.server import console_process
-
-                output.tell(f"  console  {stack.enter_context(console_process())}")
-            stack.enter_context(single_keys())
+        with single_keys():
             operator = TerminalOperator(output)
             end = run_in_processes(request, out, operator, operator.live)
     actuator = None

@@ -57,7 +57,7 @@ def evaluate(
     out = files.file("evaluation.json", policy, task.pendulum)
 
     from equipoise.control.bound_policy import BUILT_IN
-    from equipoise.progress import counted
+    from equipoise.executors import counted
     from equipoise.worlds.evaluation import evaluate
 
     chosen = task.read(policy)
@@ -114,7 +114,7 @@ def certify(
         raise InputError("a claim fixes seed and actuator; leave out --seed and --actuator")
     out = files.file("certificate.json", policy, task.pendulum)
 
-    from equipoise.progress import counted
+    from equipoise.executors import counted
     from equipoise.worlds import certification
 
     chosen, length = task.read(policy), 60.0 if trials.duration is None else trials.duration

@@ -24,7 +24,7 @@ from equipoise.printable import printable
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from equipoise.progress import Show
+    from equipoise.executors import Show
 
 VERDICT_STYLES = {"good": "green", "warning": "yellow", "bad": "bold red"}
 """Styles of the verdicts of checks."""

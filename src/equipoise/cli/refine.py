@@ -45,7 +45,6 @@ def refine(
     from equipoise.control.policy import TabularPolicy
     from equipoise.identification import refine as study
     from equipoise.logs.run_log import load_run
-    from equipoise.progress import TrainingProgress
 
     table = TabularPolicy.load(policy)
     log = load_run(run)
@@ -59,7 +58,6 @@ def refine(
         made["actuator"] = findings.actuator
     refinement = None
     if retraining.train and findings.moves:
-        settings = study.settings_of_retraining(table.settings, retraining.episodes)
         with output.progress() as show:
             refinement = study.retrain(
                 table,
@@ -68,9 +66,7 @@ def refine(
                 episodes=retraining.episodes,
                 seed=random.seed,
                 workers=random.threads,
-                comparing=lambda done, of: show("compare", done / of, ""),
-                testing=lambda done, of: show("test", done / of, ""),
-                observer=TrainingProgress(settings, show),
+                show=show,
             )
         made["policy"] = refinement.policy
         output.warn(refinement.policy.shortfall)

@@ -62,7 +62,6 @@ def train(
 
     from equipoise.learning.target import TARGET, train_to_target
     from equipoise.learning.train import check_task
-    from equipoise.progress import TrainingProgress
 
     named = {f"learning.{n}": getattr(learning, n) for n in ("learner", "reward", "episodes")}
     settings = changes.resolve(**named)
@@ -73,7 +72,7 @@ def train(
         target = TARGET if settings.selection.every else 0.0
     output.warn(check_task(source, arm, settings, given, world=plant.world, target=target))
     with output.progress() as show:
-        trained = train_to_target(
+        best = train_to_target(
             source,
             arm,
             settings,
@@ -83,9 +82,8 @@ def train(
             world=plant.world,
             seed=random.seed,
             workers=random.threads,
-            observer=TrainingProgress(settings, show),
+            show=show,
         )
-    best = trained.policy
     actuators = {f"actuator {i}": each.digest for i, each in enumerate(best.actuators, start=1)}
     inputs = {"pendulum": source.digest, "world": plant.world, **actuators}
     best.save(out, command="train", inputs=inputs)
@@ -95,10 +93,6 @@ def train(
         episodes=best.episodes,
         steps=best.steps,
         tests={f"actuator {i}": test.model_dump() for i, test in enumerate(best.tests, start=1)},
-        learners={
-            str(each.learner): each.model_dump(exclude={"learner", "test"}) | each.test.model_dump()
-            for each in trained.learners
-        },
         policy=out,
         warnings=[best.shortfall],
         code=int(bool(best.shortfall)),

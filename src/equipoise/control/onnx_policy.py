@@ -5,7 +5,6 @@ one output of one number, the acceleration u [m/s^2].
 """
 
 import hashlib
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 
 from equipoise.artefacts import DIGEST_PREFIX, MAX_FILE_SIZE, StrPath, read_bytes
 from equipoise.control.policy import Array
-from equipoise.errors import InputError, MissingExtraError
+from equipoise.errors import InputError, import_optional
 
 
 class OnnxPolicy:
@@ -63,6 +62,26 @@ class OnnxPolicy:
 
     def act(self, observation: Array) -> float:
         """Return the output of the network for the observation, shape (4,), unchecked."""
+<<<<<<< HEAD
         feed = {self._name: observation[None].astype(self._type)}
         (output,) = self._session.run(None, feed)
         return np.asarray(output).item()
+=======
+        self._input.ravel()[:] = observation
+        return self._run().item()
+
+    def _run(self) -> Array:
+        return np.asarray(self._session.run(None, self._feed)[0])
+
+
+def _session(network: bytes, path: Path) -> Any:
+    """Return a session of ONNX Runtime on one thread: a small network gains nothing from more."""
+    runtime = import_optional("onnxruntime", "onnx")
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    try:
+        return runtime.InferenceSession(network, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # the runtime has many kinds
+        raise InputError(f"{path} is no network that ONNX Runtime reads ({error})") from None
+>>>>>>> main

@@ -246,7 +246,6 @@ class TabularPolicy(Artefact):
     """A trained table, with its task and the settings to train it again."""
 
     FORMAT: ClassVar[str] = "equipoise-policy"
-    VERSION: ClassVar[int] = 5
 
     actions: Annotated[tuple[Number, ...], Field(max_length=len(paper.ACTIONS))]
     """Accelerations [m/s^2]."""

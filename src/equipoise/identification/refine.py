@@ -23,11 +23,16 @@ import numpy.typing as npt
 from equipoise.artefacts import Estimate
 from equipoise.control.policy import Checkpoint, TabularPolicy
 from equipoise.errors import ArtefactError, RecordingError
+from equipoise.executors import Show, running
 from equipoise.identification.actuator import LEAST_SPEED, identify_actuator, speed_ranges
+<<<<<<< HEAD
 from equipoise.identification.regression import ClosedLoopFit, regress
 from equipoise.learning.select import Running
+=======
+from equipoise.identification.regression import ROUGH_FIT, ClosedLoopFit, regress
+>>>>>>> main
 from equipoise.learning.target import TARGET, compare_policies, measure_policy
-from equipoise.learning.train import TrainingObserver, train
+from equipoise.learning.train import train
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
@@ -143,9 +148,7 @@ def retrain(
     episodes: int = 2000,
     seed: int = 0,
     workers: int = 1,
-    comparing: Running = lambda _, __: None,
-    testing: Running = lambda _, __: None,
-    observer: TrainingObserver | None = None,
+    show: Show = lambda *_: None,
 ) -> Refinement:
     """Continue a policy's training on another model, and keep the better of old and new table.
 
@@ -158,9 +161,7 @@ def retrain(
         episodes: Number of episodes.
         seed: Master seed.
         workers: Number of threads; the result does not depend on it.
-        comparing: Called as trials of the comparison finish.
-        testing: Called as trials of the test finish.
-        observer: Callbacks of `train`.
+        show: Called with the progress of the stages `train`, `select`, `compare` and `test`.
     """
     new = train(
         pendulum,
@@ -170,16 +171,18 @@ def retrain(
         seed=seed,
         init_policy=policy,
         workers=workers,
-        observer=observer,
+        show=show,
     )
     old = policy.model_copy(update={"pendulum": pendulum, "actuators": (actuator,)})
+    seed_of_trials, comparing = seed + COMPARISON_SEED, running("compare", show)
     of_old, of_new = compare_policies(
-        [old, new], seed=seed + COMPARISON_SEED, workers=workers, running=comparing
+        [old, new], seed=seed_of_trials, workers=workers, running=comparing
     )
     kept, better = ("new", new) if of_new.score > of_old.score else ("old", old)
     if kept == "old":
         better = better.model_copy(update={"checkpoints": (of_old,)})
     target = TARGET if policy.test is None else policy.test.target
+    testing = running("test", show)
     tests = measure_policy(better, target=target, workers=workers, running=testing)
     return Refinement(better.model_copy(update={"tests": tests}), kept, of_old, of_new)
 

@@ -17,7 +17,7 @@ so that the test may stop as soon as they answer the question.
 from collections import Counter
 from collections.abc import Callable, Sequence
 from math import log
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -28,13 +28,9 @@ from scipy.stats import binom
 from equipoise import paper
 from equipoise.control.grid import TRUNCATED, make_grid
 from equipoise.control.policy import Checkpoint, PolicyKernel, TargetTest, table_kernel
-from equipoise.model.actuator import Actuator
-from equipoise.model.arms.arm import Arm
-from equipoise.model.pendulum import Pendulum, PendulumParameters
-from equipoise.model.random import SELECTION, TARGET_TEST
+from equipoise.model.random import SELECTION
 from equipoise.model.worlds import MODEL
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
-from equipoise.settings import Settings
 from equipoise.worlds.ideal import PlantSimulation
 from equipoise.worlds.interface import Setup
 
@@ -61,115 +57,77 @@ at the track. Over 40 policies the rank correlation of rms(x) in 24 trials with 
 trials of five minutes was 0.85; that of the share that lasted was 0.81."""
 
 
-class Candidate(NamedTuple):
-    """A greedy policy of a training."""
+def trial_simulations(
+    setup: Setup, *, seed: int, stream: int, spread: float = 1.0
+) -> list[PlantSimulation]:
+    """Return the simulation of trials on the plant of a training, behind each actuator.
 
-    episodes: int
-    """Number of training episodes before it."""
-    u_of_box: Array
-    """Acceleration of each box [m/s^2], shape (boxes,)."""
-
-
-class TrialPlant(NamedTuple):
-    """Inputs of the trials of candidates, which all share."""
-
-    setup: Setup
-    """Pendulum, arm, settings and the actuator."""
-    seed: int
-    """Master seed."""
-
-    @property
-    def settings(self) -> Settings:
-        """Ranges of the trials' conditions, and the rules of the selection."""
-        return self.setup.settings
-
-    @property
-    def pendulum(self) -> PendulumParameters:
-        """Nominal parameters, which the trials vary."""
-        return self.setup.pendulum.parameters(linearised=self.settings.plant.linearised)
-
-    def simulation(self, stream: int, spread: float = 1.0) -> PlantSimulation:
-        """Return the simulation of trials for one purpose."""
-        setup = self.setup._replace(spread=spread)
-        return PlantSimulation(MODEL, setup, seed=self.seed, stream=stream)
-
-    def tables(self, u_of_box: Array) -> PolicyKernel:
-        """Return the policy of several tables, from their accelerations one after the other."""
-        return table_kernel(u_of_box, make_grid(self.settings.boxes, self.pendulum.k))
+    Args:
+        setup: Pendulum, arm, settings and actuators.
+        seed: Master seed.
+        stream: Purpose of the trials.
+        spread: Factor on the variation of the plants [-].
+    """
+    setups = (setup._replace(actuators=(one,), spread=spread) for one in setup.actuators)
+    return [PlantSimulation(MODEL, one, seed=seed, stream=stream) for one in setups]
 
 
-def trial_plants(
-    pendulum: Pendulum, arm: Arm, settings: Settings, actuators: Sequence[Actuator], seed: int
-) -> list[TrialPlant]:
-    """Return the inputs of trials on the plants of a training, one for each actuator."""
-    setups = (Setup(pendulum, arm, settings, (one,), paper.STEP) for one in actuators)
-    return [TrialPlant(setup, seed) for setup in setups]
-
-
-class _Counter:
-    """Count of finished trials."""
-
-    def __init__(self, running: Running) -> None:
-        self.finished, self._expected, self._running = 0, 0, running
-
-    def expect(self, expected: int) -> None:
-        """Report the number of trials that are expected until the end."""
-        self._expected = expected
-        self._running(self.finished, expected)
-
-    def add(self, rows: Sequence[int]) -> None:
-        """Add finished trials; the last report is left to the caller."""
-        self.finished += len(rows)
-        self._running(self.finished, max(self._expected, self.finished + 1))
+def kernel_of_tables(setup: Setup, u_of_box: Array) -> PolicyKernel:
+    """Return the policy of several tables, from their accelerations one after the other."""
+    return table_kernel(u_of_box, make_grid(setup.settings.boxes, setup.pendulum.parameters().k))
 
 
 def race(
-    plants: Sequence[TrialPlant],
-    candidates: Sequence[Candidate],
+    setup: Setup,
+    candidates: Sequence[tuple[int, Array]],
     *,
+    seed: int,
     workers: int = 1,
     running: Running = lambda _, __: None,
 ) -> list[tuple[int, Checkpoint]]:
     """Race candidates on common trials; return their indices and results, the best first.
 
-    On several plants, the score of a candidate is that on the plant where it is lowest, and the
-    duration of a trial in the sign tests is the shortest one.
+    Behind several actuators, the score of a candidate is that behind the one where it is lowest,
+    and the duration of a trial in the sign tests is the shortest one.
 
     Args:
-        plants: Inputs of the trials, on each plant.
-        candidates: At least one.
+        setup: Pendulum, arm, settings and actuators.
+        candidates: Number of training episodes of each, and its accelerations [m/s^2], shape
+            (boxes,); at least one.
+        seed: Master seed of the trials.
         workers: Number of threads; the result does not depend on it.
-        running: Called as trials finish.
+        running: Called before each round, and at the end.
     """
-    rule, count = plants[0].settings.selection, len(candidates)
-    simulations = [plant.simulation(SELECTION, rule.spread) for plant in plants]
-    policy = plants[0].tables(np.concatenate([each.u_of_box for each in candidates]))
-    most, counter = FIRST_BLOCK * 2 ** (rule.rounds - 1), _Counter(running)
-    shape = len(plants), count, most
+    rule, count = setup.settings.selection, len(candidates)
+    simulations = trial_simulations(setup, seed=seed, stream=SELECTION, spread=rule.spread)
+    policy = kernel_of_tables(setup, np.concatenate([table for _, table in candidates]))
+    most, finished = FIRST_BLOCK * 2 ** (rule.rounds - 1), 0
+    shape = len(simulations), count, most
     steps, sum_x2, cause = np.zeros(shape, np.int64), np.zeros(shape), np.zeros(shape, np.int64)
     results: dict[int, Checkpoint] = {}
     alive, first = list(range(count)), 0
     while alive:
         last = max(2 * first, FIRST_BLOCK)
         rounds_left = (most // last).bit_length() - 1
-        left = len(alive) * (last - first) + rounds_left * rule.round_trials
-        counter.expect(counter.finished + len(plants) * left)
+        block, later = len(alive) * (last - first), rounds_left * rule.round_trials
+        running(finished, finished + len(simulations) * (block + later))
         for j, simulation in enumerate(simulations):
             trials = simulation.draw(last - first, first).of_tables(alive)
-            rows, done = range(len(trials.table)), counter.add
-            simulation.run(policy, trials, rows, duration=rule.duration, workers=workers, done=done)
+            rows = range(len(trials.table))
+            simulation.run(policy, trials, rows, duration=rule.duration, workers=workers)
             at = j, trials.table, trials.number
             steps[at], sum_x2[at], cause[at] = trials.steps, trials.sum_x2, trials.cause
+        finished += len(simulations) * block
         for i in alive:
             each = [
-                scored(
-                    plant,
-                    candidates[i].episodes,
+                _scored(
+                    setup,
+                    candidates[i][0],
                     int(np.sum(cause[j, i, :last] == TRUNCATED)),
                     steps[j, i, :last],
                     sum_x2[j, i, :last],
                 )
-                for j, plant in enumerate(plants)
+                for j in range(len(simulations))
             ]
             results[i] = min(each, key=lambda result: result.score)
         alive.sort(key=lambda i: (-results[i].score, i))
@@ -180,7 +138,7 @@ def race(
         if len(alive) == 1 or last == most:
             break
         first = last
-    running(counter.finished, counter.finished)
+    running(finished, finished)
     order = sorted(results, key=lambda i: (-results[i].trials, -results[i].score, i))
     return [(i, results[i]) for i in order]
 
@@ -202,33 +160,31 @@ def not_worse(steps: IntArray, error: float) -> list[bool]:
     return (tail > error).tolist()
 
 
-def scored(
-    plant: TrialPlant, episodes: int, lasted: int, steps: IntArray, sum_x2: Array
-) -> Checkpoint:
+def _scored(setup: Setup, episodes: int, lasted: int, steps: IntArray, sum_x2: Array) -> Checkpoint:
     """Return the results and the score of a table from its trials.
 
     Args:
-        plant: Inputs of the trials.
+        setup: Inputs of the trials.
         episodes: Number of training episodes before the table.
         lasted: Number of trials without a failure.
         steps: Number of steps of each trial, shape (n,).
         sum_x2: Sum of x^2 over the steps of each trial [m^2], shape (n,).
     """
-    rule, h = plant.settings.selection, plant.setup.h
-    mean_duration = float(np.mean(steps)) * h
+    mean_duration = float(np.mean(steps)) * setup.h
     rms_x = float(np.sqrt(np.sum(sum_x2) / np.sum(steps)))
+    of_duration = mean_duration / setup.settings.selection.duration
     return Checkpoint(
         episodes=episodes,
         trials=len(steps),
         survived=lasted,
         mean_duration=mean_duration,
         rms_x=rms_x,
-        score=mean_duration / rule.duration - RMS_X_WEIGHT * rms_x / paper.X_LIMIT,
+        score=of_duration - RMS_X_WEIGHT * rms_x / paper.X_LIMIT,
     )
 
 
 def measure_share(
-    plant: TrialPlant,
+    simulation: PlantSimulation,
     u_of_box: Array,
     *,
     target: float,
@@ -243,25 +199,26 @@ def measure_share(
     have put the target out of reach of the remaining trials.
 
     Args:
-        plant: Inputs of the trials.
+        simulation: Simulation of the trials.
         u_of_box: Acceleration of each box [m/s^2], shape (boxes,).
         target: Required share [-].
         error: Probability that the interval does not contain the share.
         workers: Number of threads; the result does not depend on it.
-        running: Called as trials finish, with the number after which the target would be met.
+        running: Called before each look at the bounds, with the number of trials after which the
+            target would be met, and at the end.
     """
-    rule = plant.settings.selection
-    simulation, policy = plant.simulation(TARGET_TEST), plant.tables(u_of_box)
+    rule = simulation.setup.settings.selection
+    policy = kernel_of_tables(simulation.setup, u_of_box)
     count, failed, causes = 0, 0, Counter[Outcome]()
-    low, high, counter = 0.0, 1.0, _Counter(running)
+    low, high = 0.0, 1.0
     while count == 0 or (low < target <= high and count < rule.test_trials):
         expected = trials_to_meet(target, error, count, failed, rule.test_trials)
         if expected is None and failed:
             break
+        running(count, expected or rule.test_trials)
         trials = simulation.draw(min(TEST_BLOCK, rule.test_trials - count), count)
-        counter.expect(expected or rule.test_trials)
-        rows, done = range(len(trials.steps)), counter.add
-        simulation.run(policy, trials, rows, duration=rule.duration, workers=workers, done=done)
+        rows = range(len(trials.steps))
+        simulation.run(policy, trials, rows, duration=rule.duration, workers=workers)
         causes.update(TRIAL_OUTCOMES[code] for code in trials.cause.tolist())
         count += len(rows)
         failed = count - causes[Outcome.LASTED]

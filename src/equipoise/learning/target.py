@@ -1,61 +1,31 @@
 """Training of learners until a policy meets a target in trials that did not select it."""
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final
 
-from equipoise.artefacts import Count, Number, Value
 from equipoise.control.policy import Checkpoint, TabularPolicy, TargetTest
 from equipoise.errors import InputError
+from equipoise.executors import Show, running
 from equipoise.learning.select import (
     ERROR,
-    Candidate,
     Running,
-    TrialPlant,
     measure_share,
     race,
-    trial_plants,
+    trial_simulations,
     trials_to_meet,
 )
-from equipoise.learning.train import (
-    Actuators,
-    TrainingObserver,
-    check_task,
-    train,
-)
+from equipoise.learning.train import Actuators, check_task, stage_of, train
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
+from equipoise.model.random import TARGET_TEST
 from equipoise.model.worlds import MODEL
 from equipoise.settings import Settings
+from equipoise.worlds import setup_of
 
 LEARNERS: Final = 6
 """Maximum number of learners of a training by default."""
 TARGET: Final = 0.99
 """Required share of trials that last, by default [-]."""
-
-
-class LearnerResult(Value):
-    """Figures of a learner that has been trained and tested."""
-
-    learner: Count
-    """Number of the learner."""
-    steps: Count
-    """Number of its control steps."""
-    episodes: Count
-    """Number of episodes of the selected policy."""
-    score: Number | None
-    """Score of the selected policy in the race; None without a selection."""
-    test: TargetTest
-    """Test of the selected policy."""
-
-
-class TrainedLearners(NamedTuple):
-    """Result of a training to a target."""
-
-    policy: TabularPolicy
-    """Policy of the first learner that meets the target; if none meets it, the one with the highest
-    lower end of the interval."""
-    learners: tuple[LearnerResult, ...]
-    """Figures of all learners up to the first that meets the target."""
 
 
 def train_to_target(
@@ -69,8 +39,8 @@ def train_to_target(
     world: str = MODEL,
     seed: int = 0,
     workers: int = 1,
-    observer: TrainingObserver | None = None,
-) -> TrainedLearners:
+    show: Show = lambda *_: None,
+) -> TabularPolicy:
     """Train learners of one seed, one after the other, until one meets a target.
 
     A policy below the target is accepted with a probability of at most 5 %, over all learners.
@@ -85,7 +55,11 @@ def train_to_target(
         world: World of the episodes; as in `train`.
         seed: Master seed.
         workers: Number of threads of the trials; the result does not depend on it.
-        observer: Callbacks.
+        show: Called with the progress of the stages `train`, `select` and `test`.
+
+    Returns:
+        The tested policy of the first learner that meets the target; if none meets it, the one with
+        the highest lower end of the interval.
 
     Raises:
         InputError: The test has too few trials for the target, even without a failure.
@@ -100,14 +74,8 @@ def train_to_target(
     if learners < 1:
         raise InputError(f"{learners} learners are given, expected at least one")
     check_task(pendulum, arm, settings, actuator, world=world, target=target)
-    observer = observer or TrainingObserver()
     tested: list[TabularPolicy] = []
-    results: list[LearnerResult] = []
     for learner in range(learners):
-
-        def testing(done: int, of: int, learner: int = learner) -> None:
-            observer.testing(learner, done, of)
-
         policy = train(
             pendulum,
             arm,
@@ -117,35 +85,25 @@ def train_to_target(
             seed=seed,
             learner=learner,
             workers=workers,
-            observer=observer,
+            show=show,
         )
         tests = measure_policy(
-            policy, target=target, error=_error(learner), workers=workers, running=testing
+            policy,
+            target=target,
+            error=_error(learner),
+            workers=workers,
+            running=running(stage_of("test", learner), show),
         )
         tested.append(policy.model_copy(update={"tests": tests}))
-        if (test := tested[-1].test) is not None:
-            results.append(_figures(tested[-1], test))
-            if test.met:
-                break
-    best = max(range(len(results)), key=lambda i: _rank(results[i]))
-    return TrainedLearners(tested[best], tuple(results))
+        if not tested[-1].shortfall:
+            break
+    return max(tested, key=_rank)
 
 
-def _rank(result: LearnerResult) -> tuple[bool, float, float]:
-    """Return the sort key of a tested learner; the highest one is the best."""
-    return result.test.met, result.test.interval[0], result.score or 0.0
-
-
-def _figures(policy: TabularPolicy, test: TargetTest) -> LearnerResult:
-    """Return the figures of a tested learner."""
-    chosen = policy.checkpoints[0] if policy.checkpoints else None
-    return LearnerResult(
-        learner=policy.learner,
-        steps=policy.steps,
-        episodes=policy.episodes if chosen is None else chosen.episodes,
-        score=None if chosen is None else chosen.score,
-        test=test,
-    )
+def _rank(policy: TabularPolicy) -> tuple[bool, float, float]:
+    """Return the sort key of a tested policy; the highest one is the best."""
+    low = 0.0 if policy.test is None else policy.test.interval[0]
+    return not policy.shortfall, low, policy.checkpoints[0].score if policy.checkpoints else 0.0
 
 
 def _error(learner: int) -> float:
@@ -166,16 +124,14 @@ def measure_policy(
     A policy whose share is below the target behind any of them meets it behind all with a
     probability of at most `error`.
     """
-    finished, tests = 0, list[TargetTest]()
-    for plant in _plants(policy, policy.seed):
-
-        def add(done: int, of: int, before: int = finished) -> None:
-            running(before + done, before + of)
-
-        given: Any = {"target": target, "error": error, "workers": workers, "running": add}
-        tests.append(measure_share(plant, policy.u_of_box, **given))
-        finished += tests[-1].trials
-    return tuple(tests)
+    u_of_box = policy.u_of_box
+    setup = setup_of(policy, MODEL)
+    return tuple(
+        measure_share(
+            simulation, u_of_box, target=target, error=error, workers=workers, running=running
+        )
+        for simulation in trial_simulations(setup, seed=policy.seed, stream=TARGET_TEST)
+    )
 
 
 def compare_policies(
@@ -193,13 +149,7 @@ def compare_policies(
         workers: Number of threads of the trials; the result does not depend on it.
         running: Called as trials finish.
     """
-    plants = _plants(policies[0], seed)
-    candidates = [Candidate(policy.episodes, policy.u_of_box) for policy in policies]
-    return [
-        result for _, result in sorted(race(plants, candidates, workers=workers, running=running))
-    ]
-
-
-def _plants(policy: TabularPolicy, seed: int) -> list[TrialPlant]:
-    """Return the inputs of trials on the plants of a policy's training."""
-    return trial_plants(policy.pendulum, policy.arm, policy.settings, policy.actuators, seed)
+    setup = setup_of(policies[0], MODEL)
+    candidates = [(policy.episodes, policy.u_of_box) for policy in policies]
+    found = race(setup, candidates, seed=seed, workers=workers, running=running)
+    return [result for _, result in sorted(found)]

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
-from equipoise.control.grid import ACTIONS, make_grid
+from equipoise.control.grid import make_grid
 from equipoise.control.policy import (
     MAX_ACTUATORS,
     Checkpoint,
@@ -23,6 +23,7 @@ from equipoise.control.policy import (
     greedy_accelerations,
 )
 from equipoise.errors import InputError
+from equipoise.executors import Show, running
 from equipoise.learning.choice import (
     compile_learner,
     load_learner,
@@ -41,13 +42,13 @@ from equipoise.learning.episodes import (
 )
 from equipoise.learning.in_world import train_in_world
 from equipoise.learning.learner import UpdateParams
-from equipoise.learning.select import Candidate, race, trial_plants
+from equipoise.learning.select import race, trial_simulations
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TRAINING_NOISE
 from equipoise.model.worlds import IDEAL, MODEL
-from equipoise.settings import SelectionSettings, Settings
+from equipoise.settings import Settings
 from equipoise.worlds import ClosedLoop, Setup, simulate, world_class
 from equipoise.worlds.reachability import check_releases
 
@@ -57,19 +58,6 @@ Actuators = Actuator | Sequence[Actuator] | None
 
 MAX_REPORTS: Final = 200
 """Number of progress reports of a training without candidates."""
-
-
-class TrainingObserver:
-    """Callbacks of a training, each with the number of the learner."""
-
-    def report(self, learner: int, point: LearningPoint) -> None:
-        """Receive a point of a learning curve."""
-
-    def selecting(self, learner: int, done: int, of: int) -> None:
-        """Receive the number of finished trials of a race, and the expected one."""
-
-    def testing(self, learner: int, done: int, of: int) -> None:
-        """Receive the number of finished trials of a test, and the one that meets the target."""
 
 
 def train(
@@ -83,9 +71,12 @@ def train(
     learner: int = 0,
     init_policy: TabularPolicy | None = None,
     workers: int = 1,
-    observer: TrainingObserver | None = None,
+    show: Show = lambda *_: None,
 ) -> TabularPolicy:
     """Train one learner, and select its best policy; `train_to_target` tests it, too.
+
+    Candidates are the greedy policies of the running average in the last part of the training;
+    equal ones are one candidate.
 
     Args:
         pendulum: The identified pendulum.
@@ -102,7 +93,7 @@ def train(
         learner: Index of the learner, each with its own random numbers.
         init_policy: Policy with the initial table and visits; by default zeros.
         workers: Number of threads of the trials; the result does not depend on it.
-        observer: Callbacks.
+        show: Called with the progress of the stages `train` and `select`.
 
     Returns:
         The policy, with its learning curve and the results of its race.
@@ -115,26 +106,33 @@ def train(
     check_task(pendulum, arm, settings, actuator, world=world)
     actuators = actuators_in(world, settings, actuator)
     settings = settings.model_copy(update={"learning": with_digests(settings.learning)})
-    selection, observer = settings.selection, observer or TrainingObserver()
+    rule, episodes = settings.selection, settings.learning.episodes
     setup = Setup(pendulum, arm, settings, actuators, paper.STEP)
     training = _Training(setup, world, seed, learner, init_policy)
-    candidates = _Candidates(selection, settings.learning.episodes, settings.boxes.count)
-    every = selection.every or max(1, settings.learning.episodes // MAX_REPORTS)
+    averaged, found = np.zeros_like(training.tables.Q), dict[bytes, tuple[int, Array]]()
+    every = rule.every or max(1, episodes // MAX_REPORTS)
     curve: list[LearningPoint] = []
-    while (ended := training.totals[ENDED]) < settings.learning.episodes:
-        point = training.run(min(ended + every, settings.learning.episodes))
-        if selection.every > 0:
-            candidates.add(training.tables.Q, point.episodes)
+    while (ended := training.totals[ENDED]) < episodes:
+        point = training.run(min(ended + every, episodes))
         curve.append(point)
-        observer.report(learner, point)
+        share = max(rule.averaging, 1.0 / len(curve))
+        averaged += share * (training.tables.Q - averaged)
+        if rule.every and point.episodes > (1.0 - rule.late) * episodes:
+            accelerations = greedy_accelerations(averaged).tobytes()
+            found.setdefault(accelerations, (point.episodes, averaged.copy()))
+            if len(found) > rule.candidates:
+                del found[next(iter(found))]
+        text = f"{point.duration:.1f} s an episode"
+        show(stage_of("train", learner), point.episodes / episodes, text)
     chosen, results = training.tables.Q, tuple[Checkpoint, ...]()
-    if candidates.found:
-        taken = list(candidates.found.values())
+    if found:
+        taken = list(found.values())
         order = race(
-            training.plants,
-            [Candidate(n, greedy_accelerations(Q)) for n, Q in taken],
+            setup,
+            [(n, greedy_accelerations(Q)) for n, Q in taken],
+            seed=seed,
             workers=workers,
-            running=lambda done, of: observer.selecting(learner, done, of),
+            running=running(stage_of("select", learner), show),
         )
         chosen = taken[order[0][0]][1]
         results = tuple(result for _, result in order)
@@ -154,6 +152,11 @@ def train(
         learning_curve=tuple(curve),
         checkpoints=results,
     )
+
+
+def stage_of(name: str, learner: int) -> str:
+    """Return the name of a stage; each learner has its own ones."""
+    return f"{name} {learner + 1}" if learner else name
 
 
 def check_task(
@@ -227,7 +230,7 @@ class _Training:
     ) -> None:
         settings = setup.settings
         self._learning = settings.learning
-        self.plants = trial_plants(setup.pendulum, setup.arm, settings, setup.actuators, seed)
+        plants = trial_simulations(setup, seed=seed, stream=TRAINING_NOISE)
         config = training_config(settings, setup.pendulum.parameters().k)
         kernel = compile_learner(settings.learning)
         first = new_training_state(settings.boxes.count, load_learner(settings.learning).tables)
@@ -239,14 +242,14 @@ class _Training:
                     "boxes"
                 )
             self.tables.Q[:], self.tables.visits[:] = init_policy.table, init_policy.visits
-        others = (new_training_state(0)._replace(tables=first.tables) for _ in self.plants[1:])
+        others = (new_training_state(0)._replace(tables=first.tables) for _ in plants[1:])
         self._states: list[TrainingState] = [first, *others]
         self._loops: list[Any] = []
-        for i, (plant, state) in enumerate(zip(self.plants, self._states, strict=True)):
+        for i, (plant, state) in enumerate(zip(plants, self._states, strict=True)):
             # The boxes do not resolve speeds below the limit; selection finds tables that respect
             # it.
-            params = plant.simulation(TRAINING_NOISE).params._replace(speed_limit=inf)
-            episodes = (config.episodes + len(self.plants) - 1 - i) // len(self.plants)
+            params = plant.params._replace(speed_limit=inf)
+            episodes = (config.episodes + len(plants) - 1 - i) // len(plants)
             share, key = config._replace(episodes=episodes), np.array((seed, learner))
             self._loops.append(new_training_loop(params, plant.pendulum, share, kernel, state, key))
         self._elsewhere: ClosedLoop | None = None
@@ -292,27 +295,6 @@ class _Training:
         while sum(ended := [int(state.totals[ENDED]) for state in self._states]) < until:
             least = ended.index(min(ended))
             train_episodes(self._loops[least], until if len(ended) == 1 else ended[least] + 1)
-
-
-class _Candidates:
-    """Greedy policies of the running average in the last part of a training, equal ones once."""
-
-    def __init__(self, rule: SelectionSettings, episodes: int, boxes: int) -> None:
-        self._rule, self._episodes = rule, episodes
-        self._averaged, self._count = np.zeros((boxes, ACTIONS)), 0
-        self.found: dict[bytes, tuple[int, Array]] = {}
-        """Number of episodes and averaged table of each candidate, by its accelerations."""
-
-    def add(self, Q: Array, ended: int) -> None:
-        """Add the table after some episodes to the average; take its greedy policy if late."""
-        self._count += 1
-        share = max(self._rule.averaging, 1.0 / self._count)
-        self._averaged += share * (Q - self._averaged)
-        if ended > (1.0 - self._rule.late) * self._episodes:
-            averaged = self._averaged.copy()
-            self.found.setdefault(greedy_accelerations(averaged).tobytes(), (ended, averaged))
-            if len(self.found) > self._rule.candidates:
-                del self.found[next(iter(self.found))]
 
 
 def training_config(settings: Settings, k: float) -> TrainingConfig:

@@ -1,7 +1,7 @@
 """Conditions of a run, which are known before it begins, and its end."""
 
 from math import isfinite
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -11,14 +11,6 @@ from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.outcomes import EXIT_CODES, End, Outcome, Phase, describe
 from equipoise.settings import Settings
-
-PENDULUM: Final = ("w2", "k", "c", "coulomb", "drag")
-"""Parameters of a pendulum in a log."""
-
-
-def named(pendulum: PendulumParameters) -> dict[str, float]:
-    """Return the parameters of a pendulum by name."""
-    return {name: float(getattr(pendulum, name)) for name in PENDULUM}
 
 
 def _storable(value: Any) -> Any:
@@ -43,9 +35,9 @@ class RunConditions(Value):
     """World of a simulated run, or address of the robot."""
     arm: Arm
     """The arm, with its home posture and the pendulum's place."""
-    pendulum: dict[str, Number]
-    """Parameters w2 [1/s^2], k [1/m], c [1/s], coulomb [1/s^2], drag [1/rad]: in simulation the
-    true ones, on a rig those assumed by the controller."""
+    pendulum: PendulumParameters
+    """Parameters of the pendulum: in simulation the true ones, on a rig those assumed by the
+    controller."""
     pendulum_digest: Name = ""
     """Digest of the identified pendulum."""
     start: tuple[Number, Number, Number, Number] | None = None
@@ -88,20 +80,12 @@ class RunConditions(Value):
     def _is_possible(self) -> "RunConditions":
         if Phase.BALANCING not in self.phases:
             raise ValueError("phases lacks 'balancing'")
-        if set(self.pendulum) != set(PENDULUM):
-            raise ValueError(f"pendulum has {set(self.pendulum)}")
         return self
 
     @property
     def simulated(self) -> bool:
         """Whether the run is a simulation, which starts at the release, and not a run on a rig."""
         return self.rig is None
-
-    @property
-    def pendulum_parameters(self) -> PendulumParameters:
-        """The pendulum of the run."""
-        w2, k, c, coulomb, drag = (self.pendulum[name] for name in PENDULUM)
-        return PendulumParameters(w2, k, c, coulomb, drag)
 
     @property
     def joints(self) -> tuple[str, ...]:

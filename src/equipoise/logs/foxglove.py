@@ -1,10 +1,9 @@
-"""Messages for Foxglove and Lichtblick: joint states, transforms, description of the arm.
+"""Messages for Foxglove and Lichtblick: transforms, and the description of the arm.
 
 Their 3D panels read these schemas, by name, encoded as JSON::
 
     /robot_description  std_msgs/String            URDF of arm and pendulum, once
     /tf                 foxglove.FrameTransforms   frame of each link, `RATE` times a second
-    /joint_states       sensor_msgs/JointState     joint positions, at the same rate
 
 Frames have the names of the URDF's links, from `base` to `flange` and `pendulum`; each is placed in
 `base`, by the kinematics of MuJoCo. Joint positions
@@ -22,7 +21,7 @@ from equipoise.model.arms.urdf_writer import BASE, write_urdf
 from equipoise.model.physics_engine import mujoco
 
 RATE: Final = 25.0
-"""Rate of transforms and joint states [Hz], that of a film."""
+"""Rate of the transforms [Hz], that of a film."""
 DIGITS: Final = 6
 """Number of decimals: micrometres and microradians."""
 
@@ -48,15 +47,9 @@ _TRANSFORM: Final = {
     ),
 }
 _TRANSFORMS: Final = {"title": "foxglove.FrameTransforms", **_object(transforms=_array(_TRANSFORM))}
-_JOINT_STATES: Final = _object(
-    header=_object(stamp=_STAMP, frame_id=_TEXT),
-    name=_array(_TEXT),
-    **dict.fromkeys(("position", "velocity", "effort"), _array(_NUMBER)),
-)
 SCHEMAS: Final[Mapping[str, tuple[str, dict[str, Any]]]] = {
     "/robot_description": ("std_msgs/String", _object(data=_TEXT)),
     "/tf": ("foxglove.FrameTransforms", _TRANSFORMS),
-    "/joint_states": ("sensor_msgs/JointState", _JOINT_STATES),
 }
 """Name and content of the schema of each topic."""
 
@@ -72,7 +65,6 @@ class ArmDisplay:
         self._model = spec.compile()
         self._data = mujoco().MjData(self._model)
         self._links = [body.name for body in spec.bodies[1:]]
-        self._names = [joint.name for joint in spec.joints]
         self._phi, self._measured, self._next, self._described = pi, False, 0, False
 
     def messages(
@@ -100,8 +92,6 @@ class ArmDisplay:
         angles = [round(angle, DIGITS) for angle in (*q, self._phi)]
         time = {"sec": stamp // 1_000_000_000, "nsec": stamp % 1_000_000_000}
         yield "/tf", {"transforms": list(self._transforms(angles, time))}
-        joints = {"header": {"stamp": time, "frame_id": BASE}, "name": self._names}
-        yield "/joint_states", {**joints, "position": angles, "velocity": [], "effort": []}
 
     def _transforms(self, angles: Sequence[float], time: Any) -> Iterator[dict[str, Any]]:
         data = self._data

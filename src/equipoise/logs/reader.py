@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from equipoise.artefacts import Provenance, check_version, shortened
+from equipoise.artefacts import Provenance, shortened
 from equipoise.errors import ArtefactError
 from equipoise.logs.columns import Rows, from_messages, tables
 from equipoise.logs.conditions import RunConditions, RunEnd
-from equipoise.logs.writer import FORMAT, VERSION
+from equipoise.logs.writer import FORMAT
 
 
 def read_log(
@@ -28,10 +28,8 @@ def read_log(
             another version.
     """
     entries, messages, damage = _read_mcap(path)
-    version = entries.get("version", "")
-    if not (version.isascii() and version.isdecimal() and len(version) < 9):
+    if not entries:
         raise ArtefactError(f"{path} {damage or 'is no run log'}; give a log that deploy wrote")
-    check_version(path, FORMAT, int(version), VERSION, "record the run again")
     end = None
     try:
         conditions = RunConditions.model_validate_json(entries["conditions"], strict=True)

@@ -27,10 +27,9 @@ RINGS: Final = (*RATES, "notices", "typed", "console")
 """Names of all rings, in the order of their counters."""
 EVENT: Final = tables(0)["event"]
 """Type of the rows of the table `event`."""
-WORD: Final = np.dtype([("word", "S64")])
-"""Type of the rows with words typed by the operator."""
-ANSWER: Final = np.dtype([("question", np.float64), *WORD.descr])
-"""Type of the rows with words from a console, and the time of the question that they answer."""
+WORD: Final = np.dtype([("question", np.float64), ("word", "S64")])
+"""Type of the rows with words of operators; those of a console name the time of the question that
+they answer [s]."""
 PULSE: Final = np.dtype([(name, np.float64) for name in ("time", "state", "phi", "ticks")])
 """Type of `Recorder.pulse`: time of the last tick [s], its state, phi [rad], number of ticks."""
 CONNECTING: Final = "connecting"
@@ -130,7 +129,7 @@ class Recorder:
         self.typed = rings["typed"]
         """Words of the operator, from another process."""
         self.console = rings["console"]
-        """Words from a console, as rows of the type `ANSWER`."""
+        """Words from a console."""
         self._question: npt.NDArray[Any] = memory["question"]
 
     @staticmethod
@@ -194,7 +193,7 @@ def _memory_layout(joints: int) -> np.dtype[Any]:
     kinds = tables(joints)
     counters = ("counters", np.int64, (len(RINGS), 3))
     rows = [(name, kinds[name], round(10.0 * rate)) for name, rate in RATES.items()]
-    words = {"notices": EVENT, "typed": WORD, "console": ANSWER}
+    words = {"notices": EVENT, "typed": WORD, "console": WORD}
     operator = [(name, kind, 256) for name, kind in words.items()]
     pulse, question = ("pulse", PULSE), ("question", EVENT, 1)
     return np.dtype([counters, pulse, question, *rows, *operator])

@@ -7,7 +7,6 @@ hanging pendulum, and the true state is unknown.
 """
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -20,7 +19,7 @@ import numpy.typing as npt
 
 from equipoise.artefacts import DIGEST_PREFIX, Provenance, StrPath, write_whole
 from equipoise.errors import ArtefactError, RecordingError
-from equipoise.logs.columns import MAX_NUMBER, TABLES, Rows, canonical, tables
+from equipoise.logs.columns import TABLES, Rows, canonical, tables
 from equipoise.logs.conditions import RunConditions, RunEnd
 from equipoise.logs.reader import read_log
 from equipoise.logs.recorder import LoggedEvent, read_events
@@ -97,10 +96,10 @@ class RunLog:
     @property
     def digest(self) -> str:
         """SHA-256 of conditions, rows and end."""
-        whole = hashlib.sha256(_json(self.conditions.model_dump(mode="json")))
+        end = self.end.model_dump_json() if self.end else ""
+        whole = hashlib.sha256(f"{self.conditions.model_dump_json()}\n{end}".encode())
         for name, rows in self.tables.items():
             whole.update(name.encode() + hashlib.sha256(rows.tobytes()).digest())
-        whole.update(_json(self.end and self.end.model_dump(mode="json")))
         return DIGEST_PREFIX + whole.hexdigest()
 
     # Phases.
@@ -234,8 +233,16 @@ class RunLog:
         Raises:
             ArtefactError: The log is cut short before the release.
         """
-        zero = self.end and self.end.zero
-        return _counted_zero(self) if zero is None else zero
+        if self.end and self.end.zero is not None:
+            return self.end.zero
+        # The last angle before the release, and its newest count.
+        armed, per_rev = self.phase_ticks(Phase.ARMED), self.conditions.counts_per_rev
+        tick, encoder = self.tables["tick"][armed[-1:]], self.tables["encoder"]
+        known = encoder["counts"][encoder["received"] <= tick["time"].sum()]
+        if len(tick) == 0 or per_rev is None or len(known) == 0:
+            raise ArtefactError("the log does not contain the encoder's zero; give a complete log")
+        angle = np.pi - float(tick["estimated_phi"][0])
+        return float(known[-1] - angle * per_rev / (2.0 * np.pi))
 
     # The file.
 
@@ -291,13 +298,10 @@ def simulated_log(
     replies: Mapping[str, Any] | None = None,
     encoder: Mapping[str, Any] | None = None,
 ) -> RunLog:
-    """Create a simulated run from the columns of its tables.
+    """Create a simulated run from the columns of its tables; columns that are missing are unknown.
 
     The names are those of `equipoise.logs.columns`. The times of `ticks` hold for `truth`, too;
     `replies` need only `time` and `q`.
-
-    Raises:
-        ArtefactError: Columns differ in length, or values are not finite.
     """
     given: dict[str, Mapping[str, Any]] = {
         "tick": {"late": 0.0, "compute": 0.0, **ticks},
@@ -306,8 +310,12 @@ def simulated_log(
         "reply": {**replies, "sent": replies["time"]} if replies else {},
         "encoder": encoder or {},
     }
-    kinds = tables(len(conditions.joints))
-    filled = {name: _filled(name, kinds[name], columns) for name, columns in given.items()}
+    kinds, filled = tables(len(conditions.joints)), dict[str, Rows]()
+    for name, columns in given.items():
+        rows = filled[name] = np.zeros(len(columns.get("time", ())), kinds[name])
+        for column in TABLES[name] if len(rows) else ():
+            unknown = 0 if column.kind == "whole" else np.nan
+            rows[column.name] = columns.get(column.name, unknown)
     return RunLog(conditions, filled, end)
 
 
@@ -324,47 +332,6 @@ def load_run(path: Path) -> RunLog:
     return run
 
 
-def _json(content: Any) -> bytes:
-    return json.dumps(content, separators=(",", ":"), sort_keys=True, allow_nan=False).encode()
-
-
-def _filled(name: str, kind: np.dtype[Any], columns: Mapping[str, Any]) -> Rows:
-    """Return a table from its columns; an empty one without a column of times.
-
-    Raises:
-        ArtefactError: Columns differ in length, or values are not finite.
-    """
-    rows = np.zeros(len(columns.get("time", ())), kind)
-    for column in TABLES[name] if len(rows) else ():
-        shape, whole = rows[column.name].shape, column.kind == "whole"
-        given = np.asarray(columns.get(column.name, 0 if whole else np.nan))
-        unknown = column.name not in columns and not whole
-        valid = given.shape in ((), shape) and (unknown or np.all(np.abs(given) <= MAX_NUMBER))
-        if not valid or (whole and np.any(np.round(given) != given)):
-            raise ArtefactError(
-                f"{column.name} of table {name} is no column of {column.kind} values with the "
-                f"shape {shape}, but has the shape {given.shape}, or values that are not finite; "
-                "give one finite value per row, and postures one per joint"
-            )
-        rows[column.name] = given
-    return rows
-
-
 def _frozen(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     values.flags.writeable = False
     return values
-
-
-def _counted_zero(run: RunLog) -> float:
-    """Return the encoder's zero from the last angle before the release and its newest count.
-
-    Raises:
-        ArtefactError: The log contains neither.
-    """
-    armed, per_rev = run.phase_ticks(Phase.ARMED), run.conditions.counts_per_rev
-    tick, encoder = run.tables["tick"][armed[-1:]], run.tables["encoder"]
-    known = encoder["counts"][encoder["received"] <= tick["time"].sum()]
-    if len(tick) == 0 or per_rev is None or len(known) == 0:
-        raise ArtefactError("the log does not contain the encoder's zero; give a complete log")
-    angle = np.pi - float(tick["estimated_phi"][0])
-    return float(known[-1] - angle * per_rev / (2.0 * np.pi))

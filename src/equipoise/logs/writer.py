@@ -23,7 +23,6 @@ from equipoise.logs.foxglove import SCHEMAS, ArmDisplay
 from equipoise.logs.recorder import CONNECTING, Recorder
 
 FORMAT: Final = "equipoise-run"
-VERSION: Final = 1
 CHUNK: Final = 128 * 1024
 """Size of a chunk before compression [B]: half a second of a run on a rig. A killed process loses
 its last chunk."""
@@ -50,7 +49,6 @@ class LogEncoder:
         self._writer = Writer(stream, CHUNK, CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="", library=FORMAT)
         entries = {
-            "version": str(VERSION),
             "conditions": conditions.model_dump_json(),
             "provenance": provenance.model_dump_json(),
         }

@@ -443,7 +443,6 @@ class Actuator(Artefact):
     """Actuator that was identified from a run log, with its uncertainty."""
 
     FORMAT: ClassVar[str] = "equipoise-actuator"
-    VERSION: ClassVar[int] = 2
 
     kind: Kind
     """`kst`: the server's shaping law; `unshaped`: a drive towards the setpoint; `lag`: a

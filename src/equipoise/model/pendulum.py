@@ -238,7 +238,6 @@ class Pendulum(Artefact):
     """Pendulum that was identified from a free swing, with its uncertainty."""
 
     FORMAT: ClassVar[str] = "equipoise-pendulum"
-    VERSION: ClassVar[int] = 1
 
     w2: Estimate
     """Gravity over inertia, m g l / I [1/s^2]."""

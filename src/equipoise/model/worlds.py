@@ -246,5 +246,4 @@ def read_world(name: str) -> World:
     try:
         return World(name, TwinSettings.model_validate(differences))
     except ValidationError as error:
-        fault = first_fault(error)
-        raise SettingsError(f"world {file}: {fault.where}: {fault.what}, got {fault.got}") from None
+        raise SettingsError(f"world {file}: {first_fault(error)}") from None

@@ -19,7 +19,7 @@ from equipoise.artefacts import StrPath
 from equipoise.control.bound_policy import BUILT_IN
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArmError
-from equipoise.executors import available_cores
+from equipoise.executors import Show, available_cores, counted
 from equipoise.identification.recording import Trajectory, read_swing, write_swing
 from equipoise.identification.swing import identify
 from equipoise.learning.target import LEARNERS, TARGET, train_to_target
@@ -29,7 +29,6 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.inertials import link_inertials
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import MODEL
-from equipoise.progress import Show, TrainingProgress, counted
 from equipoise.reproduction.results import (
     EVALUATION,
     PENDULUM,
@@ -128,17 +127,15 @@ def reproduce(
     policy = saved(
         "train",
         POLICY,
-        lambda: (
-            train_to_target(
-                pendulum,
-                arm,
-                settings,
-                target=TARGET if selected else 0.0,
-                learners=LEARNERS if selected else 1,
-                seed=seed,
-                workers=workers,
-                observer=TrainingProgress(settings, report),
-            ).policy
+        lambda: train_to_target(
+            pendulum,
+            arm,
+            settings,
+            target=TARGET if selected else 0.0,
+            learners=LEARNERS if selected else 1,
+            seed=seed,
+            workers=workers,
+            show=report,
         ),
         pendulum=pendulum.digest,
     )

@@ -33,7 +33,6 @@ class ReproductionRecord(Artefact):
     """Record of a reproduction: everything that its other files do not state."""
 
     FORMAT: ClassVar[str] = "equipoise-reproduction"
-    VERSION: ClassVar[int] = 1
 
     quick: bool
     """Whether it ran with fewer episodes and trials."""

@@ -96,11 +96,7 @@ def read_rig(path: Path | None) -> RigSettings:
         rig = RigSettings.model_validate(tree)
         _ = rig.described_arm
     except ValidationError as error:
-        fault = first_fault(error)
-        what = f"{fault.what}, got {fault.got}"
-        if fault.unknown:
-            what = f"there is no such setting; known: {', '.join(RigSettings.model_fields)}"
-        raise SettingsError(f"the rig {path}: {fault.where}: {what}") from None
+        raise SettingsError(f"the rig {path}: {first_fault(error)}") from None
     except ArmError as error:
         raise SettingsError(f"the rig {path}: {error}") from None
     return rig

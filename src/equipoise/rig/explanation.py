@@ -152,7 +152,7 @@ def unexplained_rate(run: RunLog) -> tuple[Array, Array]:
         ArtefactError: The run is of an unknown arm.
         RecordingError: The run is too short, or its samples exceed its ticks.
     """
-    pendulum = run.conditions.pendulum_parameters
+    pendulum = run.conditions.pendulum
     moved = read_motion(run, run.conditions.arm)
     if moved.time[-1] - moved.time[0] > 2.0 * run.lasted + 1.0:
         raise RecordingError("its samples reach far beyond its ticks")
@@ -183,7 +183,7 @@ def _local_fits(time: Array, values: Array, at: Array, half: float) -> tuple[Arr
 
 def _outside(log: RunLog) -> Cause | None:
     """Detect the time after which no command could hold the pendulum."""
-    pendulum = log.conditions.pendulum_parameters
+    pendulum = log.conditions.pendulum
     u_max = log.conditions.u_max or float(np.abs(log.u).max())
     diverging = diverging_angle(log.phi, log.phi_dot, pendulum)
     bound, mu = recoverable_angle(pendulum, u_max), fall_rate(pendulum) + pendulum.c
@@ -233,7 +233,7 @@ def _zero(log: RunLog, time: Array, rate: Array) -> Cause | None:
     # The median of all slopes over a quarter of the window is robust to a step, which is a push.
     quarter = max(len(last) // 4, 1)
     slopes = (last[quarter:] - last[:-quarter]) / (quarter * GRID_STEP)
-    error = -float(np.median(slopes)) / log.conditions.pendulum_parameters.w2
+    error = -float(np.median(slopes)) / log.conditions.pendulum.w2
     # A referenced zero is good to 0.1 deg, a base is level to 0.5 deg; 2.5 deg end a run.
     if abs(error) < radians(0.75):
         return None

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from equipoise.control.control_step import horizon, make_controller_params
 from equipoise.control.policy import Policy, TaskPolicy, shipped_policy
 from equipoise.errors import InputError
-from equipoise.logs.conditions import RunConditions, named
+from equipoise.logs.conditions import RunConditions
 from equipoise.model.actuator import Actuator
 from equipoise.rig.checks import fitting_actuators
 from equipoise.rig.config import RigSettings
@@ -49,13 +49,7 @@ class RunRequest:
     """Further actuators: with any, the run selects one of all from the move of the self-test."""
     identify: Callable[[Array, Array], Actuator] | None = None
     """Identification of the arm from an excitation before the lift, such as
-<<<<<<< HEAD
     `equipoise.identification.actuator.identify_actuator`; None without one."""
-    anyway: bool = False
-    """Whether a policy also runs that does not fit the identified arm."""
-=======
-    `equipoise.identification.actuator.identify_actuator`; None without one."""
->>>>>>> main
 
     def response(
         self, actuator: Actuator, counts_per_rev: int, max_speed: float = inf
@@ -152,7 +146,7 @@ class RunRequest:
             policy_name=policy.name,
             world=self.robot,
             arm=self.settings.described_arm,
-            pendulum=named(policy.pendulum.parameters(linearised=plant.linearised)),
+            pendulum=policy.pendulum.parameters(linearised=plant.linearised),
             pendulum_digest=policy.pendulum.digest,
             h=policy.h,
             duration=self.duration,

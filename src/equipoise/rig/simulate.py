@@ -18,7 +18,7 @@ from equipoise import paper
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.grid import TRUNCATED, box_indices, make_grid
 from equipoise.control.policy import TaskPolicy
-from equipoise.logs.conditions import RunConditions, RunEnd, named
+from equipoise.logs.conditions import RunConditions, RunEnd
 from equipoise.logs.run_log import RunLog, simulated_log
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
@@ -104,7 +104,7 @@ def simulate_run(
             seed=seed,
             actuator=IDEAL if used.kind == "ideal" else used.digest,
             zero_error=loop.zero,
-            pendulum=named(loop.pendulum),
+            pendulum=loop.pendulum,
             **_twin_conditions(twin),
         ),
         RunEnd(outcome=TRIAL_OUTCOMES[cause], evidence=evidence, lasted=round(len(time) * h, 9)),
@@ -171,7 +171,7 @@ def excite(
             duration=duration,
             seed=seed,
             actuator="",
-            pendulum=named(parameters),
+            pendulum=parameters,
             pendulum_digest=pendulum.digest,
             **_twin_conditions(twin.settings),
         ),

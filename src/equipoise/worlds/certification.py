@@ -66,7 +66,6 @@ class Certificate(Artefact):
     """A claim with its trials, which grant or refuse it."""
 
     FORMAT: ClassVar[str] = "equipoise-certificate"
-    VERSION: ClassVar[int] = 1
 
     claim: Claim
     """The claim."""
@@ -185,8 +184,7 @@ def make_claim(
     try:
         claim = Claim(**given, world=world, trials=1 if trials is None else trials)
     except ValidationError as error:
-        fault = first_fault(error)
-        raise InputError(f"{fault.where} of a claim is {fault.got}: {fault.what}") from None
+        raise InputError(f"the claim is invalid: {first_fault(error)}") from None
     if trials is None:
         return claim.model_copy(update={"trials": trials_for(probability, confidence)})
     if claim.allowed < 0:

@@ -107,7 +107,6 @@ class Evaluation(Artefact):
     """All trials of a policy and of the baselines."""
 
     FORMAT: ClassVar[str] = "equipoise-evaluation"
-    VERSION: ClassVar[int] = 4
 
     policy: Name
     """Digest of the policy's file or source."""

@@ -8,8 +8,7 @@ from math import nan
 import numpy as np
 import pytest
 
-from equipoise.apps.console import server as console_server
-from equipoise.apps.console.server import serve
+from equipoise.apps.console import live
 from equipoise.logs.recorder import push_event
 from equipoise.logs.shared import RunInfo, open_recorder, share
 from equipoise.model.arms.iiwa import iiwa7
@@ -53,15 +52,16 @@ class PlayedRun:
 @pytest.fixture
 def played(monkeypatch):
     """A run, and the address of the console that shows it."""
-    monkeypatch.setattr(console_server, "stay_aside", lambda: None)
+    monkeypatch.setattr(live, "stay_aside", lambda: None)
     info = RunInfo(title="<b>run</b>", pid=os.getpid(), arm=ARM, phases=PHASES, duration=9.0)
     addresses, ended = [], threading.Event()
     with share(info) as folder:
         run = PlayedRun(open_recorder(folder, len(ARM.joints)))
-        begin = (serve, ("127.0.0.1", 0, addresses.append, ended.is_set, os.getpid()))
+        monkeypatch.setattr(live, "live_runs", lambda: [folder])
+        served = ("127.0.0.1", 0, addresses.append, ended.is_set)
         threads = [
             threading.Thread(target=run.tick),
-            threading.Thread(target=begin[0], args=begin[1]),
+            threading.Thread(target=live.serve, args=served),
         ]
         for thread in threads:
             thread.start()

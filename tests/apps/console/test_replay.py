@@ -84,7 +84,7 @@ def test_texts_of_the_log_do_not_become_markup(page):
 
 
 def test_the_events_are_phases_warnings_and_the_causes_that_explain_names():
-    marks = [(round(mark.time, 2), mark.name) for mark in marks_of(RUN, MOTION)]
+    marks = [(round(time, 2), name) for time, name in marks_of(RUN, MOTION)]
     causes = {f"{one.cause} (a cause of the end)" for one in explain(RUN)}
     assert causes == {name for _, name in marks if name.endswith("of the end)")}
     assert [mark for mark in marks if mark[1] not in causes] == [

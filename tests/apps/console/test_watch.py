@@ -37,6 +37,11 @@ def ask(operator, text, *answers):
     operator.notify(OperatorMessage("checklist", text, answers))
 
 
+def asked(watch):
+    watch.observe()
+    return watch.question
+
+
 def tick(recorder, time, phase, phi, late=0.001):
     state = PHASES.index(phase)
     observed = (0.0, 0.0, phi, 0.0, 0, 0.5, phi, 0.0, 0.0)
@@ -45,16 +50,18 @@ def tick(recorder, time, phase, phi, late=0.001):
 
 def test_an_observer_sees_all_and_takes_nothing(shared, watch):
     recorder = shared[1]
-    assert watch.observe().phase is None
+    watch.observe()
+    assert watch.phase is None
     tick(recorder, 1.0, Phase.HOMING, 3.0, late=0.004)
     tick(recorder, 1.01, Phase.BALANCING, 0.1)
     recorder.reply.push(1.0, nan, HOME, 0.0 * HOME, 1.0)
     push_event(recorder.event, 1.0, OperatorMessage("homing", "Moving"))
-    now = watch.observe()
-    assert (now.phase, now.phi, now.late, now.time) == (Phase.BALANCING, 0.1, 0.004, 1.01)
-    assert now.q == pytest.approx(HOME)
-    assert [event.text for event in now.events] == ["Moving"]
-    assert watch.observe().events == []
+    watch.observe()
+    assert (watch.phase, watch.phi, watch.late, watch.time) == (Phase.BALANCING, 0.1, 0.004, 1.01)
+    assert watch.q == pytest.approx(HOME)
+    assert [event.text for event in watch.events] == ["Moving"]
+    watch.observe()
+    assert watch.events == []
     assert len(recorder.tick.take()) == 2
     assert len(recorder.event.take()) == 1
 
@@ -65,23 +72,25 @@ def test_the_end_of_a_run_is_seen_and_its_memory_is_gone():
         assert folder in live_runs()
         assert folder.stat().st_mode & 0o077 == 0
         watch = RunWatch(folder)
-        assert not watch.observe().ended
-    assert watch.observe().ended
+        watch.observe()
+        assert not watch.ended
+    watch.observe()
+    assert watch.ended
     assert not folder.exists()
 
 
 def test_an_answer_counts_for_its_question_alone_and_once(shared, watch):
     operator = OperatorProxy(shared[1])
     ask(operator, "First? Type a.", "a")
-    first = watch.observe().question
+    first = asked(watch)
     assert first.answers == ("a",)
     ask(operator, "Second? Type b.", "b")
-    second = watch.observe().question
+    second = asked(watch)
     watch.say("a", first.time)  # too late
     watch.say("b", second.time)
     watch.say("b", second.time)  # a second press
     assert operator.read_input() == ["b"]
-    assert watch.observe().question is None
+    assert asked(watch) is None
 
 
 def test_a_stop_needs_no_question(shared, watch):

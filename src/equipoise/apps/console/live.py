@@ -1,27 +1,38 @@
-"""Live console of a run: the rig in 3-D, plots, messages, questions and their buttons.
+"""Live console of runs: the rig in 3-D, plots, messages, questions and their buttons.
 
-All browsers see the same, and each can answer and stop the run.
+All browsers see the same, and each can answer and stop the run. The process belongs to nobody's
+loop: it finds runs on this computer, and shows one after the other.
 """
 
+import os
+import sys
 import threading
+import time
 from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
+from importlib import resources
 from math import degrees, isfinite, nan
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from equipoise.apps.console.scene import PLOTS, RigPage, card, messages_list, shown
-from equipoise.apps.console.watch import Observation, RunWatch
+from equipoise.apps.console.watch import RunWatch
+from equipoise.apps.console.web import serving
 from equipoise.apps.style import BLUE, GREEN, GREY, INK, ORANGE, VERMILION
 from equipoise.control.ticks import OK
 from equipoise.logs.recorder import LoggedEvent
+from equipoise.logs.shared import live_runs
 from equipoise.outcomes import Phase
 from equipoise.rig.processes import HEARTBEAT_TIMEOUT
 
 if TYPE_CHECKING:
     import viser
 
+PERIOD: Final = 0.04
+"""Time between two pictures, and between two searches for a run [s]."""
 SPAN: Final = 10.0
 """Time shown in the plots [s]."""
 MESSAGES: Final = 40
@@ -50,8 +61,6 @@ class LivePage:
         self._history: deque[tuple[float, ...]] = deque()
         self._messages: deque[LoggedEvent] = deque(maxlen=MESSAGES)
         self._began = self._ended = nan
-        self.ended = False
-        """Whether the run that is shown has ended."""
         self._page = RigPage(server, "Equipoise console", plots=len(PLOTS))
         self._asked = server.gui.add_html("", order=10, visible=False)
         with server.gui.add_folder("Messages", order=60):
@@ -61,36 +70,34 @@ class LivePage:
     def begin(self, watch: RunWatch) -> None:
         """Show another run from its begin."""
         with self._lock:
-            self._watch, self.ended = watch, False
+            self._watch = watch
             self._page.show_arm(watch.info.arm)
             self._history.clear()
             self._messages.clear()
             self._began = self._ended = nan
 
-    def show(self, now: Observation) -> None:
+    def show(self, run: RunWatch) -> None:
         """Show the state of the run."""
         with self._lock, self._server.atomic():
-            if self._watch is None:
-                return
-            self._messages.extend(now.events)
+            self._messages.extend(run.events)
             self._listed.content = messages_list(
                 (event.text or event.name, COLOURS.get(event.name, INK)) for event in self._messages
             )
-            x = self._page.show(now.q, now.phi, now.u)
-            if isfinite(now.late):
-                late = 1e3 * max(now.late, 0.0)
-                self._history.append((now.time, degrees(now.phi), 1e3 * x, now.u, late))
+            x = self._page.show(run.q, run.phi, run.u)
+            if isfinite(run.late):
+                late = 1e3 * max(run.late, 0.0)
+                self._history.append((run.time, degrees(run.phi), 1e3 * x, run.u, late))
                 self._draw_plots()
-            if now.phase is Phase.BALANCING:
-                self._began = self._began if isfinite(self._began) else now.time
-                self._ended = now.time
-            self._describe(self._watch, now)
-            self._ask(now.question)
+            if run.phase is Phase.BALANCING:
+                self._began = self._began if isfinite(self._began) else run.time
+                self._ended = run.time
+            self._describe(run)
+            self._ask(run.question)
 
     def end(self) -> None:
-        """Show that the run has ended; its last picture stays."""
+        """Detach from a run that has ended; its last picture stays."""
         with self._lock:
-            self._watch, self.ended = None, True
+            self._watch = None
             self._ask(None)
 
     def stop(self) -> str:
@@ -101,18 +108,18 @@ class LivePage:
         watch.say("stop")
         return "stop sent"
 
-    def _describe(self, watch: RunWatch, now: Observation) -> None:
+    def _describe(self, run: RunWatch) -> None:
         """Show the state in words."""
-        name, colour, lines = "before the motion", BLUE, [watch.info.title]
-        if now.phase is not None:
-            name, colour = now.phase.value, COLOURS.get(now.phase, BLUE)
+        name, colour, lines = "before the motion", BLUE, [run.info.title]
+        if run.phase is not None:
+            name, colour = run.phase.value, COLOURS.get(run.phase, BLUE)
         if isfinite(self._began):
-            length = f" of {watch.info.duration:g} s" if watch.info.duration else ""
+            length = f" of {run.info.duration:g} s" if run.info.duration else ""
             lines.append(f"balanced {self._ended - self._began:.1f} s{length}")
-        if now.silence > HEARTBEAT_TIMEOUT:
+        if run.silence > HEARTBEAT_TIMEOUT:
             name, colour = "the loop does not answer", VERMILION
-            lines.append(f"no tick for {now.silence:.2f} s; press the E-stop if the arm moves")
-        if now.ended:
+            lines.append(f"no tick for {run.silence:.2f} s; press the E-stop if the arm moves")
+        if run.ended:
             name, colour = "ended", INK
         self._page.describe(name, colour, lines)
 
@@ -163,3 +170,56 @@ def answers(question: LoggedEvent) -> dict[str, str]:
     labels = {"y": "Yes", "n": "No", OK: "OK"}
     words = {word: labels.get(word, f"Yes: {word}") for word in question.answers}
     return words | ({"n": "No"} if question.name == "checklist" else {})
+
+
+def serve(
+    address: str, port: int, ready: Callable[[str], None], stopped: Callable[[], bool]
+) -> None:
+    """Serve the console until stopped: it shows the newest run without a console to its end.
+
+    Args:
+        address: Address of this computer to listen on.
+        port: Port; 0 selects a free one.
+        ready: Receives the address of the page with its token.
+        stopped: Returns whether to end; called for each picture.
+
+    Raises:
+        MissingExtraError: viser is not installed.
+        OutsideError: The address or the port is not available.
+    """
+    stay_aside()
+    actions: dict[str, Callable[[], str]] = {"/alive": lambda: "alive"}
+    overlay = resources.files("equipoise.apps.console").joinpath("overlay.html").read_bytes()
+    with serving(address, port, actions=actions, overlay=overlay) as (server, url):
+        page = LivePage(server)
+        actions["/stop"] = page.stop
+        ready(url)
+        while not stopped():
+            watch = _next_run()
+            if watch is None:
+                time.sleep(PERIOD)
+                continue
+            page.begin(watch)
+            while not (watch.ended or stopped()):
+                watch.observe()
+                page.show(watch)
+                time.sleep(PERIOD)
+            page.end()
+            watch.close()
+
+
+def _next_run() -> RunWatch | None:
+    """Attach to the newest run without a console; None without one."""
+    for folder in live_runs():
+        with suppress(OSError, ValueError):
+            return RunWatch(folder)
+    return None
+
+
+def stay_aside() -> None:
+    """Give way to a loop: other cores than its own, the last one, and a low priority."""
+    if sys.platform == "linux":
+        os.nice(10)
+        allowed = sorted(os.sched_getaffinity(0))
+        if len(allowed) > 1:
+            os.sched_setaffinity(0, set(allowed[:-1]))

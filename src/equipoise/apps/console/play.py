@@ -52,7 +52,7 @@ class PlayPage:
         Args:
             server: The viser server.
             scene: The first scene.
-            yours: The policy of `--policy`.
+            yours: The policy of the user.
         """
         self._lock, self._server = threading.RLock(), server
         self.playground = Playground(scene, yours)
@@ -125,13 +125,14 @@ class PlayPage:
             picture: Number of the picture.
         """
         with self._lock, self._server.atomic():
-            frame = [self.playground.advance() for _ in range(PICTURE)][-1]
-            self._page.show(frame.q, remainder(frame.phi, 2.0 * pi), frame.u)
+            twin = self.playground
+            for _ in range(PICTURE):
+                twin.advance()
+            self._page.show(twin.q, remainder(twin.phi, 2.0 * pi), twin.u)
             if picture % SLOW == 0:
-                name, colour = ("fallen", VERMILION) if frame.fallen else ("standing", GREEN)
-                lines = (self.playground.scene.about, *self.playground.sentences())
-                self._page.describe(name, colour, lines)
-                self._boxes.image = self._picture(frame.box)
+                name, colour = ("fallen", VERMILION) if twin.fallen else ("standing", GREEN)
+                self._page.describe(name, colour, (twin.scene.about, *twin.sentences()))
+                self._boxes.image = self._picture(twin.box)
 
     def _picture(self, current: int) -> npt.NDArray[np.uint8]:
         """Return the boxes as a picture, shape (height, width, 3); empty without a table."""

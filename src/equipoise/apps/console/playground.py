@@ -41,7 +41,7 @@ class Scene(NamedTuple):
     about: str = ""
     """What to look at, in a few sentences."""
     policy: Literal["shipped table", "LQR", "yours"] = "shipped table"
-    """Policy that balances; `yours` is the one of `--policy`."""
+    """Policy that balances; `yours` is that of the user."""
     predict: bool = True
     """Whether the policy sees the state at which its command takes effect."""
     delay: float = 0.010
@@ -82,23 +82,12 @@ SCENES: Final = {
 """Scenes by name."""
 
 
-class Frame(NamedTuple):
-    """State to show."""
-
-    q: Floats
-    """True joints [rad], shape (joints,)."""
-    phi: float
-    """Angle from upright [rad]."""
-    u: float
-    """Commanded acceleration [m/s^2]."""
-    box: int
-    """Box of the table that holds the policy's input; -1 without a table or outside."""
-    fallen: str
-    """Cause of the fall; empty while it stands."""
-
-
 class Playground:
-    """A twin that balances tick by tick, under a scene that may change at any time."""
+    """A twin that balances tick by tick, under a scene that may change at any time.
+
+    `advance` updates joints `q` [rad], shape (joints,), angle `phi` from upright [rad], commanded
+    acceleration `u` [m/s^2], and `box`, that of the table with the policy's input, -1 for none.
+    """
 
     def __init__(self, scene: Scene, yours: TaskPolicy | None = None) -> None:
         """Set a scene up.
@@ -149,43 +138,42 @@ class Playground:
         self._number += 1
         self._loop.reset(trial._replace(start=(0.0, 0.0, self.scene.lean, 0.0)))
         self.policy.reset()
-        self._tick, self._fell, self._cause = 0, 0, ""
+        self._tick, self._fell, self.fallen = 0, 0, ""
         self._recent: deque[tuple[float, float]] = deque(maxlen=round(RECENT / self.h))
 
     def push(self, rate: float) -> None:
         """Push the pendulum, which changes its rate [rad/s]."""
         self._loop.push(rate)
 
-    def advance(self) -> Frame:
+    def advance(self) -> None:
         """Advance by one tick; a fall is shown for `FALL`, then the pendulum is released again."""
-        if self._cause and (self._tick - self._fell) * self.h > FALL:
+        if self.fallen and (self._tick - self._fell) * self.h > FALL:
             self.begin()
         loop, seen = self._loop, predicted(self._loop)
-        if self._cause:
-            u = float(np.clip(-BRAKE * loop.state()[1], -U_MAX, U_MAX))
+        if self.fallen:
+            self.u = float(np.clip(-BRAKE * loop.state()[1], -U_MAX, U_MAX))
         else:
-            u = float(self.policy.act(seen))
-        cause = loop.step(u)
+            self.u = float(self.policy.act(seen))
+        cause = loop.step(self.u)
         self._tick += 1
-        if cause != TRUNCATED and not self._cause:
-            self._cause, self._fell = TRIAL_OUTCOMES[cause], self._tick
-        x, _, phi, _ = loop.state().tolist()
-        box = -1
+        if cause != TRUNCATED and not self.fallen:
+            self.fallen, self._fell = TRIAL_OUTCOMES[cause], self._tick
+        x, _, self.phi, _ = loop.state().tolist()
+        self.q, self.box = loop.joints(), -1
         self.used *= exp(-self.h / FADE)
-        if not self._cause:
-            self._recent.append((x, phi))
+        if not self.fallen:
+            self._recent.append((x, self.phi))
             inside = abs(degrees(seen[2])) < PHI_LIMIT_DEG and abs(seen[0]) < X_LIMIT
             if self.u_of_box is not None and inside:
-                box = int(box_indices(seen[None, :], self._boxes)[0])
-                self.used[box] = 1.0
-        return Frame(loop.joints(), phi, u, box, self._cause)
+                self.box = int(box_indices(seen[None, :], self._boxes)[0])
+                self.used[self.box] = 1.0
 
     def sentences(self) -> tuple[str, str]:
         """Return how long it has stood and how far it moved, and what the latency does."""
-        stood = (self._fell if self._cause else self._tick) * self.h
+        stood = (self._fell if self.fallen else self._tick) * self.h
         motion = f"It has stood for {stood:.0f} s."
-        if self._cause:
-            motion = f"It fell after {stood:.1f} s ({self._cause})."
+        if self.fallen:
+            motion = f"It fell after {stood:.1f} s ({self.fallen})."
         elif len(self._recent) > 1:
             x, phi = np.abs(np.array(self._recent)).max(axis=0)
             motion += f" In the last {RECENT:g} s: ±{degrees(phi):.1f}°, ±{1e3 * x:.0f} mm."

@@ -1,13 +1,13 @@
 """Replay of a run's log: 3-D view, plots, a time line, and events to jump to.
 
-All browsers see the same position. Whatever a browser asks is done by the one thread of `play`.
+All browsers see the same position, and each may move it.
 """
 
+import threading
 import time
 from collections.abc import Callable
 from math import isfinite
-from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -32,33 +32,26 @@ MAX_MARKS: Final = 60
 """Maximum number of events; causes come first."""
 
 
-class Mark(NamedTuple):
-    """An event to jump to."""
+def marks_of(run: RunLog, motion: Motion) -> list[tuple[float, str]]:
+    """Return times [s] and names of causes of the end, changes of the phase, warnings and faults.
 
-    time: float
-    """Time [s]."""
-    name: str
-    """What happened, in a word or two."""
-
-
-def marks_of(run: RunLog, motion: Motion) -> list[Mark]:
-    """Return the causes of the end, the changes of the phase, warnings and faults, in time."""
+    They are in the order of time.
+    """
     first, last = float(motion.time[0]), motion.end
     marks = [
-        Mark(last if one.time is None else one.time, f"{one.cause} (a cause of the end)")
+        (last if one.time is None else one.time, f"{one.cause} (a cause of the end)")
         for one in explain(run)
     ]
     marks += [
-        Mark(event.time - motion.began, f"{event.name}: {event.text}")
+        (event.time - motion.began, f"{event.name}: {event.text}")
         for event in run.events
         if event.name in ("warning", "fault", "failed")
     ]
     phases = motion.phases or ("release",)
     changes = [i for i, phase in enumerate(phases) if i == 0 or phase != phases[i - 1]]
-    marks += [Mark(float(motion.time[i]), phases[i]) for i in changes]
-    marks = [mark for mark in marks if isfinite(mark.time)][:MAX_MARKS]
-    inside = (mark._replace(time=min(max(mark.time, first), last)) for mark in marks)
-    return sorted(inside, key=lambda mark: mark.time)
+    marks += [(float(motion.time[i]), phases[i]) for i in changes]
+    inside = [(min(max(time, first), last), name) for time, name in marks if isfinite(time)]
+    return sorted(inside[:MAX_MARKS], key=lambda mark: mark[0])
 
 
 class ReplayPage:
@@ -81,7 +74,7 @@ class ReplayPage:
         """Position [s]; at first shortly before the release."""
         self.playing = False
         """Whether the position moves by itself."""
-        self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._lock = threading.RLock()
         rows = [np.degrees(motion.phi), 1e3 * motion.x, motion.u]
         rows += [1e3 * np.maximum(motion.late, 0.0)] if motion.phases else []
         self._rows = np.array(rows)
@@ -96,8 +89,8 @@ class ReplayPage:
         steps.on_click(self._asking(lambda: self.step(1 if "+" in steps.value else -1)))
         self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1×", order=44)
         marks = {
-            f"{n}  {typeset(f'{mark.time:+.2f}')} s  {printable(mark.name)}": mark.time
-            for n, mark in enumerate(marks_of(run, motion), start=1)
+            f"{n}  {typeset(f'{time:+.2f}')} s  {printable(name)}": time
+            for n, (time, name) in enumerate(marks_of(run, motion), start=1)
         }
         events = gui.add_dropdown("event", tuple(marks), order=45)
         events.on_update(self._asking(lambda: self.jump(marks[events.value])))
@@ -128,20 +121,15 @@ class ReplayPage:
             self.playing = self.time < self._motion.end
 
     def play(self, stopped: Callable[[], bool]) -> None:
-        """Do what the browsers ask, and show the run, until stopped."""
+        """Move the position in real time, and show the run, until stopped."""
         last = time.monotonic()
         while not stopped():
-            changed = False
-            try:
-                while (left := last + PERIOD - time.monotonic()) > 0.0:
-                    self._asked.get(timeout=left)()
-                    changed = True
-            except Empty:
-                pass
+            time.sleep(PERIOD)
             now = time.monotonic()
-            if self.playing or changed:
-                self.advance(now - last)
-                self.show()
+            with self._lock:
+                if self.playing:
+                    self.advance(now - last)
+                    self.show()
             last = now
 
     def show(self) -> None:
@@ -163,11 +151,13 @@ class ReplayPage:
             self._button.label = "Pause" if self.playing else "Play"
 
     def _asking(self, todo: Callable[[], None]) -> Callable[[Any], None]:
-        """Return a callback that asks for `todo`, if a browser caused the event."""
+        """Return a callback that does `todo`, if a browser caused the event."""
 
         def callback(event: Any) -> None:
             if event.client_id is not None:
-                self._asked.put(todo)
+                with self._lock:
+                    todo()
+                    self.show()
 
         return callback
 

@@ -8,7 +8,7 @@ import threading
 import time
 from math import isfinite, nan
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,33 +20,8 @@ from equipoise.outcomes import Phase
 Floats = npt.NDArray[np.float64]
 
 
-class Observation(NamedTuple):
-    """State of a run, and what is new since the last observation."""
-
-    time: float
-    """Time of the last tick [s]; NaN before the first."""
-    silence: float
-    """Time since the last tick [s]; 0 while the run does not tick."""
-    phase: Phase | None
-    """Phase; None before the first tick."""
-    q: Floats | None
-    """Measured joints [rad], shape (joints,); None while unknown."""
-    phi: float
-    """Angle of the pendulum from upright [rad]; NaN while unknown."""
-    u: float
-    """Commanded acceleration of the flange [m/s^2]; 0 while no policy acts."""
-    late: float
-    """Largest lateness of the new ticks [s]; NaN without any."""
-    events: list[LoggedEvent]
-    """New events, the oldest first."""
-    question: LoggedEvent | None
-    """Question that the run asks now."""
-    ended: bool
-    """Whether the process of the run has ended."""
-
-
 class RunWatch:
-    """Observer of one run, with the ring for words to it."""
+    """Observer of one run, with the ring for words to it; `observe` updates what it shows."""
 
     def __init__(self, folder: Path) -> None:
         """Attach to a run.
@@ -61,6 +36,25 @@ class RunWatch:
         """
         self.info = shared.read_info(folder)
         """Description of the run."""
+        self.time = nan
+        """Time of the last tick [s]; NaN before the first."""
+        self.silence = 0.0
+        """Time since the last tick [s]; 0 while the run does not tick."""
+        self.phase: Phase | None = None
+        """Phase; None before the first tick."""
+        self.q: Floats | None = None
+        """Measured joints [rad], shape (joints,); None while unknown."""
+        self.phi, self.u = nan, 0.0
+        """Angle of the pendulum from upright [rad], NaN while unknown, and commanded acceleration
+        of the flange [m/s^2], 0 while no policy acts."""
+        self.late = nan
+        """Largest lateness of the new ticks [s]; NaN without any."""
+        self.events: list[LoggedEvent] = []
+        """New events, the oldest first."""
+        self.question: LoggedEvent | None = None
+        """Question that the run asks now."""
+        self.ended = False
+        """Whether the process of the run has ended."""
         self._folder = folder
         self._console = (folder / shared.CONSOLE).open("r+b")
         if not shared.lock(self._console):
@@ -68,40 +62,24 @@ class RunWatch:
             raise BlockingIOError("another console is attached to this run")
         self._recorder = shared.open_recorder(folder, len(self.info.arm.joints))
         self._seen: dict[str, int] = {}
-        self._q: Floats | None = None
         self._speaking = threading.Lock()
-        self._last: Any = None
 
-    def observe(self) -> Observation:
-        """Return the state of the run now."""
-        ended = not shared.is_alive(self._folder)  # before the rows, so that the last ones are read
-        recorder = self._recorder
-        ticks, replies = self._new("tick"), self._new("reply")
+    def observe(self) -> None:
+        """Read the state of the run, and what is new since the last observation."""
+        # Before the rows, so that the last ones are read.
+        self.ended = not shared.is_alive(self._folder)
+        ticks, replies, pulse = self._new("tick"), self._new("reply"), self._recorder.pulse
+        self.events, self.question = read_events(self._new("event")), self._recorder.question()
+        self.silence = time.monotonic() - float(pulse["time"]) if pulse["ticks"] > 0 else 0.0
         measured = replies["q"][np.isfinite(replies["q"]).all(axis=1)]
         if len(measured):
-            self._q = measured[-1]
+            self.q = measured[-1]
+        self.late = float(np.max(ticks["late"])) if len(ticks) else nan
         if len(ticks):
-            self._last = ticks[-1]
-        last, streams = self._last, recorder.pulse["ticks"] > 0
-        silence = time.monotonic() - float(recorder.pulse["time"]) if streams else 0.0
-        question, events = recorder.question(), read_events(self._new("event"))
-        if last is None:
-            return Observation(
-                *(nan, silence, None, self._q, nan, 0.0, nan, events, question, ended)
-            )
-        phases, state = self.info.phases, int(last["state"])
-        return Observation(
-            time=float(last["time"]),
-            silence=silence,
-            phase=phases[state] if 0 <= state < len(phases) else None,
-            q=self._q,
-            phi=float(last["estimated_phi"]),
-            u=float(last["u"]) if isfinite(last["u"]) else 0.0,
-            late=float(np.max(ticks["late"])) if len(ticks) else nan,
-            events=events,
-            question=question,
-            ended=ended,
-        )
+            last, phases = ticks[-1], self.info.phases
+            self.time, self.phi = float(last["time"]), float(last["estimated_phi"])
+            self.u = float(last["u"]) if isfinite(last["u"]) else 0.0
+            self.phase = phases[last["state"]] if 0 <= last["state"] < len(phases) else None
 
     def say(self, word: str, question: float = 0.0) -> None:
         """Send a word to the run; any thread may call this.

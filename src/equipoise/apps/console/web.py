@@ -28,7 +28,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import parse_qs, urlsplit
 
-from equipoise.errors import MissingExtraError, OutsideError
+from equipoise.errors import OutsideError, import_optional
 
 if TYPE_CHECKING:
     import viser
@@ -148,18 +148,6 @@ def _respond(status: HTTPStatus, text: str, headers: Mapping[str, str] | None = 
     return Response(status.value, status.phrase, Headers(own | dict(headers or {})), body)
 
 
-def require_viser() -> Any:
-    """Return the module `viser`.
-
-    Raises:
-        MissingExtraError: viser is not installed.
-    """
-    try:
-        return import_module("viser")
-    except ImportError:
-        raise MissingExtraError("viser", "console") from None
-
-
 @contextmanager
 def serving(
     address: str = LOOPBACK, port: int = 0, *, actions: Actions | None = None, overlay: bytes = b""
@@ -179,7 +167,7 @@ def serving(
         MissingExtraError: viser is not installed.
         OutsideError: The address or the port is not available.
     """
-    viser = require_viser()
+    viser = import_optional("viser", "console")
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     try:  # viser would try other ports without end
         with socket.create_server((address, port), family=family) as probe:

@@ -6,13 +6,12 @@ converts arguments to numbers of Python, and raises the errors of Equipoise.
 """
 
 import re
-from importlib import import_module
 from typing import Any, Final
 
 import numpy as np
 
 from equipoise.artefacts import shortened
-from equipoise.errors import InputError, LinkError, MissingExtraError, OutsideError
+from equipoise.errors import InputError, LinkError, OutsideError, import_optional
 from equipoise.printable import printable
 
 PATIENCE: Final = 10.0
@@ -43,11 +42,8 @@ class Connection:
         """
         self.host, self.port, self.address = host, port, f"{host}:{port}"
         self._patience = patience
-        try:
-            made: Any = import_module("coppeliasim_zmqremoteapi_client").RemoteAPIClient
-            zmq: Any = import_module("zmq")
-        except ImportError:
-            raise MissingExtraError("coppeliasim-zmqremoteapi-client", "coppeliasim") from None
+        made = import_optional("coppeliasim_zmqremoteapi_client", "coppeliasim").RemoteAPIClient
+        zmq = import_optional("zmq", "coppeliasim")
         self._error, self._silence = zmq.ZMQError, zmq.Again
         try:
             self._client: Any = made(host, port, verbose=0)

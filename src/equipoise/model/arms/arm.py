@@ -57,11 +57,8 @@ class _Described(Value):
             try:
                 super().__init__(**fields)
             except ValidationError as error:
-                fault = first_fault(error)
                 what = f"{type(self).__name__.lower()} {shortened(str(fields.get('name')))}"
-                where = f"{fault.where}: " if fault.where else ""
-                got = f", got {fault.got}" if fault.where else ""
-                raise ArmError(f"{what}: {where}{fault.what}{got}") from None
+                raise ArmError(f"{what}: {first_fault(error)}") from None
 
 
 class Inertial(_Described):
