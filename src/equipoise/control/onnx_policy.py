@@ -32,10 +32,7 @@ class OnnxPolicy:
         network = read_bytes(self._path, MAX_FILE_SIZE, "a network", InputError)
         self.digest = DIGEST_PREFIX + hashlib.sha256(network).hexdigest()
         """SHA-256 of the file."""
-        try:
-            runtime: Any = import_module("onnxruntime")
-        except ImportError:
-            raise MissingExtraError("onnxruntime", "onnx") from None
+        runtime = import_optional("onnxruntime", "onnx")
         options = runtime.SessionOptions()
         # A small network gains nothing from more threads.
         options.intra_op_num_threads = options.inter_op_num_threads = 1
@@ -62,26 +59,6 @@ class OnnxPolicy:
 
     def act(self, observation: Array) -> float:
         """Return the output of the network for the observation, shape (4,), unchecked."""
-<<<<<<< HEAD
         feed = {self._name: observation[None].astype(self._type)}
         (output,) = self._session.run(None, feed)
         return np.asarray(output).item()
-=======
-        self._input.ravel()[:] = observation
-        return self._run().item()
-
-    def _run(self) -> Array:
-        return np.asarray(self._session.run(None, self._feed)[0])
-
-
-def _session(network: bytes, path: Path) -> Any:
-    """Return a session of ONNX Runtime on one thread: a small network gains nothing from more."""
-    runtime = import_optional("onnxruntime", "onnx")
-    options = runtime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    try:
-        return runtime.InferenceSession(network, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # the runtime has many kinds
-        raise InputError(f"{path} is no network that ONNX Runtime reads ({error})") from None
->>>>>>> main

@@ -25,12 +25,7 @@ from equipoise.control.policy import Checkpoint, TabularPolicy
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.executors import Show, running
 from equipoise.identification.actuator import LEAST_SPEED, identify_actuator, speed_ranges
-<<<<<<< HEAD
 from equipoise.identification.regression import ClosedLoopFit, regress
-from equipoise.learning.select import Running
-=======
-from equipoise.identification.regression import ROUGH_FIT, ClosedLoopFit, regress
->>>>>>> main
 from equipoise.learning.target import TARGET, compare_policies, measure_policy
 from equipoise.learning.train import train
 from equipoise.logs.run_log import RunLog
