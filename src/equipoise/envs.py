@@ -21,6 +21,7 @@ from equipoise.learning import rewards
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.elementary import Array
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.random import ENVIRONMENT, TEST
 from equipoise.model.worlds import MODEL, World
@@ -28,7 +29,6 @@ from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.settings import Settings
 from equipoise.worlds import Setup, Trial, predicted, simulate, world_class
 
-Array = npt.NDArray[np.float64]
 Reward = Callable[[Observation, float, Observation, bool], float]
 """Reward of a step: `reward(state, u, next_state, failed)`; the states are predicted ones."""
 

@@ -158,13 +158,6 @@ class _KernelCache(caching.FunctionCache):
                 self.flush()  # or the new code could not be added
             return None
 
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Write machine code to the cache; continue without it if the disk is full."""
-        try:
-            super().save_overload(sig, data)
-        except OSError as error:
-            logger.warning("cannot write the cache: %s", error.strerror)
-
 
 class _InlinedCache(_KernelCache):
     _impl_class = _InlinedCacheImpl

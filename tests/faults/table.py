@@ -1,13 +1,14 @@
-"""Table of the faults: injection, trigger, and the required end of the run.
+"""Table of the faults in virtual time: injection, trigger, and the required end of the run.
 
-Faults of files and of the date are in `files`, those of ports and processes in `real_time`.
+The whole of `equipoise deploy` runs on an emulated rig with one fault (`harness`). Faults of files
+and of the date are in `files`, those of ports and processes in `real_time`.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import degrees, inf, nan, pi, radians, remainder
 from operator import attrgetter
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,57 +21,41 @@ from equipoise.model.arms.posture import condition
 from equipoise.outcomes import Outcome
 from equipoise.rig.config import RigSettings
 from equipoise.worlds.twin.hand import draw_hand_params
-from tests.faults.harness import (
-    START,
-    FaultHarness,
-    Scenario,
-    Setpoint,
-    Trigger,
-)
+from tests.faults.harness import START, FaultHarness, Scenario, Trigger
 
-BALANCING: Final = Trigger("balancing", 0.5)
+BALANCING = Trigger("balancing", 0.5)
 """Default trigger: half a second after the start of the balancing."""
-AT_START: Final = Trigger(START)
+AT_START = Trigger(START)
 """Trigger before the run begins."""
 
-PERIOD: Final = paper.STEP / SETPOINTS_PER_TICK
+PERIOD = paper.STEP / SETPOINTS_PER_TICK
 """Time between two setpoints [s]."""
 
 Inject = Callable[[FaultHarness], object]
+Setpoint = tuple[float, ...]
 
 
 class Fault(NamedTuple):
     """A fault, and the required end of its run."""
 
     name: str
-    """Name of the fault."""
-    ends: frozenset[Outcome] = frozenset()
-    """Permitted outcomes; `ERROR` for a run that must not begin."""
+    ends: frozenset[Outcome] = frozenset()  # permitted; `ERROR` for a run that must not begin
     inject: Inject = lambda harness: None
-    """Injects the fault; by default nothing, for a faulty scenario."""
     trigger: Trigger = BALANCING
-    """Time of the injection."""
     scenario: Callable[[Scenario], Scenario] = lambda scenario: scenario
-    """Changes the scenario, for a fault that exists from the start."""
-    within: float | None = None
-    """Maximum time from the fault to the stop [s]; None without a limit."""
-    stoppable: bool = True
-    """Whether software can still stop the arm."""
-    says: str = ""
-    """Text that a message to the operator has to contain."""
-    check: Callable[[FaultHarness], Sequence[str]] = lambda harness: ()
-    """Further check; returns its problems."""
-    held_at_start: bool = False
-    """Whether the policy may begin while the hand still holds the pendulum."""
-    words_after_stop: bool = True
-    """Whether answers and stops are typed after the stop; the first one ends a way back."""
+    within: float = inf  # maximum time from the fault to the stop [s]
+    stoppable: bool = True  # whether software can still stop the arm
+    says: str = ""  # what a message to the operator has to contain
+    check: Callable[[FaultHarness], Sequence[str]] = lambda harness: ()  # returns more problems
+    held_at_start: bool = False  # whether the policy may begin while the hand holds the pendulum
+    words_after_stop: bool = True  # whether lines are typed after the stop, which end a way back
 
 
 def _ends(*outcomes: str) -> frozenset[Outcome]:
     return frozenset(map(Outcome, outcomes))
 
 
-FELL: Final = _ends("angle", "track", "flange speed")
+FELL = _ends("angle", "track", "flange speed")
 """Ends of a balance without a true measurement: the arm stops on its track."""
 
 
@@ -94,17 +79,12 @@ def _with(**changes: Any) -> Callable[[Scenario], Scenario]:
     return lambda scenario: replace(scenario, **changes)
 
 
-STALL: Final = 0.060
+STALL = 0.060
 """Duration of a stall that is bridged [s]."""
 
 
 def hold_back(harness: FaultHarness, part: str) -> None:
-    """Hold back all bytes of a link for the duration of a stall; then they come at once.
-
-    Args:
-        harness: The harness.
-        part: Part of the rig behind the link: `robot` or `sensor`.
-    """
+    """Hold back all bytes of the link to `robot` or `sensor` for a stall, then pass them on."""
     link = getattr(harness.parts, part).link
     ends = [(end, end.delay) for end in (link, link.other)]
 
@@ -129,7 +109,7 @@ def _slip_slowly(harness: FaultHarness) -> None:
 
 
 # fmt: off
-ENCODER: Final = (
+ENCODER = (
     Fault("encoder unplugged", _ends("encoder lost"), _call("parts.sensor.link.close"),
           within=0.02, says="encoder"),
     Fault("encoder unplugged in the self-test", _ends("encoder lost"),
@@ -179,7 +159,7 @@ def _stall(*times: float) -> Inject:
 
 
 # fmt: off
-TIME: Final = (
+TIME = (
     Fault("late tick", _ends("late tick"), _stall(0.09), within=0.11),
     Fault("stall of the loop", _ends("lasted"), _stall(0.06), says="stood still"),
     Fault("one late tick", _ends("lasted"), _stall(0.008)),
@@ -251,12 +231,7 @@ def _setpoint(change: Callable[[Setpoint, float], Setpoint]) -> Inject:
 
 
 def _joint(place: int, value: Callable[[Joint, float, float], float]) -> Inject:
-    """Change one joint of each setpoint, given its limits, its angle and the time since the fault.
-
-    Args:
-        place: Index of the joint; the last is -1.
-        value: Returns the new angle [rad].
-    """
+    """Change one joint of each setpoint, given its limits, angle and the time since the fault."""
 
     def inject(harness: FaultHarness) -> None:
         joint = harness.scenario.settings.described_arm.joints[place]
@@ -272,11 +247,7 @@ def _joint(place: int, value: Callable[[Joint, float, float], float]) -> Inject:
 
 
 def _creep(row: int) -> Inject:
-    """Let the joints creep by 0.02 rad/s, in the directions that add up in one row of the twist.
-
-    Args:
-        row: Row of the Jacobian.
-    """
+    """Let the joints creep by 0.02 rad/s, in the directions that add up in one row of the twist."""
 
     def inject(harness: FaultHarness) -> None:
         arm = harness.scenario.settings.described_arm
@@ -289,20 +260,16 @@ def _creep(row: int) -> Inject:
 
 
 def _held_back(
-    name: str,
-    outcome: str,
-    inject: Inject,
-    says: str = "",
-    trigger: Trigger = BALANCING,
+    name: str, outcome: str, inject: Inject, says: str = "", trigger: Trigger = BALANCING
 ) -> Fault:
     """Return a fault of a setpoint, which the safety rules hold back."""
     return Fault(name, _ends(outcome), inject, trigger, within=0.03, says=says)
 
 
-MOVED_AWAY: Final = _ends("following error", "flange drift", "flange tilt", "track")
+MOVED_AWAY = _ends("following error", "flange drift", "flange tilt", "track")
 """Ends of a run whose setpoints leave the planned motion."""
 
-MOVES: Final = {
+MOVES = {
     "homing": (Trigger("homing", 0.5), False),
     "self-test": (Trigger("swing", 0.6), False),
     "excitation": (Trigger("excitation", 1.0), True),
@@ -312,13 +279,7 @@ MOVES: Final = {
 
 
 def run_off(joint: int, rate: float, most: float) -> Inject:
-    """Let replies report a joint as running off, while the arm does as it is told.
-
-    Args:
-        joint: Index of the joint.
-        rate: Its reported rate [rad/s], beyond that of the arm.
-        most: Largest distance from where it is [rad].
-    """
+    """Let replies report a joint as running off at a rate [rad/s], at most so far [rad]."""
 
     def inject(harness: FaultHarness) -> None:
         begin = harness.clock.now()
@@ -352,7 +313,7 @@ def _stop_behind_slow_link(harness: FaultHarness) -> None:
 
 
 # fmt: off
-ROBOT: Final = (
+ROBOT = (
     Fault("TCP drop", _ends("link lost"), _drop, stoppable=False, within=0.02),
     Fault("half-open link", _ends("link lost"), _half_open, stoppable=False, within=0.1),
     Fault("command backlog", _ends("link overdue"), _back_up, within=0.1, says="has not answered"),
@@ -443,7 +404,7 @@ def _damage(wire: str, line: bytes) -> Inject:
 
 
 # fmt: off
-NUMBERS: Final = (
+NUMBERS = (
     Fault("NaN from the encoder's line", _ends("stale encoder", "encoder gap", "encoder lost"),
           _damage("encoder_tap", b"E,nan,nan,nan,0*00\n"), within=0.09),
     Fault("NaN from the robot's line", _ends("link lost"),
@@ -495,11 +456,11 @@ def _never_began(harness: FaultHarness) -> Sequence[str]:
     return ("the policy began",) if began else ()
 
 
-ARMING_MISSED: Final = _with(missed_messages=frozenset({"armed", "disarmed", "nudge"}))
+ARMING_MISSED = _with(missed_messages=frozenset({"armed", "disarmed", "nudge"}))
 """Scenario in which the emulated operator misses that the controller is armed."""
 
 # fmt: off
-RELEASE: Final = (
+RELEASE = (
     Fault("release too early", _ends("operator"), _let_go_in_mid_lift, Trigger("lift"),
           check=_never_began),
     Fault("release too late", _ends("operator"), _take_away(0.8), Trigger("armed"), ARMING_MISSED,
@@ -522,15 +483,15 @@ def _other_arm(scenario: Scenario) -> Scenario:
 
 
 # fmt: off
-KEYS: Final = {"homing": 0.5, "hang": 1.0, "swing": 0.6,
+KEYS = {"homing": 0.5, "hang": 1.0, "swing": 0.6,
                "lift": 1.5, "armed": 0.1, "balancing": 1.0}
 """Time of a key press in each phase, after its start [s]."""
-OPERATOR: Final = (
+OPERATOR = (
     *(Fault(f"key: {phase}", _ends("operator"), _call("typed.append", "stop"),
             Trigger(phase, after), within=0.02, says="operator")
       for phase, after in KEYS.items()),
 )
-INPUTS: Final = (
+INPUTS = (
     Fault("policy of another rig", _ends("error"), trigger=AT_START, scenario=_other_arm,
           says="policy and arm"),
     Fault("unit slip", _ends("error"), trigger=AT_START, says="home",
@@ -538,5 +499,4 @@ INPUTS: Final = (
 )
 # fmt: on
 
-FAULTS: Final = (*ENCODER, *TIME, *ROBOT, *NUMBERS, *RELEASE, *OPERATOR, *INPUTS)
-"""Faults that are injected into a run in virtual time."""
+TABLE = (*ENCODER, *TIME, *ROBOT, *NUMBERS, *RELEASE, *OPERATOR, *INPUTS)

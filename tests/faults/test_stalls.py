@@ -5,71 +5,51 @@ from math import inf
 import numpy as np
 import pytest
 
-from equipoise.control.policy import shipped_policy
-from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.outcomes import Outcome
-from equipoise.rig.clocks import DrainingClock
 from equipoise.rig.config import RigSettings
-from equipoise.rig.connection import emulated_rig
-from equipoise.rig.request import RunRequest
-from equipoise.rig.run import run_virtually
 from equipoise.safety.rules import MAX_STALL
-from tests.faults.harness import StallingClock, TransportTap
+from tests.faults.harness import FaultHarness, Scenario, Trigger
 from tests.faults.verdicts import check_limits, setpoints_of
 
 pytestmark = [pytest.mark.compiled_only, pytest.mark.slow]
 
-POLICY, SETTINGS = shipped_policy(), RigSettings()
-SPEEDS = np.array([joint.velocity for joint in SETTINGS.described_arm.joints])
-STOPS = {Outcome.TICK, Outcome.ENCODER_STALE, Outcome.LINK}
+ARM = RigSettings().described_arm
+SPEEDS = np.array([joint.velocity for joint in ARM.joints])
+STOPS = {Outcome.TICK, Outcome.ENCODER_STALE, Outcome.LINK, Outcome.LINK_LOST}
 STALLS = 100
 
 
 class Balance:
-    """A run with a stall every 2 to 3 s; it types nothing."""
+    """A run with a stall every 2 to 3 s."""
 
     def __init__(self, part, stall, seed, duration):
-        world = read_world("twin:nominal")
-        pendulum = pendulum_on(POLICY.pendulum, world.settings)
-        self.parts = emulated_rig(world, SETTINGS, pendulum, robot="kst", seed=seed)
         self.part, self.stall, self.random = part, stall, np.random.default_rng(seed)
-        self.clock = StallingClock(self.parts.rig.clock)
-        self.tap = TransportTap(self.parts.robot.link.other, self.clock)
-        driver = self.parts.robot.driver
-        robot = driver(self.tap.open, DrainingClock(self.clock, self.parts.rig.sensor))
-        self.links = {"link": self.parts.robot.link, "encoder": self.parts.sensor.link}
-        self.usual = {name: link.delay for name, link in self.links.items()}
-        self.next, self.until, self.stalls, self.fastest = inf, -inf, 0, 0.0
-        self.parts.rig.clock.attach(self.work)
-        request = RunRequest(
-            POLICY, POLICY.actuator, SETTINGS, "kst://emulated", "serial://emulated", duration,
+        self.next, self.until, self.stalls, self.fastest = 1.0, -inf, 0, 0.0
+        scenario = Scenario(duration=duration)
+        self.harness = FaultHarness(
+            scenario,
+            (Trigger("balancing"), lambda harness: harness.each(self.work)),
+            words_after_stop=False,
             seed=seed,
-        )  # fmt: skip
-        rig = self.parts.rig._replace(robot=robot, clock=self.clock)
-        self.end = run_virtually(request, None, self, rig=rig)
-
-    def notify(self, event):
-        if event.name == "balancing":
-            self.next = self.clock.now() + 1.0
-        elif event.name in ("stopping", "fault"):
-            self.next = inf
-
-    def read_input(self):
-        return []
+        )
+        parts = self.harness.parts
+        self.link = {"link": parts.robot.link, "encoder": parts.sensor.link}.get(part)
+        self.usual = self.link and self.link.delay
+        self.end = self.harness.run()
 
     def work(self, now):
-        if self.next < inf:
-            moving = np.abs(self.parts.bench.twin.kernel.bodies.qvel[: len(SPEEDS)])
-            self.fastest = max(self.fastest, float((moving / SPEEDS).max()))
-        if self.part != "loop":
-            link, usual = self.links[self.part], self.usual[self.part]
-            for end in (link, link.other):
-                end.delay = max(usual, self.until - now)
+        if self.harness.messages[-1].name in ("stopping", "fault"):
+            return
+        moving = np.abs(self.harness.bench.twin.kernel.bodies.qvel[: len(SPEEDS)])
+        self.fastest = max(self.fastest, float((moving / SPEEDS).max()))
+        if self.link is not None:
+            for end in (self.link, self.link.other):
+                end.delay = max(self.usual, self.until - now)
         if now >= self.next:
             self.next = now + self.random.uniform(2.0, 3.0)
             self.until, self.stalls = now + self.stall, self.stalls + 1
-            if self.part == "loop":
-                self.clock.stalls.append(self.stall)
+            if self.link is None:
+                self.harness.clock.stalls.append(self.stall)
 
 
 @pytest.mark.parametrize("stall", [0.02, 0.03, 0.04, 0.06, 0.09])
@@ -83,9 +63,9 @@ def test_stalls_at_random_moments_end_as_the_rule_says(part, stall):
         if balance.end.outcome != "lasted":
             lost.append(balance.end.outcome)
         assert balance.fastest < 1.0
-        assert not check_limits(SETTINGS.described_arm, setpoints_of(balance.tap.sent))
+        assert not check_limits(ARM, setpoints_of(balance.harness.robot_tap.sent))
     if stall > MAX_STALL:
         assert len(lost) == stalls
-        assert set(lost) <= STOPS | {Outcome.LINK_LOST}
+        assert set(lost) <= STOPS
     else:
         assert len(lost) <= 0.05 * stalls

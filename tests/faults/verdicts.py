@@ -7,71 +7,55 @@ link, limits come from the arm, and rest is judged by the twin's joints.
 """
 
 from bisect import bisect_left
-from collections.abc import Sequence
 from math import inf, isfinite
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.errors import EquipoiseError
-from equipoise.logs.conditions import RunEnd
 from equipoise.logs.run_log import RunLog
-from equipoise.model.arms.arm import Arm
 from equipoise.outcomes import Outcome
 from equipoise.safety.rules import POSITION_MARGIN, STOP_DECELERATION
-from tests.faults.harness import FaultHarness, ReceivedMessage
-from tests.faults.table import Fault
+from tests.faults.harness import FaultHarness, Scenario
 
-Array = npt.NDArray[np.float64]
-
-MAX_NOTICE: Final = 0.100
+MAX_NOTICE = 0.100
 """Maximum time from the fault to the warning that software cannot stop the robot [s]."""
-REST_TOLERANCE: Final = 0.01
-"""Maximum motion of a joint of an arm at rest, within `REST_WINDOW` [rad]. A pendulum that swings
-out moves the twin's arm by half of this."""
-REST_WINDOW: Final = 0.3
-"""Window for checking the rest at the end [s]."""
-ROUNDING: Final = 1e-6
+REST_TOLERANCE = 0.01
+"""Maximum motion of a joint of an arm at rest, within 0.3 s [rad]. A pendulum that swings out moves
+the twin's arm by half of this."""
+ROUNDING = 1e-6
 """Tolerance of setpoints, for their rounding on the link [rad]."""
-MAX_HOLD_STEP: Final = 5e-5
+MAX_HOLD_STEP = 5e-5
 """Maximum step of a setpoint that holds the arm [rad]: 0.01 rad/s."""
-REST_DISTANCE: Final = 2e-4
+REST_DISTANCE = 2e-4
 """Distance that a ramp still covers once its steps are those of a held arm [rad]."""
-SERVO_LAG: Final = 0.06
-"""Time by which the twin's arm may lag its setpoints [s]."""
-PUSHED: Final = 0.02
-"""Maximum motion of a joint behind its servo, by a push or by the pendulum [rad]."""
-CONTINUING: Final = {"homing", "home", "hang", "reference", "swing", "lift", "armed", "balancing"}
+CONTINUING = {"homing", "home", "hang", "reference", "swing", "lift", "armed", "balancing"}
 """Names of messages that must not follow a stop."""
-RETURN_SHARE: Final = 0.1 + ROUNDING
-"""Maximum share of the joints' velocities on the way back to the measured posture [-]."""
+PERIOD = paper.STEP / 2.0
+"""Time between two setpoints [s]."""
 
 
 class Sent(NamedTuple):
     """Setpoint on the link."""
 
-    time: float
-    """Time at which it was sent [s]."""
-    q: tuple[float, ...]
-    """Joints [rad]."""
+    time: float  # [s]
+    q: tuple[float, ...]  # joints [rad]
 
 
-def setpoints_of(lines: Sequence[tuple[float, bytes]]) -> list[Sent]:
-    """Return the setpoints in the sent lines."""
-    sent: list[Sent] = []
+def setpoints_of(lines):
+    """Return the setpoints in the sent lines, given with their times."""
+    sent = []
     for time, line in lines:
         command, *fields = line.decode().strip().rstrip("_").split("_")
-        if command.startswith("jp") or command == "jf":
+        if command.startswith("jp"):
             sent.append(Sent(time, tuple(map(float, fields))))
     return sent
 
 
-def check_limits(arm: Arm, sent: Sequence[Sent]) -> list[str]:
+def check_limits(arm, sent):
     """Return the problems of setpoints: number, finiteness, position, step."""
-    problems: list[str] = []
-    before: tuple[float, ...] | None = None
+    problems, before = [], None
     for time, q in sent:
         if len(q) != len(arm.joints) or not all(map(isfinite, q)):
             problems.append(f"at {time:.3f} s {q} was sent")
@@ -80,14 +64,14 @@ def check_limits(arm: Arm, sent: Sequence[Sent]) -> list[str]:
             margin = POSITION_MARGIN - ROUNDING
             if not joint.lower + margin <= q[i] <= joint.upper - margin:
                 problems.append(f"at {time:.3f} s {joint.name} was sent to {q[i]:.4f} rad")
-            most = joint.velocity * paper.STEP / 2.0 * (1.0 + ROUNDING) + 1e-9
+            most = joint.velocity * PERIOD * (1.0 + ROUNDING) + 1e-9
             if before is not None and abs(q[i] - before[i]) > most:
                 problems.append(f"at {time:.3f} s {joint.name} was sent {q[i] - before[i]:.4f} rad")
         before = q
     return problems[:3]
 
 
-def check_stop(arm: Arm, sent: Sequence[Sent], stop: float) -> list[str]:
+def check_stop(arm, sent, stop):
     """Return the problems of the setpoints after a stop [s].
 
     Each is slower than the one before, down to rest; after that none leaves the reach of the ramp.
@@ -99,12 +83,12 @@ def check_stop(arm: Arm, sent: Sequence[Sent], stop: float) -> list[str]:
     if not len(after):
         rests = len(steps) == 0 or steps[-1] <= MAX_HOLD_STEP
         return [] if rests else ["no setpoint was sent after the stop"]
-    problems: list[str] = []
-    first = int(after[0])
+    problems, first = [], int(after[0])
     if times[first] > stop + paper.STEP + 1e-9:
         problems.append(f"the first setpoint of the stop came {times[first] - stop:.3f} s after it")
     before = steps[first - 1] if first else 0.0
-    slow = RETURN_SHARE * paper.STEP / 2.0 * np.array([joint.velocity for joint in arm.joints])
+    # On the way back to the measured posture a tenth of the joints' velocities is allowed.
+    slow = (0.1 + ROUNDING) * PERIOD * np.array([joint.velocity for joint in arm.joints])
     reach = ramp_reach(arm, q[first], q[max(first - 1, 0)])
     resting = False
     for k in after:
@@ -130,7 +114,7 @@ def check_stop(arm: Arm, sent: Sequence[Sent], stop: float) -> list[str]:
     return problems
 
 
-def ramp_reach(arm: Arm, q: Array, before: Array) -> Array:
+def ramp_reach(arm, q, before):
     """Return the distance that a ramp to rest covers in each joint [rad], shape (joints,).
 
     Args:
@@ -138,7 +122,7 @@ def ramp_reach(arm: Arm, q: Array, before: Array) -> Array:
         q: The last setpoint before the stop [rad], shape (joints,).
         before: The setpoint before that [rad], shape (joints,).
     """
-    dq = (q - before) / (paper.STEP / 2.0)
+    dq = (q - before) / PERIOD
     twist = arm.kinematics(arm.without_held(q.tolist()), arm.without_held(dq.tolist())).twist
     # The flange takes v / 4 m/s^2, a joint its speed over its acceleration; the slowest decides.
     lasts = float(np.linalg.norm(twist[:3])) / STOP_DECELERATION
@@ -147,7 +131,7 @@ def ramp_reach(arm: Arm, q: Array, before: Array) -> Array:
     return 0.5 * lasts * np.abs(dq) + REST_DISTANCE
 
 
-def check_run(harness: FaultHarness, outcome: RunEnd) -> list[str]:
+def check_run(harness, outcome):
     """Return the problems that no run may have, whatever fails in it.
 
     Args:
@@ -177,20 +161,25 @@ def check_run(harness: FaultHarness, outcome: RunEnd) -> list[str]:
     return problems + _moved_on(harness, sent, stop) + _at_rest(harness)
 
 
-def stop_time(harness: FaultHarness) -> float:
+def stop_time(harness):
     """Return the time of the first message of a run's end [s]; inf without one."""
     ends = ("stopping", "fault", "error")
     return next((one.time for one in harness.messages if one.name in ends and one.text), inf)
 
 
-def judge(harness: FaultHarness, outcome: RunEnd, fault: Fault) -> list[str]:
-    """Return the differences between the end of a run and the required one.
+def problems_of(fault, scenario=None):
+    """Run a fault in a scenario; return the differences of its end from the required one."""
+    harness = FaultHarness(
+        fault.scenario(scenario or Scenario()),
+        (fault.trigger, fault.inject),
+        words_after_stop=fault.words_after_stop,
+    )
+    outcome = harness.run()
+    return [*judge(harness, outcome, fault), *fault.check(harness)]
 
-    Args:
-        harness: Record of the run.
-        outcome: Result that the run returns.
-        fault: The fault, with the required end.
-    """
+
+def judge(harness, outcome, fault):
+    """Return the differences between the end of a run and that which its fault requires."""
     messages, problems = harness.messages, check_run(harness, outcome)
     if outcome.outcome not in fault.ends:
         problems.append(f"it ended with {outcome.outcome} ({outcome.reason})")
@@ -202,41 +191,41 @@ def judge(harness: FaultHarness, outcome: RunEnd, fault: Fault) -> list[str]:
         return problems
     if harness.held_at_start and not fault.held_at_start:
         problems.append("the policy began while the hand held the pendulum")
-    stop, within = stop_time(harness), inf if fault.within is None else fault.within
-    if stop - harness.injected_at > within + 1e-9:
+    stop = stop_time(harness)
+    if stop - harness.injected_at > fault.within + 1e-9:
         problems.append(f"it stopped {stop - harness.injected_at:.3f} s after the fault")
     if outcome.stoppable is not fault.stoppable:
         problems.append(f"software can{'' if outcome.stoppable else 'not'} stop the robot")
-    if not fault.stoppable and fault.within is not None:
+    if not fault.stoppable:
         late = next((one.time for one in messages if _warns(one)), stop) - harness.injected_at
         if late > MAX_NOTICE + 1e-9:
             problems.append(f"the operator was warned after {1e3 * late:.0f} ms")
     return problems
 
 
-def _warns(message: ReceivedMessage) -> bool:
+def _warns(message):
     """Return whether a message says that software cannot stop the robot."""
     text = message.text
     return "software" in text and ("E-stop" in text or "emergency stop" in text)
 
 
-def _moved_on(harness: FaultHarness, sent: Sequence[Sent], stop: float) -> list[str]:
+def _moved_on(harness, sent, stop):
     """Return the problem of a joint that moves further after a stop [s] than the ramp."""
     k = bisect_left([one.time for one in sent], stop - 1e-9)
     later = [one.q for one in harness.observations if one.time >= stop]
     if k < 2 or not later:
         return []
-    arm, (before, last) = harness.scenario.settings.described_arm, (sent[k - 2].q, sent[k - 1].q)
-    q, speed = np.array(last), np.abs(np.subtract(last, before)) / (paper.STEP / 2.0)
-    most = ramp_reach(arm, q, np.array(before)) + SERVO_LAG * speed + PUSHED
+    arm, before, last = harness.scenario.settings.described_arm, sent[k - 2].q, sent[k - 1].q
+    q, speed = np.array(last), np.abs(np.subtract(last, before)) / PERIOD
+    # The arm may lag by 60 ms; a push or the pendulum moves a joint by 0.02 rad behind its servo.
+    most = ramp_reach(arm, q, np.array(before)) + 0.06 * speed + 0.02
     moved = np.abs(np.array(later) - later[0]).max(axis=0)
     i = int(np.argmax(moved - most))
     far = f"{arm.joints[i].name} moved by {moved[i]:.3f} rad after the stop, its ramp {most[i]:.3f}"
     return [far] if moved[i] > most[i] else []
 
 
-def _log_problems(harness: FaultHarness) -> list[str]:
-    """Return the problem of a log that cannot be read."""
+def _log_problems(harness):
     if harness.scenario.out is None or harness.disk_is_full:
         return []
     try:
@@ -246,18 +235,18 @@ def _log_problems(harness: FaultHarness) -> list[str]:
     return [] if end else ["the log has no end"]
 
 
-def _on_track(harness: FaultHarness) -> list[str]:
+def _on_track(harness):
     home = next((one.time for one in harness.messages if one.name == "home"), inf)
     x = max((abs(one.x) for one in harness.observations if one.time >= home), default=0.0)
     return [f"the flange was {x:.3f} m from home"] if x >= paper.X_LIMIT else []
 
 
-def _at_rest(harness: FaultHarness) -> list[str]:
+def _at_rest(harness):
     end = harness.observations[-1].time
-    return check_still([one.q for one in harness.observations if one.time > end - REST_WINDOW])
+    return check_still([one.q for one in harness.observations if one.time > end - 0.3])
 
 
-def check_still(postures: Sequence[Sequence[float]]) -> list[str]:
+def check_still(postures):
     """Return the problem of an arm that moves, from its postures [rad] at the end of a run."""
     moved = float(np.ptp(np.array(postures), axis=0).max())
     return [f"at the end a joint moves by {moved:.3f} rad"] if moved > REST_TOLERANCE else []

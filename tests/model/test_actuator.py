@@ -50,22 +50,12 @@ def moved(targets, actuator, lag=0.0):
 # The shaping law.
 
 
-@given(st.floats(-3.0, 3.0))
+@given(st.floats(-3.0, 3.0) | st.floats(-NEAR * INTERVAL_WIDTH, NEAR * INTERVAL_WIDTH))
 def test_the_shaping_law_is_the_servers_formula(e):
     # In the server's source: sign(e) 0.07 (1 - exp(-(e / 0.0525)^2)).
     expected = np.sign(e) * 0.07 * -expm1(-((e / 0.0525) ** 2))
-    assert shaped_step(e, AMPLITUDE, INTERVAL_WIDTH) == pytest.approx(
-        expected, rel=1e-11, abs=1e-300
-    )
-
-
-@given(st.floats(-NEAR, NEAR))
-def test_the_short_series_is_the_servers_formula(ratio):
-    e = ratio * INTERVAL_WIDTH
-    expected = np.sign(e) * 0.07 * -expm1(-((e / 0.0525) ** 2))
-    assert shaped_step(e, AMPLITUDE, INTERVAL_WIDTH) == pytest.approx(
-        expected, rel=1e-12, abs=1e-300
-    )
+    found = shaped_step(e, AMPLITUDE, INTERVAL_WIDTH)
+    assert found == pytest.approx(expected, rel=1e-11, abs=1e-300)
 
 
 STEADY_LAG_MS = {
@@ -89,11 +79,10 @@ def test_the_steady_lag_is_the_table_of_the_servo(speed, cycle):
     assert steady_error(-speed, 0.008, actuator) == -steady_error(speed, 0.008, actuator)
 
 
-@pytest.mark.parametrize("lag", [0.0, 0.004, 0.016])
-@pytest.mark.parametrize("speed", [0.05, 0.25, 1.0])
+@pytest.mark.parametrize("lag", [0.0, 0.016])
 @pytest.mark.parametrize("servo", [SHAPED, UNSHAPED_SERVO])
-def test_a_ramp_is_followed_at_the_steady_error(servo, speed, lag):
-    times = np.arange(1500) * CYCLE
+def test_a_ramp_is_followed_at_the_steady_error(servo, lag):
+    times, speed = np.arange(1500) * CYCLE, 0.25
     q, dq = moved(speed * times, servo, lag)
     # The error that the next cycle sees.
     e = speed * (times[-1] + CYCLE) - q[-1]
@@ -223,30 +212,16 @@ def test_a_push_holds_a_joint_off_its_setpoint_by_the_error_that_balances_it():
     assert linear[-1] == pytest.approx(0.01)
 
 
-# The file.
-
-
-def test_an_actuator_survives_its_file(tmp_path):
-    actuator = Actuator.assumed("kst", delay=0.010, lag=0.008)
-    actuator.save(tmp_path / "actuator.json", command="test")
-    assert Actuator.load(tmp_path / "actuator.json") == actuator
-    assert actuator.parameters == ActuatorParameters(KST, 1e-3, 0.07, 0.0525)
-
-
-@pytest.mark.parametrize(
-    "impossible", [{"delay": -1e-3}, {"lag": -1e-3}, {"cycle": 0.0}, {"cycle": -1e-3}]
-)
-def test_an_impossible_actuator_is_refused(impossible):
-    with pytest.raises(ValueError, match="is not from"):
-        Actuator.assumed("kst", **impossible)
-
-
 def test_the_response_time_is_the_lag_and_the_slope_of_the_shaping_law():
     lag, speed, h = 0.008, 0.1, 1e-7
     actuator = Actuator.assumed("kst", lag=lag)
+    assert actuator.parameters == ActuatorParameters(KST, 1e-3, 0.07, 0.0525)
     e = steady_error(speed, lag, actuator.parameters)
     slope = (shaped_step(e + h, 0.07, 0.0525) - shaped_step(e - h, 0.07, 0.0525)) / (2 * h) / 1e-3
     assert actuator.response_time(0, speed) == pytest.approx(lag + 1.0 / slope, rel=1e-5)
     assert Actuator.assumed("lag", lag=lag).response_time(0) == lag
     assert Actuator.assumed("ideal").response_time(0) == 0.0
     assert actuator.response_time(0, 0.0) == float("inf")
+    for impossible in ({"delay": -1e-3}, {"lag": -1e-3}, {"cycle": 0.0}):
+        with pytest.raises(ValueError, match="is not from"):
+            Actuator.assumed("kst", **impossible)

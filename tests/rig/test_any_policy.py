@@ -12,6 +12,7 @@ from equipoise.errors import InputError
 from equipoise.logs.run_log import RunLog
 from equipoise.outcomes import Phase
 from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import connect
 from equipoise.rig.preflight import warm_up
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
@@ -33,7 +34,7 @@ def request(policy, duration=1.0):
 def run(policy, out, duration=1.0, failing=None):
     """Run a policy on a virtual rig; return the result and the log."""
     wanted = request(policy, duration)
-    rig = wanted.connect()
+    rig = connect(wanted)
     if failing is not None:
         failing.clock = rig.clock
     return run_virtually(wanted, out, rig=rig), RunLog.load(out, damaged=True)

@@ -5,7 +5,6 @@ import pytest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, SettingsError
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import RigSettings, read_rig
@@ -23,28 +22,16 @@ def written(tmp_path, text):
     return path
 
 
-def test_a_rig_says_where_its_pendulum_is(tmp_path):
-    path = written(
-        tmp_path,
-        'arm = "iiwa14"\npivot_mm = [-150, 0, 35]\nencoder_sign = -1\n'
-        "home_deg = [80, 30, 0, -70, 0, 80, 0]\n",
-    )
-    rig = read_rig(path)
-    arm = rig.described_arm
-    assert arm.pivot == pytest.approx((-0.15, 0.0, 0.035))
-    assert arm.home[0] == pytest.approx(1.3962634)
-    assert arm.digest == iiwa(14).digest
-    assert rig.encoder_sign == -1
-
-
 def test_a_rig_describes_an_arm_from_a_urdf_beside_it(tmp_path):
     (tmp_path / "arm.urdf").write_text(ELBOW.read_text())
     home = ", ".join(f"{np.degrees(angle):.4f}" for angle in ELBOW_HOME)
     text = (
         f'arm = "arm.urdf"\ntip = "adapter"\nhome_deg = [{home}]\n'
-        "pivot_mm = [10, 20, 130]\nacceleration_deg = 400\n"
+        "pivot_mm = [10, 20, 130]\nacceleration_deg = 400\nencoder_sign = -1\n"
     )
-    arm = read_rig(written(tmp_path, text)).described_arm
+    rig = read_rig(written(tmp_path, text))
+    assert rig.encoder_sign == -1
+    arm = rig.described_arm
     expected = read_urdf(ELBOW, tip="adapter", home=ELBOW_HOME)
     assert [joint.xyz for joint in arm.joints] == [joint.xyz for joint in expected.joints]
     assert arm.home == pytest.approx(ELBOW_HOME, abs=1e-6)
@@ -88,7 +75,7 @@ def test_what_cannot_be_is_refused(tmp_path, text):
 )
 def test_an_address_that_is_none_is_refused(robot, encoder):
     with pytest.raises(InputError):
-        connect(robot, encoder, RigSettings(), POLICY.pendulum)
+        connect(RunRequest(POLICY, POLICY.actuator, RigSettings(), robot, encoder, 1.0))
 
 
 @pytest.mark.parametrize(

@@ -78,7 +78,7 @@ def test_a_late_setpoint_bends_the_path_and_a_missing_one_ends_it_at_the_last():
     assert q[-1] == setpoints[missing - 1]
 
 
-def test_more_setpoints_than_the_path_takes_are_refused():
+def test_a_caller_that_is_too_fast_and_a_robot_that_gives_up_are_links_that_are_lost():
     robot, clock = paced_robot(1)
     stream = PacedStream(robot, clock, T)
     stream.connect()
@@ -87,13 +87,6 @@ def test_more_setpoints_than_the_path_takes_are_refused():
         stream.send(robot.q)
     with pytest.raises(LinkError, match="8 setpoints wait"):
         stream.send(robot.q)
-
-
-def test_a_robot_that_gives_up_is_a_link_that_is_lost():
-    robot, clock = paced_robot(1)
-    stream = PacedStream(robot, clock, T)
-    stream.connect()
-    stream.start()
     clock.wait_until(clock.now() + 0.01)  # nobody answers meanwhile
     with pytest.raises(LinkError, match="without an answer"):
         stream.wait_until(clock.now() + 0.01)

@@ -12,6 +12,7 @@ from equipoise.model.actuator import Actuator
 from equipoise.outcomes import Phase
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import connect
 from equipoise.rig.plugins import ignore
 from equipoise.rig.request import RunRequest, describe_fit
 from equipoise.rig.run import OperatorChannel, run_virtually
@@ -165,7 +166,7 @@ def test_words_that_come_together_answer_one_question_after_the_other():
 
 def answered_by(script, wanted):
     """Run with a script alone, without the twin's own operator."""
-    return run_virtually(wanted, None, script, rig=wanted.connect()._replace(operator=None))
+    return run_virtually(wanted, None, script, rig=connect(wanted)._replace(operator=None))
 
 
 @pytest.mark.parametrize(

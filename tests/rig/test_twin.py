@@ -20,7 +20,7 @@ ARM = iiwa(7)
 PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
 # An arm that does not yield: what the pendulum does to it is another matter.
 # No file of a world may say so, therefore the copy without validation.
-FIRM = TwinSettings().model_copy(update={"rotor_inertia": 1e4})
+FIRM = TwinSettings().model_copy(update={"rotor_inertia": (1e4,)})
 
 
 def swing(settings, theta, duration, every=1, pendulum=PENDULUM):

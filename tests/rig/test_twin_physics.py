@@ -14,7 +14,7 @@ from tests.arms import without_masses
 from tests.model.arms.weighed import WEIGHED, by_mujoco, by_pinocchio
 
 PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
-BARE = TwinSettings(bracket_mass=0.0, pendulum_mass=1e-9, rotor_inertia=0.0)
+BARE = TwinSettings(bracket_mass=0.0, pendulum_mass=1e-9, rotor_inertia=(0.0,))
 
 
 def at(model, q):
@@ -115,7 +115,7 @@ def energy(model, data):
 
 def drift(substeps):
     """Largest change of the energy of an arm that moves freely with its pendulum [J]."""
-    settings = TwinSettings(rotor_inertia=0.0, substeps=substeps)
+    settings = TwinSettings(rotor_inertia=(0.0,), substeps=substeps)
     model = build(iiwa(7), PENDULUM._replace(c=0.0), settings)
     data = mujoco.MjData(model)
     data.qpos[:] = [*iiwa(7).home, 2.0]

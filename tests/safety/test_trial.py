@@ -60,6 +60,15 @@ def numbers(wide):
     return st.tuples(*(near(0.0, wide) for _ in ARM.joints))
 
 
+def same(violation, code, value, limit):
+    """Whether a compiled verdict is that of Python."""
+    if violation is None:
+        return code == NO_VIOLATION
+    evidence = violation.evidence["value"], violation.evidence["limit"]
+    assert (value, limit) == pytest.approx(evidence, rel=1e-12)
+    return SAFETY_RULES[code] is violation.outcome
+
+
 @kernel
 def compiled_setpoint(limits, q, last, before, dt):
     return broken_setpoint(limits, q, last, before, dt)
@@ -84,7 +93,7 @@ def compiled_newest(sent, number, since):
 
 
 @pytest.mark.compiled_only
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=200)
 @given(
     place=st.sampled_from([0.0, 1.0, 1.5, 2.0]),
     change=numbers(0.02),
@@ -97,17 +106,12 @@ def test_a_setpoint_has_the_same_verdict_compiled_and_in_python(place, change, b
     before = last - np.array(change) * 0.1 + np.array(bend)
     violation = check_setpoint(GUARD_7.limits, q.tolist(), tuple(last), tuple(before), DT)
     code, joint, value, limit = compiled_setpoint(GUARD_7.limits, q, last, before, DT)
-    if violation is None:
-        assert code == NO_VIOLATION
-    else:
-        assert (SAFETY_RULES[code], joint) == (violation.outcome, violation.evidence["joint"])
-        assert (value, limit) == pytest.approx(
-            (violation.evidence["value"], violation.evidence["limit"]), rel=1e-12
-        )
+    assert same(violation, code, value, limit)
+    assert violation is None or joint == violation.evidence["joint"]
 
 
 @pytest.mark.compiled_only
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=200)
 @given(
     x=near(0.0, 0.3),
     x_dot=near(0.0, 0.8),
@@ -121,13 +125,7 @@ def test_a_flange_has_the_same_verdict_compiled_and_in_python(x, x_dot, drift, t
     view = SafetyInputs(on_track=True, x=x, x_dot=x_dot, drift=drift, tilt=tilt, manipulability=w)
     violation = check(guard, MonitorState(), view)
     code, value, limit = compiled_flange(guard, x, x_dot, drift, tilt, w)
-    if violation is None:
-        assert code == NO_VIOLATION
-    else:
-        assert SAFETY_RULES[code] is violation.outcome
-        assert (value, limit) == pytest.approx(
-            (violation.evidence["value"], violation.evidence["limit"]), rel=1e-12
-        )
+    assert same(violation, code, value, limit)
 
 
 @pytest.mark.compiled_only
@@ -150,14 +148,11 @@ def test_all_else_has_the_same_verdict_compiled_and_in_python(off, before, torqu
     )
     assert error_time == watched.error_time
     violation = check(GUARD_7, watched, view)
-    if pressed:
-        assert (violation.outcome, violation.evidence["joint"]) == (Outcome.TORQUE, pressed)
-    elif lost:
-        assert (violation.outcome, violation.evidence["joint"]) == (Outcome.FOLLOWING, joint)
-    elif fallen:
-        assert violation.outcome is Outcome.ANGLE
-    else:
-        assert violation is None
+    rules_of = {Outcome.TORQUE: pressed, Outcome.FOLLOWING: lost, Outcome.ANGLE: fallen}
+    first = next((rule for rule, broken in rules_of.items() if broken), None)
+    assert (violation and violation.outcome) is first
+    if pressed or lost:
+        assert violation.evidence["joint"] == (pressed or joint)
 
 
 @pytest.mark.compiled_only
@@ -192,17 +187,15 @@ def test_rules_act_where_a_world_has_them_with_the_numbers_of_a_rig():
     assert guard.u_max == 2.0
     assert actuator.delay.value < guard.reaction < 0.05
     assert guard.speed == float("inf")
-    t1 = trial_safety(ARM, world.model_copy(update={"t1": True}), actuator, 0.01)
-    assert t1 == guard._replace(speed=0.23)
-
-
-@pytest.mark.parametrize(
-    ("t1", "max_speed", "speed"), [(False, 0.3, 0.3), (True, 0.3, 0.23), (True, 0.2, 0.2)]
-)
-def test_of_two_speed_limits_the_lower_acts(t1, max_speed, speed):
-    world = read_world("twin:nominal").settings.model_copy(update={"t1": t1})
-    guard = trial_safety(ARM, world, shipped_actuator(), 0.01, max_speed)
-    assert guard.speed == speed
+    # Of two speed limits the lower acts.
+    for t1, of_task, speed in (
+        (True, None, 0.23),
+        (False, 0.3, 0.3),
+        (True, 0.3, 0.23),
+        (True, 0.2, 0.2),
+    ):
+        there = world.model_copy(update={"t1": t1})
+        assert trial_safety(ARM, there, actuator, 0.01, of_task) == guard._replace(speed=speed)
 
 
 def test_the_free_joints_alone_are_asked():
@@ -240,10 +233,8 @@ class Tick:
         """Return the rule that ends the run, or none; joints are told as seen from home [rad]."""
         q = ARM.home_free + away
         self.memory.measured[::BATCH_SIZE] = q
-        (
-            self.memory.estimate[EST_PIVOT_V * BATCH_SIZE],
-            self.memory.estimate[EST_PHI * BATCH_SIZE],
-        ) = v, phi
+        for row, value in ((EST_PIVOT_V, v), (EST_PHI, phi)):
+            self.memory.estimate[row * BATCH_SIZE] = value
         code = trial_violation(self.watching, self.controller, self.memory, q, measured_at)
         return None if code == NO_VIOLATION else SAFETY_RULES[code]
 
@@ -284,11 +275,9 @@ def joint(row, by):
 def test_a_trial_ends_where_a_rig_would_stop(rule, kept, not_kept):
     assert Tick(begin=kept.get("away", joint(0, 0.0)))(**kept) is None
     assert Tick(begin=not_kept.get("away", joint(0, 0.0)))(**not_kept) is rule
-
-
-def test_a_trial_in_t1_ends_where_a_rig_would_stop():
-    assert Tick(GUARD_7._replace(speed=0.23))(v=0.229) is None
-    assert Tick(GUARD_7._replace(speed=0.23))(v=-0.231) is Outcome.SPEED
+    in_t1 = GUARD_7._replace(speed=0.23)
+    assert Tick(in_t1)(v=0.229) is None
+    assert Tick(in_t1)(v=-0.231) is Outcome.SPEED
 
 
 def test_a_trial_ends_where_the_arm_is_elsewhere_for_long():

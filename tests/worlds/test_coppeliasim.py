@@ -142,18 +142,6 @@ def test_a_simulation_of_the_user_goes_on():
         assert server.scene.state == RUNNING
 
 
-def test_a_simulation_advances_with_each_step_alone_also_after_a_stop(server):
-    simulation, _ = world_of(server.address)
-    loop, trials = simulation.loop(), simulation.draw(2)
-    for row in range(2):  # stopSimulation forgets the stepping
-        loop.reset(trials.trial(row))
-        before = server.scene.steps
-        for _ in range(5):
-            loop.step(0.0)
-        assert server.scene.steps == before + 5
-        assert list(server.scene.levels.values()).count(1) == 1
-
-
 def test_a_second_world_ends_the_first_one(server):
     first, _ = world_of(server.address)
     loop, trial = first.loop(), first.draw(1).trial(0)
@@ -178,9 +166,8 @@ def restart(scene):
         lambda scene: scene.sim_pauseSimulation(),
         restart,
         lambda scene: scene.sim_removeObjects(list(scene.things)),
-        lambda scene: scene.parameters["Float"].update({1: 0.02}),
     ],
-    ids=["pause", "restart", "remove", "another step"],
+    ids=["pause", "restart", "remove"],
 )
 def test_a_change_by_another_program_is_an_error_not_a_fall(change):
     with CoppeliaSimServer() as server:

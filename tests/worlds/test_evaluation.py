@@ -1,6 +1,5 @@
 """Evaluation: what it counts, with what confidence, and that any policy runs the same trials."""
 
-import numpy as np
 import pytest
 from scipy import stats
 
@@ -61,8 +60,8 @@ def evaluation(small_policy, settings):
 # Numbers
 
 
-@pytest.mark.parametrize("trials", [1, 2, 20, 200, 1000])
-@pytest.mark.parametrize("share", [0.0, 0.5, 0.99, 1.0])
+@pytest.mark.parametrize("trials", [1, 20, 1000])
+@pytest.mark.parametrize("share", [0.0, 0.99, 1.0])
 def test_the_interval_is_that_of_clopper_and_pearson(trials, share):
     k = round(share * trials)
     low, high = results(k, trials).summary().interval
@@ -92,16 +91,12 @@ def test_a_summary_counts_what_happened():
 
 @pytest.mark.compiled_only
 def test_an_evaluation_says_what_was_evaluated(evaluation, small_policy, settings):
-    assert evaluation.policy == small_policy.digest
-    assert evaluation.pendulum == small_policy.pendulum.digest
-    assert (evaluation.arm, evaluation.arm_digest) == ("iiwa14", small_policy.arm.digest)
+    assert (evaluation.policy, evaluation.arm) == (small_policy.digest, "iiwa14")
     assert (evaluation.world, evaluation.world_settings) == ("model", None)
     assert evaluation.actuators == (small_policy.actuator.digest,)
     assert (evaluation.settings, evaluation.seed, evaluation.duration) == (settings, 3, 1.5)
-    assert len(evaluation.results.survival) == len(evaluation.results.outcomes) == 20
-    assert [beside.name for beside in evaluation.baselines] == list(
-        baselines(small_policy.pendulum.parameters(), 0.01)
-    )
+    names = list(baselines(small_policy.pendulum.parameters(), 0.01))
+    assert [beside.name for beside in evaluation.baselines] == names
 
 
 @pytest.mark.compiled_only
@@ -189,13 +184,3 @@ def test_delay_without_prediction_is_what_makes_a_policy_fall(pendulum, settings
 
     assert rate() == 1.0
     assert rate("controller.predict=false") < 0.5
-
-
-# The file
-
-
-def test_survival_is_told_in_seconds_without_rounding_errors(small_policy):
-    settings = resolve(overrides=["evaluation.trials=3", "evaluation.duration=0.29"])
-    survival = evaluate(small_policy, settings).baselines[0].survival
-    assert survival == (0.29, 0.29, 0.29)
-    assert np.all(np.array(survival) == settings.evaluation.duration)

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from equipoise import paper
@@ -20,9 +18,6 @@ from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.pendulum import step as pendulum_step
 from equipoise.settings import BoxSettings, Settings, resolve
 from equipoise.worlds.plant import (
-    PHI,
-    TRACKED,
-    X_DOT,
     DomainRandomization,
     make_loop_params,
     new_batch_state,
@@ -57,27 +52,20 @@ def leaning_table():
 
 
 @ARMS
-@given(
-    x=st.floats(-0.2, 0.2),
-    x_dot=st.floats(-0.6, 0.6),
-)
-@settings(deadline=None, max_examples=10)  # the first example compiles
+@pytest.mark.parametrize(("x", "x_dot"), [(0.0, 0.0), (0.2, -0.6), (-0.13, 0.4)])
 def test_reset_places_the_flange_on_its_track(size, x, x_dot):
-    arm = iiwa(size)
-    plant = make_loop_params(arm, QUIET, 0.01, PENDULUM)
+    arm, lane = iiwa(size), 3
     block = new_batch_state()
-    lane = 3
-    reset(plant, block, PENDULUM, NOMINAL, (x, x_dot, 0.01, 0.02), lane)
-    now = arm.kinematics(
-        block.controller.q[lane::BATCH_SIZE], block.controller.dq[lane::BATCH_SIZE]
-    )
-    home = arm.kinematics(arm.home_free)
+    start = (x, x_dot, 0.01, 0.02)
+    plant = make_loop_params(arm, QUIET, 0.01, PENDULUM)
+    reset(plant, block, PENDULUM, NOMINAL, start, lane)
+    controller, home = block.controller, arm.kinematics(arm.home_free)
+    now = arm.kinematics(controller.q[lane::BATCH_SIZE], controller.dq[lane::BATCH_SIZE])
     np.testing.assert_allclose(now.position - home.position, [x, 0.0, 0.0], atol=1e-11)
     np.testing.assert_allclose(now.rotation, home.rotation, atol=1e-11)
     np.testing.assert_allclose(now.twist, [x_dot, 0, 0, 0, 0, 0], atol=1e-11)
-    np.testing.assert_allclose(
-        block.state[lane : 4 * BATCH_SIZE : BATCH_SIZE], [x, x_dot, 0.01, 0.02], atol=1e-11
-    )
+    state = block.state[lane : 4 * BATCH_SIZE : BATCH_SIZE]
+    np.testing.assert_allclose(state, start, atol=1e-11)
 
 
 @ARMS
@@ -117,13 +105,8 @@ def test_a_run_obeys_kinematics_and_the_pendulum_equation(size):
             np.testing.assert_allclose(run.state[i + 2][:2], [flange, after.twist[0]], atol=1e-9)
 
 
-@given(
-    start=st.tuples(
-        st.floats(-0.15, 0.15), st.floats(-0.3, 0.3), st.floats(-0.1, 0.1), st.floats(-0.5, 0.5)
-    ),
-    u=st.sampled_from([0.5, 1.0, 1.5, 2.0]),
-)
-@settings(deadline=None, max_examples=25)
+@pytest.mark.parametrize("start", [(0.15, -0.3, 0.1, -0.5), (-0.1, 0.2, 0.05, 0.4)])
+@pytest.mark.parametrize("u", [0.5, 2.0])
 def test_the_plant_is_mirror_symmetric(start, u):
     plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM)
     block = new_batch_state()
@@ -147,23 +130,6 @@ def test_a_joint_beyond_any_of_its_limits_is_reported(row):
     block.controller.u[0] = 2.0
     step(plant._replace(controller=plant.controller._replace(limits=limits)), block, 1)
     assert block.cause[0] == JOINT_LIMIT
-
-
-def test_the_pendulum_feels_the_tracked_and_not_the_commanded_acceleration():
-    arm = iiwa(7)
-    plant = make_loop_params(arm, SETTINGS, 0.01, PENDULUM)
-    block = new_batch_state()
-    reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0), 0)
-    block.controller.u[0] = 1.0
-    block.controller.noise[::BATCH_SIZE] = 3.0
-    step(plant, block, 1)
-    tracked = block.state[TRACKED * BATCH_SIZE]
-    assert abs(tracked - 1.0) > 0.05  # three sigma of position noise times K_p is 0.12 m/s^2
-    after = arm.kinematics(block.controller.q[::BATCH_SIZE], block.controller.dq[::BATCH_SIZE])
-    assert tracked == pytest.approx(pivot_velocity(arm, after) / 0.01, rel=1e-12)
-    # The noise turns the flange, too: its pivot does not move as its origin does.
-    assert abs(pivot_velocity(arm, after) - block.state[X_DOT * BATCH_SIZE]) > 1e-6
-    assert block.state[PHI * BATCH_SIZE] == pytest.approx(-7.15 * tracked * 0.01**2 / 2.0, rel=1e-2)
 
 
 def test_a_singular_home_is_refused():

@@ -168,17 +168,6 @@ def test_noise_belongs_to_the_trial_and_its_step_not_to_the_lane():
         assert np.all(np.isnan(alone[:, 1:]))
 
 
-def test_noise_is_six_independent_standard_normal_numbers():
-    columns = np.concatenate(
-        [noise(np.arange(BATCH_SIZE), np.full(BATCH_SIZE, index)) for index in range(1000)], axis=1
-    )
-    n = columns.shape[1]
-    for row in columns:
-        assert stats.kstest(row, "norm").pvalue > 1e-5
-    correlations = np.corrcoef(columns)[np.triu_indices(6, 1)]
-    assert np.abs(correlations).max() < 5 / sqrt(n)
-
-
 # Lanes, pieces and workers
 
 

@@ -22,7 +22,7 @@ from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TEST
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
-from equipoise.safety.rules import T1_SPEED, TRACK_LIMIT
+from equipoise.safety.rules import TRACK_LIMIT
 from equipoise.safety.stop import ramp
 from equipoise.settings import Settings
 from equipoise.worlds import Recorder, Setup, Trial, run_trial
@@ -159,18 +159,6 @@ def test_a_recorded_trial_is_the_loop_as_python_writes_it():
     assert outcome[2] == pytest.approx(sum_x2, rel=1e-9)
 
 
-def test_the_estimate_is_near_the_truth():
-    loop, recorder = twins(seed=3).loop(), Recorder()
-    leaning = TRIALS[0]._replace(start=(0.0, 0.0, 0.03, 0.15))
-    run_trial(loop, KernelPolicy(LQR), leaning, 5.0, recorder)
-    late, rows = slice(250, None), recorder.rows
-    phi, phi_dot = (rows.estimate[late, :2] - rows.state[late, 2:]).T
-    assert np.abs(phi).max() < radians(0.5)
-    assert np.abs(phi_dot).max() < radians(15.0)
-    # What it takes for the encoder's zero error is that.
-    assert rows.estimate[-1, 2] == pytest.approx(loop.zero, abs=radians(0.1))
-
-
 # Guards.
 
 
@@ -217,21 +205,6 @@ def test_a_run_towards_the_end_of_the_track_is_stopped_in_time(away):
 
 def test_a_guard_ends_nothing_that_stands_and_changes_no_bit_of_it():
     assert run(LQR, world=GUARDED) == run(LQR)
-
-
-def test_the_limit_of_t1_ends_a_trial_that_is_too_fast(away):
-    t1 = twins(GUARDED.model_copy(update={"t1": True}), seed=3)
-    assert t1.safety[0].speed == T1_SPEED
-    ended = [run_until_the_guard(away, t1, number)[1] for number in range(4)]
-    assert Outcome.SPEED in {TRIAL_OUTCOMES[code] for code in ended}
-
-
-def test_a_pendulum_that_seems_to_have_fallen_ends_a_trial():
-    # What the encoder reads too much makes the estimate reach the limit before the truth does.
-    world = GUARDED.model_copy(update={"zero_error": 0.0, "zero_offset": radians(2.0)})
-    leaning = TRIALS[0]._replace(start=(0.0, 0.0, radians(2.0), radians(15.0)))
-    ((_, cause, _),) = run(STILL, trials=[leaning], world=world)
-    assert TRIAL_OUTCOMES[cause] == Outcome.ANGLE
 
 
 def test_an_arm_that_is_elsewhere_than_expected_ends_a_trial():

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from equipoise.artefacts import Estimate
-from equipoise.errors import SettingsError
 from equipoise.learning.train import train
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.iiwa import iiwa
@@ -54,14 +53,6 @@ def test_a_run_on_the_twin_holds_what_was_sent_measured_and_true(behind_a_servo,
     assert RunLog.load(tmp_path / "run.mcap").digest == run.digest
 
 
-def test_an_excitation_moves_every_free_joint_and_none_that_is_held(pendulum):
-    run = excite(iiwa(7), WORLD, pendulum, duration=4.0)
-    assert (len(run.time), run.outcome) == (0, Outcome.EXCITED)
-    speed = np.abs(np.diff(run.stream.q, axis=0) / 0.005).max(axis=0)
-    assert speed[2] == 0.0
-    assert np.all(np.delete(speed, 2) > 0.2)
-
-
 def test_the_twin_has_the_friction_that_was_identified(behind_a_servo):
     dry = behind_a_servo.pendulum.model_copy(
         update={
@@ -92,28 +83,6 @@ def test_model_and_twin_agree_about_a_regulator_on_a_pivot_with_dry_friction(beh
         told = evaluate(policy, settings, world=world)
         lqr = next(results for results in told.baselines if results.name == "LQR")
         assert lqr.summary().survived == 6
-
-
-def test_a_delay_that_the_controller_cannot_remember_is_refused(behind_a_servo):
-    late = Estimate(value=0.15, low=0.15, high=0.15, source="assumed")
-    actuator = behind_a_servo.actuator.model_copy(update={"delay": late})
-    with pytest.raises(SettingsError, match="delay"):
-        evaluate(behind_a_servo, world=WORLD, actuator=actuator, with_baselines=False)
-
-
-def test_guards_end_trials_in_the_worlds_that_have_them(evaluation, behind_a_servo):
-    """What falls in a world without guards falls there with a guard, no later."""
-    before = evaluate(behind_a_servo, world=UNGUARDED, seed=4)
-    told = set()
-    for free, held in zip(
-        (before.results, *before.baselines),
-        (evaluation.results, *evaluation.baselines),
-        strict=True,
-    ):
-        for late, soon in zip(free.survival, held.survival, strict=True):
-            assert soon <= late
-        told |= set(held.outcomes)
-    assert {Outcome.TRACK, Outcome.ANGLE} & told
 
 
 def test_what_a_policy_was_trained_for_limits_its_speed_on_plant_and_twin(behind_a_servo):

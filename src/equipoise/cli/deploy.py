@@ -111,8 +111,7 @@ def _request(
     """
     from equipoise.control.bound_policy import BoundPolicy
     from equipoise.identification.actuator import identify_actuator
-    from equipoise.rig.config import read_rig
-    from equipoise.rig.connection import world_of
+    from equipoise.rig.config import read_rig, world_of
     from equipoise.rig.request import RunRequest
 
     if run.world != Run().world:
@@ -147,13 +146,14 @@ def _run_on_rig(output: Output, request: "RunRequest", out: Path) -> None:
     """Run on an emulated or a real rig, write the log, and print the result."""
     from equipoise.cli.terminal_operator import TerminalOperator, single_keys
     from equipoise.rig.checks import check_fit, require
-    from equipoise.rig.connection import world_of
+    from equipoise.rig.config import world_of
+    from equipoise.rig.connection import connect
     from equipoise.rig.processes import run_in_processes
     from equipoise.rig.run import run_virtually
 
     require(check_fit(request.policy, request.actuator, request.settings))
     with guest_code(f"the driver of {request.robot}"):
-        rig = request.connect()  # checks the addresses; nothing is opened before the run
+        rig = connect(request)  # checks the addresses; nothing is opened before the run
     if world_of(request.robot):
         with signals() as stopped, guest_code(f"the driver of {request.robot}"):
             end = run_virtually(request, out, TerminalOperator(output, stopped), rig=rig)

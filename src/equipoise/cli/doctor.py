@@ -25,8 +25,8 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
     with that session. Exit code 1: not fit.
     """
     from equipoise.rig.clocks import SystemClock
-    from equipoise.rig.config import read_rig
-    from equipoise.rig.connection import open_encoder, open_robot, restart_instruction, world_of
+    from equipoise.rig.config import read_rig, world_of
+    from equipoise.rig.connection import open_encoder, open_robot, restart_instruction
     from equipoise.rig.preflight import examine
 
     robot, encoder = rig.robot, rig.encoder

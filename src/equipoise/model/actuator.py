@@ -22,16 +22,13 @@ import functools
 from math import exp, inf, log, log1p, sqrt
 from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self
 
-import numpy as np
-import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, Value
 from equipoise.jit import PACKAGE, inlined, kernel
 from equipoise.model.arms.arm import FREE_JOINTS
-from equipoise.model.elementary import BATCH_SIZE, fma
+from equipoise.model.elementary import BATCH_SIZE, Array, fma
 
-Array = npt.NDArray[np.float64]
 Kind = Literal["ideal", "lag", "unshaped", "kst"]
 
 IDEAL: Final = 0

@@ -16,6 +16,9 @@ from numba import types
 
 from equipoise.jit import disabled, fma, inlined
 
+Array = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
 BATCH_SIZE: Final = 16
 """Number of states in a block: fills the widest registers and hides the latency of a division."""
 
@@ -38,7 +41,7 @@ LOG_2_1: Final = 6.93147180369123816490e-01
 LOG_2_2: Final = 1.90821492927058770002e-10
 
 
-def zeros(count: int) -> npt.NDArray[np.float64]:
+def zeros(count: int) -> Array:
     """Return an array of zeros that begins on a cache line.
 
     A wide register that is loaded from elsewhere or stored there touches two lines.
@@ -49,12 +52,12 @@ def zeros(count: int) -> npt.NDArray[np.float64]:
     return room[first : first + size].view(np.float64)
 
 
-def at(block: npt.NDArray[np.float64], row: int, n: int) -> float:
+def at(block: Array, row: int, n: int) -> float:
     """Return the entry of a block in a row, in lane `n`."""
     return block[row * BATCH_SIZE + n]
 
 
-def put(block: npt.NDArray[np.float64], row: int, n: int, value: float) -> None:
+def put(block: Array, row: int, n: int, value: float) -> None:
     """Write the entry of a block in a row, in lane `n`."""
     block[row * BATCH_SIZE + n] = value
 

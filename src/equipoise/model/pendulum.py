@@ -15,12 +15,11 @@ from math import pi
 from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, Self
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, Value
 from equipoise.jit import PACKAGE, inlined, kernel
-from equipoise.model.elementary import fma, sincos
+from equipoise.model.elementary import Array, fma, sincos
 from equipoise.settings import GRAVITY, Friction, IdentificationSettings
 
 MIN_PERIOD: Final = 1e-5
@@ -148,13 +147,13 @@ def step(
 
 @kernel
 def swing(
-    time: npt.NDArray[np.float64],
+    time: Array,
     theta: float,
     theta_dot: float,
     h: float,
     pendulum: PendulumParameters,
-    thetas: npt.NDArray[np.float64],
-    theta_dots: npt.NDArray[np.float64],
+    thetas: Array,
+    theta_dots: Array,
 ) -> None:
     """Simulate a free swing at any increasing times.
 

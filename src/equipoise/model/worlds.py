@@ -71,11 +71,9 @@ class TwinSettings(Value):
     pd_frequency: float = Field(default=125.0, ge=1.0, le=2000.0)
     """Natural frequency of `pd`, critically damped [rad/s]. Assumed: 1 / lag of `velocity`. A cycle
     of 1 ms limits it to 2000."""
-    rotor_inertia: RotorInertia | Annotated[tuple[RotorInertia, ...], Field(min_length=1)] = (
-        LWR_ROTORS
-    )
-    """Inertia of motor and gear, reflected to the output of the joint [kg m^2]: one number for all
-    joints, or one for each from the base on, the last one for further joints. The drive knows it.
+    rotor_inertia: Annotated[tuple[RotorInertia, ...], Field(min_length=1)] = LWR_ROTORS
+    """Inertia of motor and gear, reflected to the output of the joint [kg m^2]: one number for each
+    joint from the base on, the last one for further joints. The drive knows it.
     KUKA publishes none for the iiwa. Default: as identified on its predecessor, the LWR. Drake's
     model of the iiwa 14 estimates more, from types of motors and gears: 3.4 for A1 to A4, 1.3 for
     A5, 1.2 for A6 and A7."""
@@ -154,8 +152,8 @@ def rotor_inertias(settings: TwinSettings, n: int) -> "npt.NDArray[np.float64]":
     """
     import numpy as np
 
-    given = np.atleast_1d(np.asarray(settings.rotor_inertia, np.float64))
-    return given[np.minimum(np.arange(n), len(given) - 1)]
+    given = settings.rotor_inertia
+    return np.array([given[min(joint, len(given) - 1)] for joint in range(n)])
 
 
 class World(NamedTuple):
@@ -177,8 +175,8 @@ WORLDS: Final[Mapping[str, Mapping[str, Any]]] = {
         "inertia_sigma": 0.04,
         "friction_sigma": 0.4,
     },
-    "light-rotors": {"rotor_inertia": LIGHT_ROTOR},
-    "bare": {"rotor_inertia": 0.0},
+    "light-rotors": {"rotor_inertia": (LIGHT_ROTOR,)},
+    "bare": {"rotor_inertia": (0.0,)},
     "pd": {"inner": "pd"},
     "trajectory40": {"inner": "trajectory40"},
     "smart60": {"shaped": False, "transport": 0.044, "inner": "pd"},

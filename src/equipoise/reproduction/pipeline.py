@@ -26,7 +26,6 @@ from equipoise.learning.target import LEARNERS, TARGET, train_to_target
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.arms.inertials import link_inertials
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import MODEL
 from equipoise.reproduction.results import (
@@ -213,7 +212,7 @@ def changed(settings: Settings, changes: Mapping[str, Any]) -> Settings:
 
 def _has_twin(arm: Arm) -> bool:
     try:
-        link_inertials(arm)
+        arm.link_inertials()
     except ArmError:
         return False
     return True

@@ -22,6 +22,7 @@ from equipoise.artefacts import Name, Value, first_fault
 from equipoise.errors import ArmError, SettingsError
 from equipoise.model.arms.arm import MOST_JOINTS, Arm
 from equipoise.model.arms.resolve import SUFFIXES, resolve_arm
+from equipoise.model.worlds import PREFIX as TWIN
 from equipoise.safety.rules import POSITION_MARGIN, TORQUE_SHARE
 from equipoise.settings import read_toml
 
@@ -100,3 +101,14 @@ def read_rig(path: Path | None) -> RigSettings:
     except ArmError as error:
         raise SettingsError(f"the rig {path}: {error}") from None
     return rig
+
+
+def world_of(robot: str) -> str | None:
+    """Return the twin behind an address, in virtual time in this process; None for hardware.
+
+    Example:
+        >>> world_of("twin:nominal"), world_of("kst://twin:harsh"), world_of("kst://172.31.1.147")
+        ('twin:nominal', 'twin:harsh', None)
+    """
+    name = robot.partition("://")[2] or robot
+    return name if name.startswith(TWIN) else None

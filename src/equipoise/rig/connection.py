@@ -11,11 +11,10 @@ import numpy as np
 
 from equipoise.errors import InputError, SettingsError
 from equipoise.model.arms.arm import FREE_JOINTS
-from equipoise.model.pendulum import Pendulum, PendulumParameters
-from equipoise.model.worlds import PREFIX as TWIN
+from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import World, pendulum_on, read_world
 from equipoise.rig.clocks import DrainingClock, SystemClock, VirtualClock
-from equipoise.rig.config import RigSettings
+from equipoise.rig.config import RigSettings, world_of
 from equipoise.rig.emulated_operator import EmulatedOperator
 from equipoise.rig.interfaces import (
     SETPOINT_PERIOD,
@@ -35,6 +34,7 @@ from equipoise.rig.plugins import (
     scheme_of,
     sensor_plugin,
 )
+from equipoise.rig.request import RunRequest
 from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.user_code import guest_code
 
@@ -65,17 +65,6 @@ class EmulatedRig(NamedTuple):
     """The robot's driver, and its emulator."""
     sensor: Emulated[AngleSensor]
     """The encoder's driver, and its emulator."""
-
-
-def world_of(robot: str) -> str | None:
-    """Return the twin behind an address, in virtual time in this process; None for hardware.
-
-    Example:
-        >>> world_of("twin:nominal"), world_of("kst://twin:harsh"), world_of("kst://172.31.1.147")
-        ('twin:nominal', 'twin:harsh', None)
-    """
-    name = robot.partition("://")[2] or robot
-    return name if name.startswith(TWIN) else None
 
 
 def open_robot(
@@ -134,27 +123,19 @@ def restart_instruction(robot: str) -> str:
 
 
 def connect(
-    robot: str,
-    encoder: str | None,
-    settings: RigSettings,
-    pendulum: Pendulum,
+    request: RunRequest,
     *,
-    seed: int = 0,
-    period: float = SETPOINT_PERIOD,
     tell: Callable[[str], None] = ignore,
     attend: Callable[[], None] = ignore,
 ) -> Rig:
-    """Return the rig behind two addresses; nothing is opened before its parts are connected.
+    """Return the rig of a request; nothing is opened before its parts are connected.
+
+    The robot's address is such as `kst://HOST`; or `twin:NAME`, a digital twin in this process in
+    virtual time, with its own encoder and operator; or `SCHEME://twin:NAME`, the same with the
+    driver and the emulator of a kind of robot.
 
     Args:
-        robot: Address of a robot, such as `kst://HOST`; or `twin:NAME`, a digital twin in this
-            process in virtual time behind the driver and the emulator of a KST server, with an
-            encoder and an operator; or `SCHEME://twin:NAME`, the same with another robot.
-        encoder: Address of an angle sensor, such as `serial:///dev/ttyACM0`; None for a twin.
-        settings: The settings of the rig.
-        pendulum: The pendulum on a twin.
-        seed: Seed of all random numbers on a twin.
-        period: Time between two setpoints [s].
+        request: The run.
         tell: Receives instructions to the operator while a connection is made.
         attend: Called about once a second meanwhile; its exception ends the wait.
 
@@ -162,12 +143,19 @@ def connect(
         InputError: An address is invalid, missing or superfluous.
         SettingsError: The twin is unknown.
     """
-    twin = world_of(robot)
+    robot, encoder, settings = request.robot, request.encoder, request.settings
+    twin, period = world_of(robot), request.policy.h / 2.0
     if twin is not None and encoder is None:
         world = read_world(twin)
-        swinging = pendulum_on(pendulum, world.settings)
-        scheme = scheme_of(robot)
-        return emulated_rig(world, settings, swinging, robot=scheme, seed=seed, period=period).rig
+        pendulum = pendulum_on(request.policy.pendulum, world.settings)
+        return emulated_rig(
+            world,
+            settings,
+            pendulum,
+            robot=scheme_of(robot),
+            seed=request.seed,
+            period=period,
+        ).rig
     if twin is not None or encoder is None:
         raise InputError(
             f"{robot} with --encoder {encoder} is no rig: a robot needs an encoder such as "

@@ -30,7 +30,7 @@ from equipoise.logs.recorder import Recorder, push_event, read_events
 from equipoise.logs.shared import RunInfo, open_recorder, share
 from equipoise.logs.writer import RunWriter
 from equipoise.rig import realtime
-from equipoise.rig.connection import restart_instruction
+from equipoise.rig.connection import connect, restart_instruction
 from equipoise.rig.interfaces import Operator
 from equipoise.rig.loop import CANNOT_STOP
 from equipoise.rig.preflight import warm_up
@@ -203,8 +203,10 @@ def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
             helper.submit(os.getpid).result()  # it inherits blocked signals
             signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
             warm_up(request)  # before the connection, which needs attention once it is open
-            rig = request.connect(
-                tell=lambda text: operator.notify(OperatorMessage("waiting", text)), attend=attend
+            rig = connect(
+                request,
+                tell=lambda text: operator.notify(OperatorMessage("waiting", text)),
+                attend=attend,
             )
             result = run_on_rig(
                 request,

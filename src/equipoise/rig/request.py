@@ -14,7 +14,6 @@ from equipoise.logs.conditions import RunConditions
 from equipoise.model.actuator import Actuator
 from equipoise.rig.checks import fitting_actuators
 from equipoise.rig.config import RigSettings
-from equipoise.rig.connection import Rig, connect
 from equipoise.rig.phases.context import ArmResponse, Excitation, RunParts
 from equipoise.rig.run_controller import PHASES
 from equipoise.safety.rules import make_safety_params
@@ -162,26 +161,6 @@ class RunRequest:
             t1=self.t1,
             dry_run=self.dry_run,
             phases=PHASES,
-        )
-
-    def connect(self, **callbacks: Callable[..., None]) -> Rig:
-        """Return the rig.
-
-        Args:
-            callbacks: `tell` and `attend` of `equipoise.rig.connection.connect`.
-
-        Raises:
-            InputError: An address is invalid.
-            SettingsError: The twin is unknown.
-        """
-        return connect(
-            self.robot,
-            self.encoder,
-            self.settings,
-            self.policy.pendulum,
-            seed=self.seed,
-            period=self.policy.h / 2.0,
-            **callbacks,
         )
 
 

@@ -21,7 +21,7 @@ from equipoise.outcomes import End, Outcome
 from equipoise.printable import printable
 from equipoise.rig.checks import check_fit, require
 from equipoise.rig.clocks import DrainingClock
-from equipoise.rig.connection import Rig
+from equipoise.rig.connection import Rig, connect
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import Clock, Operator
 from equipoise.rig.loop import LoopResult, run_inline, run_loop
@@ -256,7 +256,7 @@ def run_virtually(
         InputError: The policy does not fit the rig.
         OutsideError: The log cannot be written.
     """
-    rig = request.connect() if rig is None else rig
+    rig = connect(request) if rig is None else rig
     recorder = Recorder(rig.robot.joints)
     writer = out and RunWriter(out, request.conditions(), rig.clock.now())
     ticks = count(1)

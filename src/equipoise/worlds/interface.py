@@ -13,7 +13,6 @@ from math import nan
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise.control.control_step import ControllerParams, ControllerState
 from equipoise.control.grid import TRUNCATED
@@ -21,13 +20,12 @@ from equipoise.control.policy import KernelPolicy, Policy, PolicyKernel, TaskPol
 from equipoise.executors import completed
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
-from equipoise.model.elementary import BATCH_SIZE
+from equipoise.model.elementary import BATCH_SIZE, Array
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.settings import Settings
 from equipoise.worlds.trials import Trial, Trials, draw_trials
 
-Array = npt.NDArray[np.float64]
 Finished = Callable[[Sequence[int]], None]
 """Receives the rows of trials that have just finished."""
 

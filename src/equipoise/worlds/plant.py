@@ -19,7 +19,6 @@ from math import floor, inf, pi
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.control.clik import pose_error
@@ -64,14 +63,12 @@ from equipoise.model.actuator import (
 )
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, TWIST
-from equipoise.model.elementary import BATCH_SIZE, at, put, sincos, zeros
+from equipoise.model.elementary import BATCH_SIZE, Array, IntArray, at, put, sincos, zeros
 from equipoise.model.pendulum import PendulumParameters, runge_kutta
 from equipoise.model.pendulum import step as pendulum_step
 from equipoise.model.random import normal_radius, philox, turn, uniform
 from equipoise.safety.rules import SPEED_CODE
 from equipoise.settings import Settings
-
-Array = npt.NDArray[np.float64]
 
 MIN_INERTIA_FACTOR: Final = 0.1
 """Smallest factor on the moment of inertia that noise may give [-]."""
@@ -129,7 +126,7 @@ class BatchState(NamedTuple):
     """Numbers of `PendulumParameters`, 5 rows."""
     state: Array
     """x, x_dot, phi, phi_dot, and u' of the last step, in SI units, 5 rows."""
-    cause: npt.NDArray[np.int64]
+    cause: IntArray
     """Cause of failure in the last step, 1 row."""
     q: Array
     """Free joints of the arm [rad], 6 rows. An ideal actuator leaves this and the following fields
@@ -146,9 +143,9 @@ class BatchState(NamedTuple):
     """Those in force before them, 6 rows."""
     setpoints: Array
     """Last `SETPOINT_HISTORY` setpoints [rad], 6 rows each."""
-    newest: npt.NDArray[np.int64]
+    newest: IntArray
     """Index of the newest setpoint, shape (1,)."""
-    delay: npt.NDArray[np.int64]
+    delay: IntArray
     """IntArray setpoints of the transport delay, 1 row."""
     turn: Array
     """Its other servo cycles, 6 equal rows."""
@@ -455,8 +452,8 @@ def pendulum_of(pendula: Array, linearised: bool, n: int) -> PendulumParameters:
 def draw_noise(
     noise: Array,
     seed: int,
-    tick: npt.NDArray[np.int64],
-    index: npt.NDArray[np.int64],
+    tick: IntArray,
+    index: IntArray,
     learner: int,
     stream: int,
     lanes: int,

@@ -16,15 +16,13 @@ from math import degrees, log1p, sqrt
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.errors import SettingsError
 from equipoise.model.actuator import Actuator
+from equipoise.model.elementary import Array
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import Settings
-
-Array = npt.NDArray[np.float64]
 
 CLOSE: Final = 0.75
 """Diverging angle of the worst release, as a share of its limit, above which a warning is given:

@@ -8,14 +8,11 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtri
 
+from equipoise.model.elementary import Array, IntArray
 from equipoise.settings import Settings
 from equipoise.worlds.plant import DomainRandomization
-
-Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 class Trial(NamedTuple):

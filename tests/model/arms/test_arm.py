@@ -34,7 +34,7 @@ def changed_joint(**fields):
         (lambda: changed(colour="orange"), "colour: there is no such field"),
         (lambda: changed(name='a"""; import os'), "name"),
         (lambda: changed_joint(lower=1.0, upper=1.0), "the lower must be below the upper"),
-        (lambda: changed_joint(velocity=0.0), "velocity limit of 0; give a positive number"),
+        (lambda: changed_joint(velocity=0.0), "velocity: Input should be greater than 0, got 0"),
         (lambda: changed_joint(axis=(0.0, 0.0, 0.0)), "axis 0 0 0; give a direction"),
         (
             lambda: changed_joint(xyz=(0.0, 0.0, math.inf)),

@@ -5,7 +5,6 @@ import pytest
 
 from equipoise.errors import ArmError
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.arms.inertials import link_inertials
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.worlds.twin.physics import mass_matrix
 from tests.arms import without_masses
@@ -16,7 +15,7 @@ from tests.model.arms.witnesses import ELBOW, ELBOW_HOME
 @pytest.mark.parametrize("size", [7, 14])
 def test_the_links_weigh_what_the_robot_weighs_without_its_base(size):
     base = float(PUBLISHED[size].split("|")[1])
-    moving = sum(link.mass for link in link_inertials(iiwa(size)))
+    moving = sum(link.mass for link in iiwa(size).link_inertials())
     assert moving + base == pytest.approx(TOTAL[size], abs=1e-6)
 
 
@@ -53,4 +52,4 @@ def test_joints_of_impossible_or_unknown_masses_are_named():
         (without_masses(iiwa(7)), "A1, .*A7"),
     ):
         with pytest.raises(ArmError, match=names):
-            link_inertials(arm)
+            arm.link_inertials()

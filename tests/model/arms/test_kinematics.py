@@ -87,7 +87,7 @@ def test_python_and_compiled_kinematics_agree(case):
 
 
 @pytest.mark.parametrize("name", ARMS)
-@settings(deadline=None, max_examples=50)  # the first example may compile
+@settings(deadline=None, max_examples=20)  # the first example may compile
 @given(data=st.data())
 def test_twist_and_bias_are_the_rates_of_pose_and_twist(name, data):
     arm, _ = ARMS[name]

@@ -33,13 +33,19 @@ def readings(said):
     return [line for line in said if isinstance(line, Reading)]
 
 
-def test_it_introduces_itself_then_sends_a_line_each_millisecond():
+def test_it_introduces_itself_then_sends_a_line_each_millisecond_and_answers_a_question():
     hand = Hand()
     banner, *lines = hand.advance(0.5)
     assert banner == Banner("emulated", "1.0", 8192, 1000)
     assert [line.seq for line in lines] == list(range(500))
     assert [line.t_us for line in lines] == list(range(1000, 501_000, 1000))
     assert {(line.counts, line.flags) for line in lines} == {(0, 0)}
+    hand.board.feed(b"?")
+    assert len(readings(hand.advance(0.01))) == 10
+    hand.board.feed(b"\n")
+    asked, *lines = hand.advance(0.01)
+    assert asked == banner
+    assert len(readings(lines)) == 10
 
 
 @pytest.mark.parametrize("every", [0.001, 0.004])
@@ -54,17 +60,6 @@ def test_its_counts_are_those_of_its_own_times(every):
     # Between two calls the angle moves evenly: at most 64 every^2 / 8 off.
     most = pi / 8192 + 64.0 * every**2 / 8.0 + 1e-5
     assert np.max(np.abs(theta - np.sin(8.0 * elapsed))) < most
-
-
-def test_it_answers_a_question_between_two_lines():
-    hand = Hand()
-    hand.advance(0.01)
-    hand.board.feed(b"?")
-    assert all(isinstance(line, Reading) for line in hand.advance(0.01))
-    hand.board.feed(b"\n")
-    said = hand.advance(0.01)
-    assert isinstance(said[0], Banner)
-    assert len(readings(said)) == 10
 
 
 def test_a_press_is_latched_and_down_is_told_until_it_is_up():

@@ -59,8 +59,8 @@ def test_the_shaped_peak_is_that_of_the_cabinet_with_a_perfect_drive(speed, peri
     assert peak <= shaped_peak(speed, 1e-3 * period_ms) <= 1.12 * peak
 
 
-@pytest.mark.parametrize("period", [0.002, 0.005, 0.01, 0.03])
-@pytest.mark.parametrize("speed", [0.01, 0.3, 1.0])
+@pytest.mark.parametrize("period", [0.002, 0.03])
+@pytest.mark.parametrize("speed", [0.01, 1.0])
 def test_each_is_the_inverse_of_the_other(speed, period):
     assert speed_of_peak(shaped_peak(speed, period), period) == pytest.approx(speed, rel=1e-9)
 
@@ -84,11 +84,7 @@ def test_at_the_limit_the_worst_joint_has_a_peak_of_80_percent_of_its_speed(size
             for rate, joint in zip(dq, arm.free_joints, strict=True)
         ]
     assert max(shares) == pytest.approx(0.8, rel=0.01)
-
-
-@pytest.mark.parametrize("size", [7, 14])
-def test_the_slower_the_link_the_slower_the_flange(size):
-    limits = [flange_speed(IIWA[size], period) for period in (0.005, 0.007, 0.009, 0.02)]
+    # The slower the link, the slower the flange; T1 is slower than any link that a run allows.
+    limits = [flange_speed(arm, period) for period in (0.005, 0.007, 0.009, 0.02)]
     assert limits == sorted(limits, reverse=True)
-    # T1 is slower than any link over which a run is allowed.
     assert limits[2] > 0.23

@@ -35,12 +35,16 @@ Length = Annotated[float, Field(ge=-100.0, le=100.0)]
 """Coordinate [m]; no arm is 100 m long."""
 Offset = tuple[Length, Length, Length]
 """Origin in another frame [m]."""
-Limit = Annotated[float, Field(le=1e9)]
+Limit = Annotated[float, Field(gt=0.0, le=1e9)]
 """Limit of a velocity, an acceleration or a torque in SI units; larger ones limit nothing."""
 Mass = Annotated[float, Field(ge=0.0, le=1e5)]
 """Mass [kg]."""
 Moment = Annotated[float, Field(ge=-1e6, le=1e6)]
 """Entry of an inertia matrix [kg m^2]."""
+
+
+ROUNDING: Final = 1e-6
+"""Relative rounding of published moments of inertia."""
 
 
 class _Described(Value):
@@ -72,6 +76,24 @@ class Inertial(_Described):
     """Centre of mass [m]."""
     inertia: tuple[Moment, Moment, Moment, Moment, Moment, Moment]
     """Inertia about the centre of mass: xx, xy, xz, yy, yz, zz [kg m^2]; zeros if unknown."""
+
+    @classmethod
+    def of(cls, name: str, mass: float, com: Floats, inertia: Floats) -> Self:
+        """Return an inertial from a centre of mass [m] and a matrix [kg m^2], shape (3, 3)."""
+        xx, xy, xz, _, yy, yz, _, _, zz = inertia.ravel().tolist()
+        return cls(name=name, mass=mass, com=com.tolist(), inertia=(xx, xy, xz, yy, yz, zz))
+
+    @property
+    def matrix(self) -> Floats:
+        """Inertia about the centre of mass [kg m^2], shape (3, 3)."""
+        xx, xy, xz, yy, yz, zz = self.inertia
+        return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+    @property
+    def possible(self) -> bool:
+        """Whether mass and principal moments are those of a body, but for rounding."""
+        low, middle, high = np.linalg.eigvalsh(self.matrix).tolist()
+        return self.mass > 0.0 and low > 0.0 and high <= (low + middle) * (1.0 + ROUNDING)
 
 
 class Joint(_Described):
@@ -105,9 +127,6 @@ class Joint(_Described):
             raise ValueError(
                 f"limits from {low:g} to {high:g} rad; the lower must be below the upper"
             )
-        for name in ("velocity", "acceleration", "torque"):
-            if not (limit := getattr(self, name)) > 0.0:
-                raise ValueError(f"{name} limit of {limit:g}; give a positive number")
         if not 1e-6 <= hypot(*self.axis) <= 1e6:
             x, y, z = self.axis
             raise ValueError(f"axis {x:g} {y:g} {z:g}; give a direction, best of length 1")
@@ -253,6 +272,22 @@ class Arm(_Described):
         load(self)[0](q_block, dq_block, frame, 1)
         position, R, twist, bias, J = np.split(np.array(frame[::BATCH_SIZE]), PARTS[1:])
         return Kinematics(position, R.reshape(3, 3), twist, bias, J.reshape(6, FREE_JOINTS))
+
+    def link_inertials(self) -> list[Inertial]:
+        """Return the inertial of the link that each joint moves.
+
+        Raises:
+            ArmError: A mass or an inertia is unknown or impossible; the message names all of them.
+        """
+        links = [joint.link for joint in self.joints if joint.link and joint.link.possible]
+        if len(links) < len(self.joints):
+            faults = [j.name for j in self.joints if j.link is None or not j.link.possible]
+            raise ArmError(
+                f"a twin of {self.name} needs mass and inertia of every moving link, and those "
+                f"behind the joints {', '.join(faults)} are missing or impossible (each principal "
+                "moment must be positive and at most the sum of the other two); complete them"
+            )
+        return links
 
     def compiled(self) -> ArmKernel:
         """Return the arm for kernels; the first call compiles or loads its kinematics."""

@@ -71,7 +71,7 @@ class Symbol:
             return -b
         if a.operation == "neg":
             return -(a.operands[0] + b)
-        if self.tape.has("-", b, a):
+        if ("-", b, a) in self.tape.symbols:
             return -(b - a)
         return self.tape.symbol("-", a, b)
 
@@ -154,10 +154,6 @@ class Tape:
         if key not in self.symbols:
             self.symbols[key] = Symbol(self, operation, operands)
         return self.symbols[key]
-
-    def has(self, operation: str, *operands: Symbol) -> bool:
-        """Return whether the operation is on the tape."""
-        return (operation, *operands) in self.symbols
 
     def named(self, name: str, vector: Vector) -> Vector:
         """Name the unnamed sums, differences and products of a vector; return the vector."""

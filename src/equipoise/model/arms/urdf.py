@@ -20,7 +20,6 @@ from equipoise.errors import ArmError
 from equipoise.model.arms.arm import Arm, Inertial, Joint
 from equipoise.model.arms.chain import Floats, Triple, rpy_from_rotation
 from equipoise.model.arms.iiwa import ACCELERATION, PIVOT_OUTWARD
-from equipoise.model.arms.inertials import inertia_entries
 from equipoise.model.arms.posture import search_home
 from equipoise.model.physics_engine import mujoco
 
@@ -165,12 +164,7 @@ def _placed(
         joint, body = model.joint(i), model.body(model.jnt_bodyid[i])
         axes, limit = rotation_from_quaternion(body.iquat), limits[joint.name]
         inertia = axes @ np.diag(body.inertia) @ axes.T
-        link = Inertial(
-            name=shortened(body.name),
-            mass=float(body.mass[0]),
-            com=_triple(body.ipos),
-            inertia=inertia_entries(inertia),
-        )
+        link = Inertial.of(shortened(body.name), float(body.mass[0]), body.ipos, inertia)
         joints.append(
             Joint(
                 name=shortened(joint.name),

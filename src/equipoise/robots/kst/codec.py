@@ -51,7 +51,6 @@ STOP_SERVO: Final = b"stopDirectServoJoints\n"
 END: Final = b"end\n"
 """End of servo, connection and server, which an operator has to start again; not answered."""
 
-Word = Literal["done", "nak", "interrupted"]
 _NUMBER = re.compile(rb"-?[0-9]+\.[0-9]+(?:E-?[0-9]+)?")
 _DOUBLE = re.compile(
     r"[+-]?(?:NaN|Infinity|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?[fFdD]?)"
@@ -101,50 +100,33 @@ def setpoint(
     return f"{SETPOINTS[reply]}_{fields}\n".encode()
 
 
-def parse_reply(line: bytes) -> Word | tuple[float, ...]:
-    """Return the word or the finite numbers in a line of the server.
-
-    Args:
-        line: The line without its end.
-
-    Raises:
-        LinkError: The line is neither a known word nor finite Java numbers with a trailing `_`.
-    """
-    words: tuple[Word, ...] = ("done", "nak", "interrupted")
-    for word in words:
-        if line == word.encode():
-            return word
-    *fields, last = line.split(b"_")
-    if fields and not last and all(map(_NUMBER.fullmatch, fields)):
-        values = tuple(map(float, fields))
-        if all(map(math.isfinite, values)):
-            return values
-    raise LinkError(
-        f"expected done, nak, interrupted or finite numbers that end in _, got {line[:120]!r}; "
-        "nothing more can be trusted: connect again"
-    )
-
-
 def expect_done(line: bytes, command: str) -> None:
     """Check that a line acknowledges a command, named in the message.
 
     Raises:
         LinkError: The line is anything else.
     """
-    if parse_reply(line) != "done":
+    if line != b"done":
         raise _out_of_step(line, "done", command)
 
 
 def expect_numbers(line: bytes, count: int, command: str) -> tuple[float, ...]:
     """Return the numbers in the reply to a command, named in the message.
 
+    Args:
+        line: The line without its end.
+        count: Number of numbers.
+        command: Name of the command.
+
     Raises:
-        LinkError: The line does not hold `count` finite numbers.
+        LinkError: The line does not hold `count` finite Java numbers, each with a trailing `_`.
     """
-    reply = parse_reply(line)
-    if isinstance(reply, str) or len(reply) != count:
-        raise _out_of_step(line, f"{count} numbers", command)
-    return reply
+    *fields, last = line.split(b"_")
+    if len(fields) == count and not last and all(map(_NUMBER.fullmatch, fields)):
+        values = tuple(map(float, fields))
+        if all(map(math.isfinite, values)):
+            return values
+    raise _out_of_step(line, f"{count} finite numbers that end in _", command)
 
 
 def tokens(line: bytes) -> list[str]:

@@ -19,7 +19,6 @@ import numpy as np
 
 from equipoise.model.arms.arm import Arm, Inertial
 from equipoise.model.arms.chain import Floats, Triple
-from equipoise.model.arms.inertials import inertia_entries, link_inertials
 from equipoise.model.arms.scene import SIZES, scene
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.physics_engine import mujoco
@@ -113,8 +112,8 @@ def rod_inertial(w2: float, mass: float) -> Inertial:
     """
     l = rod_centre(w2)
     across, along = mass * GRAVITY * l / w2 - mass * l**2, 0.5 * mass * SIZES.rod**2
-    inertia = (across, 0.0, 0.0, across, 0.0, along)
-    return Inertial(name="pendulum", mass=mass, com=(0.0, 0.0, l), inertia=inertia)
+    inertia = np.diag([across, across, along])
+    return Inertial.of("pendulum", mass, np.array([0.0, 0.0, l]), inertia)
 
 
 def bar_inertial(mass: float, end: Floats) -> Inertial:
@@ -126,8 +125,7 @@ def bar_inertial(mass: float, end: Floats) -> Inertial:
     """
     slender = (end @ end * np.eye(3) - np.outer(end, end)) / 12.0
     inertia = mass * (slender + SIZES.bracket**2 / 4.0 * np.eye(3))
-    x, y, z = (0.5 * end).tolist()
-    return Inertial(name="bracket", mass=mass, com=(x, y, z), inertia=inertia_entries(inertia))
+    return Inertial.of("bracket", mass, 0.5 * end, inertia)
 
 
 def pivot(arm: Arm, outward: float) -> Triple:
@@ -183,7 +181,7 @@ def _weighed(arm: Arm) -> Any:
     spec.option.solver = mj.mjtSolver.mjSOL_PGS
     for geom in list(spec.geoms):
         spec.delete(geom)
-    for number, (joint, link) in enumerate(zip(arm.joints, link_inertials(arm), strict=True), 1):
+    for number, (joint, link) in enumerate(zip(arm.joints, arm.link_inertials(), strict=True), 1):
         body = spec.body(f"frame {number}")
         body.gravcomp = 1.0
         hinge = spec.joint(joint.name)

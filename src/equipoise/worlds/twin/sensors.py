@@ -8,16 +8,14 @@ from math import ceil, pi
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise.jit import inlined
 from equipoise.model.arms.arm import FREE_JOINTS
+from equipoise.model.elementary import Array
 from equipoise.model.encoder import counts_from_theta
 from equipoise.model.random import TWIN, normal_pair, philox, uniform
 from equipoise.model.worlds import TwinSettings
 from equipoise.worlds.twin.physics import TICK
-
-Array = npt.NDArray[np.float64]
 
 HISTORY_MS: Final = 128
 """Length of the history [ms], above the maximum age."""

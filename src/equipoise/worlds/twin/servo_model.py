@@ -24,17 +24,14 @@ from math import floor
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise.jit import inlined, kernel
 from equipoise.model.actuator import AMPLITUDE, INTERVAL_WIDTH, Actuator, lag_share, shaped_step
 from equipoise.model.arms.arm import Arm
+from equipoise.model.elementary import Array, IntArray
 from equipoise.model.random import TWIN, philox, uniform
 from equipoise.model.worlds import Inner, TwinSettings, rotor_inertias
 from equipoise.worlds.twin.physics import TICK, mass_matrix
-
-Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 VELOCITY, PD, TRAJECTORY40 = range(3)
 INNERS: Final[tuple[Inner, ...]] = ("velocity", "pd", "trajectory40")

@@ -16,16 +16,14 @@ from math import atan2, hypot
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise.model.arms.arm import Arm
+from equipoise.model.elementary import Array
 from equipoise.model.physics_engine import mujoco
 from equipoise.model.worlds import TwinSettings
 from equipoise.worlds.twin.physics import build_bare
 from equipoise.worlds.twin.servo_model import NEWEST, NOW, send
 from equipoise.worlds.twin.twin import Twin, noise
-
-Array = npt.NDArray[np.float64]
 
 BRAKING: Final = 40
 """Braking time of the drives before they hold the arm [ms]: five times their lag."""

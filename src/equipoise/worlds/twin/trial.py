@@ -9,9 +9,6 @@ seed and its number alone.
 from math import pi
 from typing import Any, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from equipoise import paper
 from equipoise.control.control_step import (
     OBS_PHI,
@@ -29,7 +26,7 @@ from equipoise.control.grid import ANGLE, JOINT_LIMIT, PHI_LIMIT, SAFETY_STOP, T
 from equipoise.control.policy import RANDOM, PolicyKernel, act
 from equipoise.jit import inlined, kernel, struct_ref
 from equipoise.model.arms.arm import FREE_JOINTS
-from equipoise.model.elementary import at, put
+from equipoise.model.elementary import Array, at, put
 from equipoise.model.random import TWIN, philox, uniform
 from equipoise.safety.rules import NO_VIOLATION
 from equipoise.safety.trial import (
@@ -42,8 +39,6 @@ from equipoise.worlds.twin.physics import TICK
 from equipoise.worlds.twin.sensors import encoder, reply
 from equipoise.worlds.twin.servo_model import NOW
 from equipoise.worlds.twin.twin import TwinKernel, advance, reset, send_free, truth
-
-Array = npt.NDArray[np.float64]
 
 
 class TwinTrial(NamedTuple):

@@ -14,10 +14,10 @@ from math import atan2, copysign
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise.jit import inlined, kernel
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
+from equipoise.model.elementary import Array, IntArray
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import TWIN, normal_pair, philox
 from equipoise.model.worlds import TwinSettings
@@ -42,9 +42,6 @@ from equipoise.worlds.twin.servo_model import (
     serve,
     start,
 )
-
-Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 class Bodies(NamedTuple):
