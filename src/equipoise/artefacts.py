@@ -330,7 +330,6 @@ def _readable(document: Any) -> str:
     """Return JSON with one line per field, and lists of numbers on one line each."""
     text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
     # No text in JSON holds a raw line break: the pattern matches lists alone.
-    return re.sub(r"\[\n *([^][{}]*)\n *\]", lambda row: f"[{_BREAK.sub(' ', row[1])}]", text)
-
-
-_BREAK: Final = re.compile(r"\n *")
+    return re.sub(
+        r"\[\n *([^][{}]*)\n *\]", lambda row: "[" + re.sub(r"\n *", " ", row[1]) + "]", text
+    )

@@ -20,8 +20,6 @@ from typing import Any, Final
 
 INTERRUPTED: Final = 130
 """Exit code of an interrupted command."""
-CLOSED_PIPE: Final = 141
-"""Exit code of a command whose reader has gone: that of a program ended by SIGPIPE."""
 
 
 class EquipoiseError(Exception):

@@ -19,8 +19,6 @@ from typing import Any, Final
 from equipoise.errors import EquipoiseError, InputError
 from equipoise.printable import printable
 
-OTHERS: Final = (f"{Path(__file__).parent}{os.sep}", "<frozen ")
-"""Begin of the files that are no guest's: this package, and Python's import."""
 MAX_ERROR_LENGTH: Final = 500
 """Length limit of a guest's error in a message [characters]."""
 
@@ -104,7 +102,8 @@ def source_digest(function: Any) -> str:
 def format_error(error: BaseException) -> str:
     """Return type, text and origin of a guest's error, escaped for display on one line."""
     frames = traceback.extract_tb(error.__traceback__)
-    lines = [(f.filename, f.lineno) for f in frames if not f.filename.startswith(OTHERS)]
+    others = (f"{Path(__file__).parent}{os.sep}", "<frozen ")  # this package, and Python's import
+    lines = [(f.filename, f.lineno) for f in frames if not f.filename.startswith(others)]
     where = " ({}, line {})".format(*lines[-1]) if lines else ""
     try:
         text = str(error)

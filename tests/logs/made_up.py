@@ -61,33 +61,26 @@ def rig_conditions(**changes):
     return conditions(**(rig | changes))
 
 
-def columns(ticks=40, rig=True):
-    """Arguments of `simulated_log`, random: nothing depends on what they mean."""
-    rng = np.random.default_rng(3)
-    names = [name for name in COLUMNS if name not in ("q", "dq")]
-    tick = {name: rng.standard_normal(ticks) for name in names}
-    tick |= {"time": 0.01 * np.arange(ticks), "box": rng.integers(0, 270, ticks)}
-    tick |= {name: rng.standard_normal((ticks, JOINTS)) for name in ("q", "dq")}
-    made = {"ticks": tick}
-    if rig:
-        state = ("x", "x_dot", "phi", "phi_dot", "tracked")
-        made["truth"] = {name: rng.standard_normal(ticks) for name in state}
-        made["truth"]["q"] = rng.standard_normal((ticks, JOINTS))
-        sent = 0.005 * np.arange(2 * ticks)
-        made["stream"] = {"time": sent, "q": rng.standard_normal((2 * ticks, JOINTS))}
-        # The first reply and the first count were measured before the release.
-        measured = 0.005 * np.arange(ticks) - 0.004
-        made["replies"] = {"time": measured, "q": rng.standard_normal((ticks, JOINTS))}
-        counts = rng.integers(-4096, 4096, ticks)
-        made["encoder"] = {"time": 0.01 * np.arange(ticks) - 0.001, "counts": counts}
-    return made
-
-
 def made_up(count=40, rig=True, **changes):
     """A run of random numbers, with other tables where they are given."""
-    given = columns(count, rig) | changes
+    rng = np.random.default_rng(3)
+    tick = {name: rng.standard_normal(count) for name in COLUMNS}
+    tick |= {"time": 0.01 * np.arange(count), "box": rng.integers(0, 270, count)}
+    tick |= {name: rng.standard_normal((count, JOINTS)) for name in ("q", "dq")}
+    given = {}
+    if rig:
+        state = ("x", "x_dot", "phi", "phi_dot", "tracked")
+        given["truth"] = {name: rng.standard_normal(count) for name in state}
+        given["truth"]["q"] = rng.standard_normal((count, JOINTS))
+        sent = 0.005 * np.arange(2 * count)
+        given["stream"] = {"time": sent, "q": rng.standard_normal((2 * count, JOINTS))}
+        # The first reply and the first count were measured before the release.
+        measured = 0.005 * np.arange(count) - 0.004
+        given["replies"] = {"time": measured, "q": rng.standard_normal((count, JOINTS))}
+        counts = rng.integers(-4096, 4096, count)
+        given["encoder"] = {"time": 0.01 * np.arange(count) - 0.001, "counts": counts}
     end = RunEnd(outcome=Outcome.TRACK, lasted=0.01 * count)
-    return simulated_log(conditions(), end, given.pop("ticks"), **given)
+    return simulated_log(conditions(), end, tick, **given | changes)
 
 
 def arrays(run):

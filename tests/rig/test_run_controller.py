@@ -117,6 +117,10 @@ class Course:
                 self.answers = [event.answers[0]]
         return output
 
+    def ticks(self, number):
+        for _ in range(number):
+            self.tick()
+
     def until(self, phase, longest=30.0):
         for _ in range(round(longest / H)):
             self.tick()
@@ -171,8 +175,7 @@ def course():
 
 
 def test_it_comes_from_home_to_balance_and_goes_on(course):
-    for _ in range(20):
-        course.tick()
+    course.ticks(20)
     assert course.pilot.phase.kind is Phase.BALANCING
     order = ["homing", "home", "hang", "reference", "swing", "self-test", "lift", "armed"]
     assert [name for name in course.told if name in order] == order
@@ -227,8 +230,7 @@ def test_an_arm_without_a_usable_actuator_lifts_nothing(identify):
 
 def test_a_pause_ends_an_excitation_at_rest():
     course = exciting(fails)
-    for _ in range(50):
-        course.tick()
+    course.ticks(50)
     course.tick(0.045)
     assert course.cause == Outcome.UNIDENTIFIED
     last = course.sent[-3][1]
@@ -310,8 +312,7 @@ def test_after_a_stall_each_stream_begins_anew_where_the_arm_rests(stream, unsen
     del course.sent[len(course.sent) - unsent :]
     rest = len(course.sent)
     course.tick(0.04, unsent=unsent)
-    for _ in range(30):
-        course.tick()
+    course.ticks(30)
     q = np.array([course.sent[rest - 1][1], *(setpoint for _, setpoint in course.sent[rest - 1 :])])
     hardest = np.abs(np.diff(q, n=2, axis=0)).max() / 0.005**2
     assert 0.1 < hardest <= 10.0
@@ -331,8 +332,7 @@ def test_a_stall_on_the_way_back_from_the_self_test_leaves_the_arm_at_home():
     course = Course().until(Phase.SELF_TEST)
     while "self-test" not in course.told:
         course.tick()
-    for _ in range(80):
-        course.tick()
+    course.ticks(80)
     assert abs(course.pilot.controller.x) > 0.01
     course.tick(0.04)
     course.until(Phase.LIFTING)
@@ -343,8 +343,7 @@ def test_a_stop_after_a_stall_holds_the_arm_where_it_rests():
     course = STREAMS["balancing"]()
     last = course.sent[-1][1]
     course.tick(0.1)
-    for _ in range(20):
-        course.tick()
+    course.ticks(20)
     assert course.cause == Outcome.TICK
     assert {setpoint for _, setpoint in course.sent if setpoint != last}.isdisjoint(
         {setpoint for _, setpoint in course.sent[-40:]}
@@ -354,14 +353,12 @@ def test_a_stop_after_a_stall_holds_the_arm_where_it_rests():
 def test_a_link_that_stands_still_is_sent_nothing_until_it_answers_again():
     course = STREAMS["balancing"]()
     course.link_dead, number, began = True, len(course.sent), course.now
-    for _ in range(6):
-        course.tick()
+    course.ticks(6)
     sent = course.sent[number:]
     assert max(when for when, _ in sent) <= began + 0.03
     course.link_dead = False
     course.tick()
-    for _ in range(5):
-        course.tick()
+    course.ticks(5)
     assert course.pilot.phase.kind is Phase.BALANCING
     assert len(course.sent) == number + len(sent) + 12
     q = np.array([sent[-1][1], *(setpoint for _, setpoint in course.sent[-13:])])
@@ -397,8 +394,7 @@ def test_a_robot_that_answers_without_joints_stops_it(stream):
 def test_a_late_loop_at_rest_is_no_slow_link():
     course = Course().until(Phase.REFERENCING)
     course.tick(0.4)
-    for _ in range(20):
-        course.tick()
+    course.ticks(20)
     assert course.cause is None
 
 
@@ -446,8 +442,7 @@ def blocked(course):
 @pytest.mark.parametrize("stream", STREAMS)
 def test_the_target_goes_back_towards_a_blocked_arm_within_the_reach_of_the_ramp(stream):
     course = STREAMS[stream]()
-    for _ in range(20 if stream == "homing" else 10):
-        course.tick()
+    course.ticks(20 if stream == "homing" else 10)
     blocked(course)
     sent = after_stop(course)
     assert "which goes back by" in " ".join(course.texts)
@@ -459,8 +454,7 @@ def test_the_target_goes_back_towards_a_blocked_arm_within_the_reach_of_the_ramp
 def going_back():
     """A course that goes back towards a blocked arm after its stop."""
     course = STREAMS["balancing"]()
-    for _ in range(10):
-        course.tick()
+    course.ticks(10)
     blocked(course)
     while not any("goes back" in text for text in course.texts):
         course.tick()
@@ -497,8 +491,7 @@ def lose(course, *ms):
 
 def test_a_single_lost_sample_is_bridged_counted_and_told_once(course):
     lose(course, 5, 255)
-    for _ in range(30):
-        course.tick()
+    course.ticks(30)
     assert course.pilot.phase.kind is Phase.BALANCING
     assert course.told.count("warning") == 1
 
@@ -527,8 +520,7 @@ def push(course, joint, share):
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_contact_on_the_way_home_stops_it(joint, sign):
     course = Course(away())
-    for _ in range(2 * TORQUE_EVERY):
-        course.tick()
+    course.ticks(2 * TORQUE_EVERY)
     push(course, joint, 1.02 * UNCERTAIN_TORQUE_FACTOR * sign)
     began = course.now
     while course.pilot.phase.kind is Phase.HOMING:
@@ -541,16 +533,13 @@ def test_a_contact_on_the_way_home_stops_it(joint, sign):
 def test_the_torques_at_home_are_what_others_are_compared_with_there():
     # Where it began something else hung on it; at home the limit is the narrow one.
     course = Course(away())
-    for _ in range(2 * TORQUE_EVERY):
-        course.tick()
+    course.ticks(2 * TORQUE_EVERY)
     push(course, 1, 0.9 * UNCERTAIN_TORQUE_FACTOR)
     course.until(Phase.SELF_TEST)
-    for _ in range(20):
-        course.tick()
+    course.ticks(20)
     assert course.pilot.phase.kind is Phase.SELF_TEST
     push(course, 1, 0.9 * UNCERTAIN_TORQUE_FACTOR + 1.02)
-    for _ in range(TORQUE_EVERY + 1):
-        course.tick()
+    course.ticks(TORQUE_EVERY + 1)
     assert course.cause == Outcome.TORQUE
 
 

@@ -14,9 +14,8 @@ from equipoise.learning.episodes import (
     new_training_state,
     train_episodes,
 )
-from equipoise.learning.in_world import train_in_world
 from equipoise.learning.select import trial_simulations
-from equipoise.learning.train import actuators_in, train, training_config
+from equipoise.learning.train import actuators_in, train, train_in_world, training_config
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum

@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from equipoise.errors import CLOSED_PIPE, INTERRUPTED, EquipoiseError, OutsideError
+from equipoise.errors import INTERRUPTED, EquipoiseError, OutsideError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Otherwise the interpreter tries at its end to write the rest again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):
-            return CLOSED_PIPE
+            return 141  # that of a program ended by SIGPIPE
         complain(f"cannot write to standard output: {error}; make room", "error: ")
         return OutsideError.exit_code
     return code

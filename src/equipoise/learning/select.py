@@ -41,8 +41,6 @@ Running = Callable[[int, int], None]
 
 FIRST_BLOCK: Final = 4
 """Number of trials of each candidate in the first round; each round doubles them."""
-RACE_ERROR: Final = 0.05
-"""Probability that a race drops the best candidate by its sign tests."""
 ERROR: Final = 0.05
 """Probability that a command accepts any policy whose share is below the target."""
 PRIORS: Final = ((0.9, 100.0, 0.3), (0.1, 0.5, 0.5))
@@ -132,7 +130,8 @@ def race(
             results[i] = min(each, key=lambda result: result.score)
         alive.sort(key=lambda i: (-results[i].score, i))
         shortest = np.min(steps[:, alive, :last], axis=0)
-        kept = not_worse(shortest, RACE_ERROR / (count * rule.rounds))
+        # All sign tests together drop the best candidate with a probability of 5 % at most.
+        kept = not_worse(shortest, 0.05 / (count * rule.rounds))
         alive = [i for i, keep in zip(alive, kept, strict=True) if keep]
         alive = alive[: max(rule.round_trials // last, 1)]
         if len(alive) == 1 or last == most:

@@ -8,7 +8,7 @@ any number of workers. `equipoise.learning.target` trains learners until one mee
 
 from collections.abc import Sequence
 from math import inf
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -36,11 +36,13 @@ from equipoise.learning.episodes import (
     STEPS,
     TrainingConfig,
     TrainingState,
+    begin_in_world,
+    decide_in_world,
+    learn_in_world,
     new_training_loop,
     new_training_state,
     train_episodes,
 )
-from equipoise.learning.in_world import train_in_world
 from equipoise.learning.learner import UpdateParams
 from equipoise.learning.select import race, trial_simulations
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
@@ -50,14 +52,13 @@ from equipoise.model.random import TRAINING_NOISE
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.settings import Settings
 from equipoise.worlds import ClosedLoop, Setup, simulate, world_class
+from equipoise.worlds.interface import predicted
 from equipoise.worlds.reachability import check_releases
+from equipoise.worlds.trials import Trial
 
 Array = npt.NDArray[np.float64]
 Actuators = Actuator | Sequence[Actuator] | None
 """Actuator of the arm, several of them, or None for the default."""
-
-MAX_REPORTS: Final = 200
-"""Number of progress reports of a training without candidates."""
 
 
 def train(
@@ -110,7 +111,7 @@ def train(
     setup = Setup(pendulum, arm, settings, actuators, paper.STEP)
     training = _Training(setup, world, seed, learner, init_policy)
     averaged, found = np.zeros_like(training.tables.Q), dict[bytes, tuple[int, Array]]()
-    every = rule.every or max(1, episodes // MAX_REPORTS)
+    every = rule.every or max(1, episodes // 200)  # points of a curve without candidates
     curve: list[LearningPoint] = []
     while (ended := training.totals[ENDED]) < episodes:
         point = training.run(min(ended + every, episodes))
@@ -295,6 +296,28 @@ class _Training:
         while sum(ended := [int(state.totals[ENDED]) for state in self._states]) < until:
             least = ended.index(min(ended))
             train_episodes(self._loops[least], until if len(ended) == 1 else ended[least] + 1)
+
+
+def train_in_world(training: Any, state: TrainingState, loop: ClosedLoop, until: int) -> None:
+    """Train in any simulated world, an episode after the other, as the paper trained in V-REP.
+
+    The rule of learning, its random numbers and the conditions of the episodes are those of the
+    compiled training; the steps are those of the world.
+
+    Args:
+        training: The training, from `new_training_loop`; the next call continues from its state.
+        state: Its state; no episode runs between two calls.
+        loop: Closed loop of the world.
+        until: Number of ended episodes at which to stop.
+    """
+    while state.totals[ENDED] < until:
+        number, variation, start = begin_in_world(training)
+        loop.reset(Trial(number, start, variation))
+        goes_on = True
+        while goes_on:
+            u = decide_in_world(training, predicted(loop))
+            cause = loop.step(u)
+            goes_on = learn_in_world(training, predicted(loop), cause)
 
 
 def training_config(settings: Settings, k: float) -> TrainingConfig:

@@ -5,7 +5,7 @@ count from the release; in a run on a rig that ended before it, from the first t
 """
 
 from math import isfinite, pi
-from typing import Final, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -14,9 +14,6 @@ from equipoise.errors import ArtefactError, InputError, RecordingError
 from equipoise.logs.run_log import RunLog
 
 Floats = npt.NDArray[np.float64]
-
-LEAD: Final = 2.0
-"""Time shown before the release of a run on a rig [s]."""
 
 
 class Pose(NamedTuple):
@@ -105,7 +102,7 @@ class Motion(NamedTuple):
             InputError: The part is outside the run, or ends before its start.
         """
         first = float(self.time[0])
-        begin = max(first, -LEAD) if begin is None else begin
+        begin = max(first, -2.0) if begin is None else begin
         end = self.end if end is None else end
         if not first <= begin <= end <= self.end:
             raise InputError(

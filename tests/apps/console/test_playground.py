@@ -1,10 +1,12 @@
-"""The playground without a browser: its rig and its scenes."""
+"""The playground without a browser: its rig, its scenes, and its page."""
 
 from math import degrees, radians
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from equipoise.apps.console.play import PlayPage
 from equipoise.apps.console.playground import FALL, SCENES, Playground, Scene
 
 pytestmark = pytest.mark.compiled_only
@@ -54,3 +56,20 @@ def test_the_boxes_light_up_where_the_policy_is():
     playground.set(SCENES["lqr"])
     assert played(playground, 1.0).box == -1
     assert not playground.used.any()
+
+
+def test_the_page_pushes_and_changes_the_rig(monkeypatch):
+    viser = pytest.importorskip("viser", reason="viser is not installed (extra console)")
+    server, pushes = viser.ViserServer("127.0.0.1", 0, verbose=False), []
+    page = PlayPage(server, SCENES["balance"])
+    page.advance(0)
+    assert "standing" in page._page._state.content
+    page._controls["delay"].value = 25.0
+    page._changed()
+    assert page.playground.scene.delay == pytest.approx(0.025)
+    monkeypatch.setattr(page.playground, "push", pushes.append)
+    for drawn in (0.05, -1.0):  # [m]
+        event = {"start_position": (0.1, 0.0, 0.9), "end_position": (0.1 + drawn, 0.0, 0.9)}
+        page._dragged(SimpleNamespace(phase="end", **event))
+    assert np.degrees(pushes) == pytest.approx([6.0, -60.0])
+    server.stop()

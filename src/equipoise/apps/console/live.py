@@ -35,8 +35,6 @@ PERIOD: Final = 0.04
 """Time between two pictures, and between two searches for a run [s]."""
 SPAN: Final = 10.0
 """Time shown in the plots [s]."""
-MESSAGES: Final = 40
-"""Number of messages that are kept."""
 COLOURS: Final = {
     **{Phase.BALANCING: GREEN, Phase.ARMED: GREEN, Phase.STOPPING: VERMILION},
     **{"fault": VERMILION, "stopping": VERMILION, "warning": "#8a5a00"},
@@ -59,7 +57,7 @@ class LivePage:
         self._question: LoggedEvent | None = None
         self._buttons: list[Any] = []
         self._history: deque[tuple[float, ...]] = deque()
-        self._messages: deque[LoggedEvent] = deque(maxlen=MESSAGES)
+        self._messages: deque[LoggedEvent] = deque(maxlen=40)
         self._began = self._ended = nan
         self._page = RigPage(server, "Equipoise console", plots=len(PLOTS))
         self._asked = server.gui.add_html("", order=10, visible=False)

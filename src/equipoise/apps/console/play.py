@@ -26,12 +26,6 @@ SLOW: Final = 12
 """Number of pictures between two texts, and two pictures of the boxes."""
 PUSH: Final = radians(15.0)
 """Change of the pendulum's rate by a button [rad/s]."""
-FLICK: Final = radians(120.0)
-"""Change of the rate per distance of the mouse in the scene [rad/s per m]."""
-HARDEST: Final = radians(60.0)
-"""Largest change of the rate by the mouse [rad/s]."""
-LATE: Final = 0.2
-"""Delay behind real time above which the playground goes on later instead of faster [s]."""
 SLIDERS: Final = {
     "delay": ("delay [ms]", 0.0, 60.0, 1.0, 1e-3),
     "zero": ("zero error [deg]", -3.0, 3.0, 0.1, radians(1.0)),
@@ -112,7 +106,8 @@ class PlayPage:
         """Push the pendulum when the mouse lets it go, as far as it was drawn along the track."""
         if event.phase == "end":
             drawn = event.end_position[0] - event.start_position[0]
-            self._push(float(np.clip(FLICK * drawn, -HARDEST, HARDEST)))
+            # 120 deg/s for a metre of the mouse in the scene, 60 deg/s at most.
+            self._push(radians(float(np.clip(120.0 * drawn, -60.0, 60.0))))
 
     def _push(self, rate: float) -> None:
         with self._lock:
@@ -193,6 +188,6 @@ def run(page: PlayPage, stopped: Callable[[], bool]) -> None:
         picture += 1
         due += PICTURE * page.playground.h
         now = time.monotonic()
-        if now - due > LATE:
+        if now - due > 0.2:  # [s]: go on later instead of faster
             due = now
         time.sleep(max(due - now, 0.0))

@@ -25,14 +25,10 @@ from equipoise.worlds.twin.world import TwinSimulation
 
 Floats = npt.NDArray[np.float64]
 
-BRAKE: Final = 5.0
-"""Deceleration of the flange after a fall, over its velocity [1/s]."""
 FALL: Final = 2.0
 """Time that a fall is shown [s]."""
 RECENT: Final = 5.0
 """Time over which the text describes the motion [s]."""
-FADE: Final = 2.0
-"""Time constant with which a used box fades [s]."""
 
 
 class Scene(NamedTuple):
@@ -151,7 +147,8 @@ class Playground:
             self.begin()
         loop, seen = self._loop, predicted(self._loop)
         if self.fallen:
-            self.u = float(np.clip(-BRAKE * loop.state()[1], -U_MAX, U_MAX))
+            # The flange brakes with 5 times its velocity a second.
+            self.u = float(np.clip(-5.0 * loop.state()[1], -U_MAX, U_MAX))
         else:
             self.u = float(self.policy.act(seen))
         cause = loop.step(self.u)
@@ -160,7 +157,7 @@ class Playground:
             self.fallen, self._fell = TRIAL_OUTCOMES[cause], self._tick
         x, _, self.phi, _ = loop.state().tolist()
         self.q, self.box = loop.joints(), -1
-        self.used *= exp(-self.h / FADE)
+        self.used *= exp(-self.h / 2.0)  # a used box fades within some seconds
         if not self.fallen:
             self._recent.append((x, self.phi))
             inside = abs(degrees(seen[2])) < PHI_LIMIT_DEG and abs(seen[0]) < X_LIMIT

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
 LOOPBACK: Final = "127.0.0.1"
 """Address that only browsers on this computer reach."""
-OWN_HEADER: Final = "X-Equipoise"
-"""Header that only a script of the page can send."""
 HEADERS: Final = {
     # Sources that the page may use: its own server. viser's page has its scripts inside.
     "Content-Security-Policy": (
@@ -114,7 +112,7 @@ class Gate:
                 if origin == headers["Host"]:
                     return serve(request)
             elif (action := self._actions.get(address.path)) is not None:
-                if OWN_HEADER in headers:
+                if "X-Equipoise" in headers:  # only a script of the page can send it
                     return _respond(HTTPStatus.OK, action())
             elif address.path in ("/", "/index.html"):
                 return self._serve_page(request, serve)

@@ -17,8 +17,6 @@ from equipoise.printable import printable
 PATIENCE: Final = 10.0
 """Longest wait for an answer [s]; CoppeliaSim answers within a step of its simulation, or within a
 pass of its idle loop, an eighth of a second."""
-IDLE: Final = 86400.0
-"""Time after which CoppeliaSim forgets a client that is silent [s]; its default is ten minutes."""
 LUA_PLACE: Final = r"^(\S+:)?\d+: (in )?(sim\.\w+: )?|_=NL=_.*"
 """Place in Lua code with which an error of CoppeliaSim begins: file, line and function; and the
 lines after its first one."""
@@ -52,7 +50,8 @@ class Connection:
         wait = round(1e3 * patience)
         for option, value in ((zmq.RCVTIMEO, wait), (zmq.SNDTIMEO, wait), (zmq.LINGER, 0)):
             self._client.socket.setsockopt(option, value)
-        self._client.timeout = IDLE
+        # CoppeliaSim forgets a client that is silent for ten minutes; now for a day [s].
+        self._client.timeout = 86400.0
         try:
             self._constants: Any = self._guarded("require", self._client.require, "sim")
         except BaseException:
