@@ -109,7 +109,8 @@ def test_replies_of_the_captured_session_are_read():
 NOT_SAID = [
     b"", b"Done", b"done_", b"ok", b"_",
     b"1.0", b"1.0_2.0",  # cut off: the trailing _ is missing
-    b"1_2_", b"1.0__2.0_", b"1.0e-4_", b"1.0E_", b"+1.0_", b".5_", b" 1.0_",  # no Java numbers
+    b"1_2_", b"1_2.0_",
+    b"1.0__2.0_", b"1.0e-4_", b"1.0E_", b"+1.0_", b".5_", b" 1.0_",  # no Java numbers
     b"1.0_\x00", b"\xff\xfe_", "١.٠_".encode(), b"nan_",
     b"NaN_0.0_", b"Infinity_", b"-Infinity_", b"1.0E999_", b"0.0_1.0E999_",  # not finite
 ]  # fmt: skip
