@@ -1,17 +1,12 @@
-"""Yardsticks: gains against an independent recursion, and how they do on the plant."""
+"""Baselines: gains against an independent recursion."""
 
 from math import factorial, pi, sqrt
 
 import numpy as np
 import pytest
 
-from equipoise.control.baselines import baselines, lqr_gains, pd_gains
-from equipoise.control.grid import TRUNCATED
-from equipoise.model.arms.iiwa import iiwa
+from equipoise.control.baselines import lqr_gains, pd_gains
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.settings import resolve
-from equipoise.worlds.plant import make_loop_params
-from tests.worlds.recorded import on_the_plant, run_all
 
 H = 0.01
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
@@ -41,29 +36,6 @@ def nominal(pendulum):
     return A, np.array([[0.0], [1.0], [0.0], [-pendulum.k]])
 
 
-def survived(kernel, *, trials=40, duration=10.0, noise=True):
-    """Return steps and causes of trials around the pendulum, without variation if without noise."""
-    overrides = (
-        []
-        if noise
-        else [
-            f"plant.{name}=0"
-            for name in (
-                "inertia_sigma",
-                "friction_sigma",
-                "position_error_sigma",
-                "orientation_error_sigma",
-            )
-        ]
-    )
-    settings = resolve(overrides=overrides)
-    arm = iiwa(14)
-    params = make_loop_params(arm, settings, H, PENDULUM)
-    simulation = on_the_plant(params, arm, PENDULUM, settings)
-    drawn = run_all(simulation, kernel, simulation.draw(trials), duration)
-    return drawn.steps * H, drawn.cause
-
-
 @pytest.mark.parametrize("pendulum", OTHERS, ids=str)
 def test_gains_are_those_to_which_the_riccati_recursion_converges(pendulum):
     A, B = sampled(*nominal(pendulum), H)
@@ -86,12 +58,3 @@ def test_pd_puts_both_poles_of_the_pendulum_at_its_own_rate_of_fall(pendulum):
     w = sqrt(pendulum.w2)
     assert pendulum.k * on_phi - pendulum.w2 == pytest.approx(w**2)
     assert pendulum.k * on_phi_dot + pendulum.c == pytest.approx(2 * w)
-
-
-@pytest.mark.compiled_only
-@pytest.mark.parametrize("noise", [False, True])
-def test_lqr_lasts(noise):
-    beside = baselines(PENDULUM, H)
-    steps, causes = survived(beside["LQR"], noise=noise)
-    assert np.all(causes == TRUNCATED)
-    assert np.all(steps == 10.0)

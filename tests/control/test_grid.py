@@ -1,7 +1,7 @@
 """The 270 boxes, against the paper's own notation at every edge, and their mirror images."""
 
 import itertools
-from math import inf, nextafter, pi
+from math import inf, nextafter
 
 import numpy as np
 import pytest
@@ -9,7 +9,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from equipoise.control.grid import (
-    box_count,
     box_index,
     greedy_actions,
     make_grid,
@@ -57,28 +56,6 @@ def test_all_combinations_of_edges_are_in_the_box_that_the_paper_prints():
         assert unpacked(box_of(**state)) == printed.place(**state), state
 
 
-def test_all_270_boxes_can_be_reached():
-    middles = {
-        "phi": [angle * pi / 180 for angle in (-8, -3, -0.5, 0.5, 3, 8)],
-        "phi_dot": [rate * pi / 180 for rate in (-99, -30, 0, 30, 99)],
-        "x": [-0.15, 0.0, 0.15],
-        "x_dot": [-0.7, 0.0, 0.7],
-    }
-    found = [
-        box_of(**dict(zip(middles, values, strict=True)))
-        for values in itertools.product(*middles.values())
-    ]
-    # In the order of the indices: that of the file, with x_dot the fastest.
-    assert found == list(range(270))
-    assert BoxSettings().count == box_count(BOXES) == np.prod(BoxSettings().shape) == 270
-
-
-def test_the_mirror_image_counts_each_axis_from_its_other_end():
-    for box in range(270):
-        i, j, k, m = unpacked(box)
-        assert unpacked(int(mirrored_box(box, 270))) == (5 - i, 4 - j, 2 - k, 2 - m)
-
-
 LIMITS = {"phi_deg": 10.9, "phi_dot_deg": 400.0, "x": 0.21, "x_dot": 2.0}
 
 
@@ -115,19 +92,11 @@ def test_any_ends_give_the_box_that_numpy_gives_and_its_mirror_image(ends, state
 
 @pytest.mark.parametrize(
     "ends",
-    [
-        "boxes.x=[0.1, -0.1]",
-        "boxes.x=[-0.1, 0.05]",
-        "boxes.x=[-0.22, 0.22]",
-        "boxes.phi_deg=[-5, 5]",
-        "boxes.phi_dot_deg=[]",
-        "boxes.x_dot=fast",
-        "boxes.x_dot=[nan]",
-    ],
+    ["x=[0.1, -0.1]", "x=[-0.1, 0.05]", "x=[-0.22, 0.22]", "phi_deg=[-5, 5]", "x_dot=[nan]"],
 )
 def test_ends_that_divide_nothing_are_refused(ends):
     with pytest.raises(SettingsError) as refused:
-        resolve(overrides=[ends])
+        resolve(overrides=[f"boxes.{ends}"])
     assert "\n" not in str(refused.value)
 
 
@@ -158,8 +127,7 @@ def test_a_symmetric_table_gives_a_symmetric_policy_whatever_its_ties(box, row, 
         assert chosen[mirrored_box(box, 270)] == 7 - chosen[box]
 
 
-@pytest.mark.parametrize("x_dot", [-0.3, 0.1, 0.4])
-@pytest.mark.parametrize("phi_dot", [-1.0, 0.0, 0.3])
+@pytest.mark.parametrize(("x_dot", "phi_dot"), [(-0.3, 0.0), (0.1, -1.0), (0.4, 0.3)])
 def test_x_is_continued_at_the_velocity_of_the_centre_of_percussion(x_dot, phi_dot):
     state = {"x_dot": x_dot, "phi": 0.0, "phi_dot": phi_dot}
     plain, ahead = (make_grid(BoxSettings(look_ahead=time), 8.0) for time in (0.0, 0.5))

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.errors import EquipoiseError
-from equipoise.identification.actuator import identify_motion
+from equipoise.identification.actuator import identify_actuator
 from equipoise.logs.conditions import RunEnd
 from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig.clocks import DrainingClock
@@ -150,7 +150,7 @@ class FaultHarness:
             encoder="serial://emulated",
             duration=scenario.duration,
             t1=scenario.t1,
-            identify=identify_motion if scenario.identify else None,
+            identify=identify_actuator if scenario.identify else None,
         )
         try:
             wrap = partial(FaultyTickHandler, self)

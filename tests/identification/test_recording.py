@@ -113,18 +113,8 @@ def test_a_written_swing_is_read_back_to_the_last_bit(tmp_path_factory, steps, v
     assert np.array_equal(again.values, swing.values)
 
 
-def test_a_trajectory_cannot_be_written_to():
-    source = np.zeros(4)
-    swing = Trajectory(time=TIME, theta=source)
-    with pytest.raises(ValueError, match="read-only"):
-        swing.theta[0] = 1.0
-    source[0] = 1.0
-    assert swing.theta[0] == 0.0
-
-
 REFUSED = {
     "nothing": "",
-    "no samples": "time_s,theta_rad\n",
     "other columns": "t,angle\n0,1\n",
     "two quantities": "time_s,theta_rad,theta_deg\n0,1,2\n1,1,2\n",
     "NaN": "time_s,theta_rad\n0,1\n0.1,nan\n",

@@ -15,9 +15,9 @@ from equipoise.control.policy import Checkpoint, shipped_policy
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.identification import refine
 from equipoise.identification.refine import (
-    actuator_changes,
+    actuator_moves,
     inspect,
-    pendulum_changes,
+    pendulum_moves,
     read_motion,
     retrain,
 )
@@ -26,10 +26,9 @@ from equipoise.learning.target import measure_policy
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
-from equipoise.model.worlds import LIGHT_ROTOR, TwinSettings, World
+from equipoise.model.worlds import TwinSettings, World
 from equipoise.rig.simulate import simulate_run
-from equipoise.settings import GRAVITY, PlantSettings
-from equipoise.worlds.evaluation import evaluate
+from equipoise.settings import PlantSettings
 from equipoise.worlds.twin.twin import Twin
 from tests.logs.made_up import changed_table
 
@@ -66,14 +65,6 @@ def run(seed, factor=1.0, duration=20.0, **numbers):
 
 def policy_knowing(actuator=ACTUATOR):
     return shipped_policy().model_copy(update={"actuators": (actuator,)})
-
-
-def at_once():
-    """The shipped policy, of an arm that follows at once."""
-    policy = shipped_policy()
-    plant = policy.settings.plant.model_copy(update={"ideal": True})
-    settings = policy.settings.model_copy(update={"plant": plant})
-    return policy.model_copy(update={"settings": settings})
 
 
 def regressed(log):
@@ -120,44 +111,30 @@ def test_a_run_is_read_as_it_was_but_for_the_zero_and_the_counts():
     assert np.std(motion.x - x) < 5e-4
 
 
-def test_what_no_rig_measured_is_refused():
-    log = simulate_run(shipped_policy(), world="model", duration=1.0)
+def test_unusable_logs_are_refused_and_an_arm_at_rest_tells_no_actuator():
+    policy, log = shipped_policy(), run(2)
+    bare = log.conditions.model_copy(update={"counts_per_rev": None})
     with pytest.raises(RecordingError, match="a rig"):
-        inspect(shipped_policy(), log)
-
-
-def test_the_log_of_another_arm_is_refused():
-    policy = shipped_policy()
+        inspect(policy, replace(log, conditions=bare))
     # Its joints have the same names.
     elsewhere = policy.model_copy(update={"arm": iiwa(14)})
-    assert policy.arm.name == "iiwa7"
     with pytest.raises(ArtefactError):
-        inspect(elsewhere, run(0, duration=1.0))
+        inspect(elsewhere, log)
+    posture = np.broadcast_to(log.stream.q[0], log.stream.q.shape)
+    found = inspect(policy_knowing(), changed_table(log, "stream", q=posture))
+    assert found.response == {}
+    assert any("actuator" in warning for warning in found.warnings)
 
 
 # The pendulum
 
 
-@pytest.mark.parametrize("factor", [0.9, 1.0, 1.1])
-def test_w2_of_a_run_is_that_of_its_pendulum(factor):
-    log = run(1, factor)
-    assert log.outcome == "lasted"
-    fit = regressed(log)
-    assert fit.w2.value == pytest.approx(log.conditions.pendulum.w2, rel=0.01)
-    assert fit.k.value == pytest.approx(fit.w2.value / GRAVITY)
-
-
-def flagged(seed, factor, duration):
-    fit = regressed(run(seed, factor, duration))
-    return tuple(
-        move.name for move in pendulum_changes(shipped_policy().pendulum, fit, PlantSettings())
-    )
-
-
-def test_a_pendulum_that_is_another_by_ten_percent_is_flagged_and_the_same_is_not():
-    assert [flagged(seed, 1.0, 20.0) for seed in (2, 3, 4)] == [(), (), ()]
-    assert "w2" in flagged(2, 0.9, 20.0)
-    assert "w2" in flagged(3, 1.1, 20.0)
+@pytest.mark.parametrize(("seed", "factor", "moves"), [(2, 1.0, []), (2, 0.9, ["w2"])])
+def test_a_pendulum_that_is_another_by_ten_percent_is_flagged_and_the_same_is_not(
+    seed, factor, moves
+):
+    fit = regressed(run(seed, factor))
+    assert list(pendulum_moves(shipped_policy().pendulum, fit, PlantSettings())) == moves
 
 
 def test_what_moved_makes_another_pendulum():
@@ -168,9 +145,10 @@ def test_what_moved_makes_another_pendulum():
     )
     policy = policy.model_copy(update={"pendulum": known})
     found = inspect(policy, run(4, 1.1))
-    assert [move.name for move in found.moves] == ["w2"]
+    assert list(found.moves) == ["w2"]
     there = found.pendulum
     assert (there.w2, there.k) == (found.fit.w2, found.fit.k)
+    assert there.w2.value == pytest.approx(1.1 * known.w2.value, rel=0.01)
     assert there.k.value == pytest.approx(there.w2.value / there.g)
     assert there.c == known.c
     assert (there.mass, there.length, there.inertia, there.friction) == (None,) * 4
@@ -182,20 +160,6 @@ def test_what_moved_makes_another_pendulum():
     assert found.actuator == policy.actuator
 
 
-def test_a_pivot_with_more_dry_friction_is_found():
-    known = shipped_policy().pendulum
-    # The shipped policy hardly moves the pendulum: a fine encoder shows its friction, and light
-    # rotors keep it moving.
-    log = run(6, duration=60.0, coulomb=1.0, counts_per_rev=1 << 18, rotor_inertia=(LIGHT_ROTOR,))
-    found = inspect(at_once(), log)
-    assert [move.name for move in found.moves] == ["c"]
-    assert found.pendulum.w2 == known.w2
-    assert found.pendulum.friction_model == "coulomb"
-    # Dry and viscous friction are not well told apart, but what they take out together is known.
-    c, coulomb, rate = found.pendulum.c.value, found.pendulum.coulomb.value, found.fit.rate
-    assert c + coulomb / rate == pytest.approx(known.c.value + 1.0 / rate, rel=0.2)
-
-
 # The actuator
 
 
@@ -205,7 +169,7 @@ def test_the_same_arm_is_the_same_actuator_as_far_as_it_moves():
     assert found.response["lag of A1"].value == pytest.approx(0.008, rel=0.2)
     # The wrist holds the flange level, and hardly moves for it.
     assert "lag of A5" not in found.response
-    assert found.moves == ()
+    assert found.moves == {}
     assert found.pendulum == shipped_policy().pendulum
     assert found.actuator == ACTUATOR
 
@@ -216,7 +180,7 @@ def test_the_same_arm_is_the_same_actuator_as_far_as_it_moves():
 )
 def test_an_arm_that_follows_otherwise_is_found(numbers, name, truth):
     found = inspect(policy_knowing(), run(2, **numbers))
-    assert name in [move.name for move in found.moves]
+    assert name in found.moves
     assert found.response[name].value == pytest.approx(truth, rel=0.1)
     assert found.pendulum == shipped_policy().pendulum
     assert found.actuator.delay == found.response["delay"]
@@ -240,18 +204,8 @@ def estimate(value, half):
 )
 def test_a_delay_moves_beyond_intervals_and_beyond_what_training_varies(now, moved):
     arm = shipped_policy().arm
-    moves = actuator_changes(ACTUATOR, {"delay": now}, arm, PlantSettings())
-    assert [move.name for move in moves] == ["delay"] * moved
-
-
-def test_joints_that_stand_still_tell_no_actuator():
-    log = run(2)
-    posture = np.broadcast_to(log.stream.q[0], log.stream.q.shape)
-    still = changed_table(log, "stream", q=posture)
-    found = inspect(policy_knowing(), still)
-    assert found.response == {}
-    (warning,) = found.warnings
-    assert "actuator" in warning
+    moves = actuator_moves(ACTUATOR, {"delay": now}, arm, PlantSettings())
+    assert list(moves) == ["delay"] * moved
 
 
 # Training on
@@ -286,22 +240,3 @@ def test_a_new_table_is_kept_only_if_it_is_better(monkeypatch, small_policy, sco
     assert refined.kept == kept
     assert (refined.policy.Q == small_policy.Q) == (kept == "old")
     assert refined.policy.settings.learning.episodes == (40 if kept == "new" else 120)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("factor", [0.9, 1.1])
-def test_on_the_twin_the_refined_policy_is_as_good_as_the_old(factor):
-    policy, twin = shipped_policy(), TwinSettings(inertia_sigma=0.0, friction_sigma=0.0)
-    found = inspect(policy, run(2, factor))
-    refined = retrain(policy, found.pendulum, found.actuator, workers=2).policy
-    there = with_w2(policy.pendulum, factor)
-
-    def share(table):
-        table = table.model_copy(update={"pendulum": there})
-        results = evaluate(
-            table, world=World("twin:steady", twin), with_baselines=False, workers=2
-        ).results
-        return results.summary().rate
-
-    # Of 200 trials; the same for both.
-    assert share(refined) >= share(policy) - 0.02

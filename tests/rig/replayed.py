@@ -12,7 +12,7 @@ import numpy as np
 from equipoise.control.bound_policy import BoundPolicy
 from equipoise.control.policy import tick_policy
 from equipoise.control.ticks import TickInputs, TickRecord
-from equipoise.identification.actuator import identify_motion
+from equipoise.identification.actuator import identify_actuator
 from equipoise.logs.recorder import FAILED, WORD_TYPED
 from equipoise.outcomes import End, Outcome
 from equipoise.rig.config import RigSettings
@@ -53,7 +53,7 @@ def replay(run, policy):
         conditions.encoder,
         conditions.duration,
         alternatives=tuple(others),
-        identify=identify_motion if conditions.identifies else None,
+        identify=identify_actuator if conditions.identifies else None,
     )
     limit = None if run.end is None else run.end.max_speed
     clock, rest = PolicyClock(), (conditions.counts_per_rev, inf if limit is None else limit)

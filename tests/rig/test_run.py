@@ -5,7 +5,7 @@ import pytest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.control.ticks import OperatorMessage
-from equipoise.identification.actuator import identify_motion
+from equipoise.identification.actuator import identify_actuator
 from equipoise.logs.recorder import Recorder, read_events
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
@@ -87,7 +87,7 @@ def test_a_run_that_is_told_no_actuator_selects_it_before_the_lift(tmp_path):
 @pytest.mark.slow
 def test_an_excitation_before_the_lift_refuses_a_policy_for_another_arm(tmp_path):
     out = tmp_path / "run.mcap"
-    wanted = request(robot="twin:pd", identify=identify_motion)
+    wanted = request(robot="twin:pd", identify=identify_actuator)
     end = run_virtually(wanted, out, Spy())
     assert (end.outcome, end.exit_code, end.lasted) == ("arm not identified", 1, 0.0)
     assert "It fits none of the actuators of policy" in end.reason

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from equipoise.control.policy import shipped_policy, tick_policy
-from equipoise.control.self_test import SelfTest, SelfTestVerdict
 from equipoise.control.ticks import Reply, Sample, TickInputs, missed_ticks
 from equipoise.errors import InputError, RecordingError
+from equipoise.identification.self_test import SelfTest, SelfTestVerdict
 from equipoise.outcomes import Outcome, Phase, describe
 from equipoise.rig.config import RigSettings
 from equipoise.rig.phases.context import Excitation
@@ -109,9 +109,9 @@ class Course:
         self.texts += [event.text for event in output.events]
         if output.job is not None:
             tests = self.pilot.phase.kind is Phase.SELF_TEST
-            self.result = SOUND if tests else executed(output.job)
+            self.result = (SOUND, []) if tests else executed(output.job)
             if tests and self.verdicts:
-                self.result = SOUND._replace(verdict=self.verdicts.pop())
+                self.result = SOUND._replace(verdict=self.verdicts.pop()), []
         for event in output.events:
             if event.answers:
                 self.answers = [event.answers[0]]

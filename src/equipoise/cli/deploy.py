@@ -110,7 +110,7 @@ def _request(
         InputError: No robot is named.
     """
     from equipoise.control.bound_policy import BoundPolicy
-    from equipoise.identification.actuator import identify_motion
+    from equipoise.identification.actuator import identify_actuator
     from equipoise.rig.config import read_rig, world_of
     from equipoise.rig.request import RunRequest
 
@@ -138,7 +138,7 @@ def _request(
         dry_run=on_rig.dry_run,
         seed=run.seed,
         alternatives=carried[1:],
-        identify=identify_motion if on_rig.identify else None,
+        identify=identify_actuator if on_rig.identify else None,
     )
 
 

@@ -35,7 +35,7 @@ def refine(
     """Compare a log with the model of a policy, and train on if it moved.
 
     POLICY is the table that ran, RUN is a log from equipoise deploy.
-    Identifies w2, c and the actuator again. If one of them moved beyond its
+    Identifies w2 and the actuator again. If one of them moved beyond its
     interval, training continues from the policy's table, and the better table
     is kept (refined.json), with pendulum and actuator beside it, if they moved.
     """
@@ -78,7 +78,7 @@ def refine(
     output.result(
         findings.fit,
         **findings.response,
-        moved=[move.text for move in findings.moves] or ["nothing"],
+        moved=list(findings.moves.values()) or ["nothing"],
         tables={
             name: {"survived": each.survived, "trials": each.trials, "score": each.score}
             for name, each in tables.items()

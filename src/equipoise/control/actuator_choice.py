@@ -16,17 +16,22 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.control import self_test
 from equipoise.control.control_step import ControllerParams
 from equipoise.control.controller import Controller
+from equipoise.control.minimum_jerk import Path
 from equipoise.errors import RecordingError
 from equipoise.model.actuator import Actuator, JointResponse, track
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.settings import BoxSettings
 
 Array = npt.NDArray[np.float64]
-Row = tuple[float, ...]
+Rows = Sequence[tuple[float, ...]]
+"""Time [s] and free joints [rad] at each setpoint, or at each measurement."""
 
+MOVE_DISTANCE: Final = 0.04
+"""Distance of the flange's move [m]."""
+MOVE_TIME: Final = 0.8
+"""Duration of the move [s]."""
 REST_BEFORE_MOVE: Final = 0.1
 """Record before the move [s]: the first setpoint has taken effect when the simulation begins."""
 REST_AFTER_MOVE: Final = 0.2
@@ -51,32 +56,20 @@ def describe_choice(residuals: Sequence[float], actuators: Sequence[Actuator]) -
     )
 
 
-class MotionRecord:
-    """Setpoints and measured joints of a move, as rows of time [s] and the free joints [rad]."""
+def flange_move(x: float, direction: float = 1.0) -> Path:
+    """Return the path of the flange in the self-test, from x to 40 mm further [m].
 
-    def __init__(self) -> None:
-        """Begin without rows."""
-        self._sent, self._measured = list[Row](), list[Row]()
+    Args:
+        x: Start of the path [m].
+        direction: 1 or -1.
+    """
+    return Path((x,), (x + direction * MOVE_DISTANCE,), MOVE_TIME)
 
-    def send(self, time: float, q: Sequence[float] | Array) -> None:
-        """Add a setpoint of the free joints."""
-        self._sent.append((time, *q))
 
-    def measure(self, time: float, q: Sequence[float] | Array) -> None:
-        """Add measured free joints, unless their time is that of the newest ones."""
-        if not self._measured or time > self._measured[-1][0]:
-            self._measured.append((time, *q))
-
-    def clear(self) -> None:
-        """Forget all rows."""
-        self._sent.clear()
-        self._measured.clear()
-
-    def values(self) -> tuple[Array, Array]:
-        """Return setpoints and measurements, shapes (m, 7) and (p, 7)."""
-        rows = self._sent, self._measured
-        sent, measured = (np.array(each).reshape(-1, 1 + FREE_JOINTS) for each in rows)
-        return sent, measured
+def motion_rows(rows: Rows) -> Array:
+    """Return the rows of a motion in an array, shape (m, 7), each time once."""
+    motion = np.array(rows).reshape(-1, 1 + FREE_JOINTS)
+    return motion[np.unique(motion[:, 0], return_index=True)[1]]
 
 
 def choose_actuator(actuators: Sequence[Actuator], sent: Array, measured: Array) -> list[float]:
@@ -86,9 +79,8 @@ def choose_actuator(actuators: Sequence[Actuator], sent: Array, measured: Array)
 
     Args:
         actuators: At least one.
-        sent: Time [s] and setpoint of the free joints [rad], shape (m, 7).
-        measured: Time [s] and measured free joints [rad], shape (p, 7); the arm is at rest at the
-            first setpoint when they begin.
+        sent: Rows of setpoints, as from `motion_rows`.
+        measured: Rows of measurements; the arm is at rest at the first setpoint when they begin.
 
     Returns:
         Root mean square of measured less simulated joints behind each actuator [rad].
@@ -127,7 +119,7 @@ def move_setpoints(arm: Arm, params: ControllerParams) -> Array:
         Free joints [rad], h / 2 apart, from rest to rest, shape (m, 6).
     """
     controller, h = Controller(arm, params, BoxSettings()), params.h
-    path = self_test.excitation(0.0)
+    path = flange_move(0.0)
     first, last = -round(REST_BEFORE_MOVE / h), round((path.duration + REST_AFTER_MOVE) / h)
     rows = list[tuple[float, ...]]()
     for tick in range(first, last):

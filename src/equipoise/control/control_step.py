@@ -82,23 +82,14 @@ HISTORY_TICKS: Final = 12
 MIN_PREDICTION_STEP: Final = 1e-9
 """Duration below which a step of the prediction is skipped [s]."""
 
-# Rows of the history, for each tick.
-PIVOT_V: Final = 0
-FLANGE_X: Final = 1
-TILT: Final = 2
-MODEL_Q: Final = 3
+PIVOT_V, FLANGE_X, TILT, MODEL_Q = range(4)
+"""First rows of the history, for each tick."""
 HISTORY_ROWS: Final = MODEL_Q + FREE_JOINTS
-# Rows of the estimate.
-EST_PHI: Final = 0
-EST_PHI_DOT: Final = 1
-EST_BIAS: Final = 2
-EST_PIVOT_V: Final = 3
-EST_X: Final = 4
-# Rows of the observation.
-OBS_X: Final = 0
-OBS_X_DOT: Final = 1
-OBS_PHI: Final = 2
-OBS_PHI_DOT: Final = 3
+"""Rows of the history, for each tick."""
+EST_PHI, EST_PHI_DOT, EST_BIAS, EST_PIVOT_V, EST_X = range(5)
+"""Rows of the estimate."""
+OBS_X, OBS_X_DOT, OBS_PHI, OBS_PHI_DOT = range(4)
+"""Rows of the observation."""
 
 
 class ControllerParams(NamedTuple):

@@ -23,7 +23,7 @@ from equipoise.control.control_step import (
     observe,
     start_controller,
 )
-from equipoise.control.grid import Grid, box_index, make_grid
+from equipoise.control.grid import box_indices, make_grid
 from equipoise.control.policy import Policy
 from equipoise.jit import kernel, struct_ref
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
@@ -62,13 +62,13 @@ class StateEstimate(NamedTuple):
     """Displacement of the flange from home [m]."""
 
 
-ControllerHandle: Any = struct_ref("ControllerHandle", __name__, ("params", "state", "boxes"))
+ControllerHandle: Any = struct_ref("ControllerHandle", __name__, ("params", "state"))
 
 
 @kernel
-def new_controller_handle(params: ControllerParams, state: ControllerState, boxes: Grid) -> Any:
+def new_controller_handle(params: ControllerParams, state: ControllerState) -> Any:
     """Return a controller that kernels take by reference."""
-    return ControllerHandle(params, state, boxes)
+    return ControllerHandle(params, state)
 
 
 @kernel
@@ -89,22 +89,13 @@ def hold_tick(controller: Any) -> None:
     advance_arm_model(controller.params, controller.state, 1)
 
 
-@kernel
-def observed_box(controller: Any) -> int:
-    """Return the box of the observation."""
-    seen = controller.state.observation
-    return box_index(
-        at(seen, 0, 0), at(seen, 1, 0), at(seen, 2, 0), at(seen, 3, 0), controller.boxes
-    )
-
-
 class Controller:
     """A controller with its state."""
 
     def __init__(self, arm: Arm, controller: ControllerParams, boxes: BoxSettings) -> None:
         """Begin at home, at rest."""
         self._arm, self._controller = arm, controller
-        self._state, edges = new_controller_state(), make_grid(boxes, controller.pendulum.k)
+        self._state, self._boxes = new_controller_state(), make_grid(boxes, controller.pendulum.k)
         # By whether there are counts and measured joints: without, the model is not corrected.
         self._handles = {
             (counts, joints): new_controller_handle(
@@ -113,7 +104,6 @@ class Controller:
                     correction=controller.correction if joints else 0.0,
                 ),
                 self._state,
-                edges,
             )
             for counts in (False, True)
             for joints in (False, True)
@@ -235,7 +225,7 @@ class Controller:
     @property
     def box(self) -> int:
         """Box of the observation."""
-        return int(observed_box(self._handle))
+        return int(box_indices(np.array([self.observation]), self._boxes)[0])
 
     def command(self, u: float) -> tuple[tuple[float, ...], ...]:
         """Accelerate the flange by u [m/s^2] over a tick, and return its setpoints [rad]."""
@@ -298,31 +288,12 @@ class FlangeKinematics:
         """Allocate the blocks of a pose."""
         self._free, self._q = list(arm.free), np.zeros(FREE_JOINTS * BATCH_SIZE)
         dq, frame = np.zeros(FREE_JOINTS * BATCH_SIZE), np.zeros(FRAME_SIZE * BATCH_SIZE)
-        self._handle = new_flange_handle(
-            controller.kinematics, self._q, dq, frame, controller.home_reference
-        )
+        self._parts = controller.kinematics, self._q, dq, frame, controller.home_reference
 
     def pose(self, q: Sequence[float]) -> FlangePose:
         """Return the pose of the flange at measured joints, all of them [rad]."""
         self._q[::BATCH_SIZE] = [q[joint] for joint in self._free]
-        return FlangePose(*map(float, pose_by_reference(self._handle)))
-
-
-FlangeHandle: Any = struct_ref("FlangeHandle", __name__, ("kinematics", "q", "dq", "frame", "home"))
-
-
-@kernel
-def new_flange_handle(
-    kinematics: KinematicsFunction, q: Array, dq: Array, frame: Array, home: Array
-) -> Any:
-    """Return the arguments of `flange_pose` as one that kernels take by reference."""
-    return FlangeHandle(kinematics, q, dq, frame, home)
-
-
-@kernel
-def pose_by_reference(flange: Any) -> tuple[float, float, float, float]:
-    """Return the entries of `FlangePose`; see `flange_pose`."""
-    return flange_pose(flange.kinematics, flange.q, flange.dq, flange.frame, flange.home)
+        return FlangePose(*map(float, flange_pose(*self._parts)))
 
 
 @kernel

@@ -24,12 +24,9 @@ ACTIONS: Final = len(paper.ACTIONS)
 PHI_LIMIT: Final = radians(paper.PHI_LIMIT_DEG)
 """Failure angle |phi| [rad]."""
 
-TRUNCATED: Final = 0
-ANGLE: Final = 1
-TRACK: Final = 2
-JOINT_LIMIT: Final = 3
-SAFETY_STOP: Final = 4
-"""Lowest code of a safety rule; these are the places in `equipoise.outcomes.TRIAL_OUTCOMES`."""
+TRUNCATED, ANGLE, TRACK, JOINT_LIMIT, SAFETY_STOP = range(5)
+"""Codes of the ends of a trial, the places in `equipoise.outcomes.TRIAL_OUTCOMES`; `SAFETY_STOP` is
+the lowest one of a safety rule."""
 
 
 class Axis(NamedTuple):

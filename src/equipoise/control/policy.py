@@ -35,11 +35,8 @@ from equipoise.user_code import guest_code
 
 Array = npt.NDArray[np.float64]
 
-TABLE: Final = 0
-LINEAR: Final = 1
-SNAPPED: Final = 2
-RANDOM: Final = 3
-
+TABLE, LINEAR, SNAPPED, RANDOM = range(4)
+"""Kinds of `PolicyKernel`."""
 
 MAX_ACTUATORS: Final = 8
 """Maximum number of actuators of one policy: every one multiplies the time of the selection."""

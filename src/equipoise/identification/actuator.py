@@ -8,9 +8,9 @@ shaping law, would depend on the amplitude of the motion.
    nearly as well.
 2. Fit the whole log by least squares: one delay, one t_c, and for each joint a lag and the constant
    bias of its load. The drives know only the bare arm: a joint that carries a tool sags and follows
-   more slowly than its drive alone would. Disturbances are autocorrelated, so the weight of a joint
-   depends on the agreement of its blocks of time, not on the size of its residual.
-3. Compute intervals from a jackknife over these blocks and from the unknown transport jitter.
+   more slowly than its drive alone would. A joint weighs by its residual.
+3. Compute intervals from a jackknife over blocks of time, as disturbances are autocorrelated, and
+   from the unknown transport jitter.
 4. Select the kind of actuator that leaves least; `ideal` unless another leaves less beyond chance.
    A log hardly tells a servo with inertia from a linear lag: the intervals of the servo allow for
    both.
@@ -178,22 +178,15 @@ class JointFit(NamedTuple):
 
 
 def identify_actuator(
-    stream_time: Array,
-    stream_q: Array,
-    reply_time: Array,
-    reply_q: Array,
-    *,
-    source: str,
-    kind: Literal["auto"] | Kind = "auto",
+    sent: Array, measured: Array, *, source: str = "", kind: Literal["auto"] | Kind = "auto"
 ) -> Actuator:
-    """Identify the actuator of an arm.
+    """Identify the actuator of an arm from a motion of all joints.
 
     Args:
-        stream_time: Send times of the setpoints [s], shape (m,).
-        stream_q: Setpoints of the free joints [rad], shape (m, 6).
-        reply_time: Measurement times of the positions, by the same clock [s], shape (p,).
-        reply_q: Measured positions of the free joints [rad], shape (p, 6).
-        source: Digest of the run log.
+        sent: Send times [s] and setpoints of the free joints [rad], shape (m, 7).
+        measured: Measurement times by the same clock [s] and positions of the free joints [rad],
+            shape (p, 7).
+        source: Digest of the run log; by default that of the two arrays.
         kind: Kind of actuator; `auto` selects the one that explains the log.
 
     Returns:
@@ -203,7 +196,8 @@ def identify_actuator(
         RecordingError: The log is too short, has gaps, moves too little, or does not show an arm
             that follows its setpoints.
     """
-    log = _read(stream_time, stream_q, reply_time, reply_q)
+    log = _read(sent[:, 0], sent[:, 1:], measured[:, 0], measured[:, 1:])
+    source = source or DIGEST_PREFIX + sha256(sent.tobytes() + measured.tobytes()).hexdigest()
     kinds: tuple[Kind, ...] = KINDS if kind == "auto" else (kind,)
     starts = {each: _search(log, each, FITTED[each]) for each in kinds}
     if kind == "auto":  # the fit of a law takes long: that of the less likely one is left out
@@ -264,26 +258,8 @@ def identify_run(run: RunLog) -> Actuator:
     """
     stream, replies = run.stream, run.replies
     free = list(run.conditions.arm.free)
-    parts = (stream.time, stream.q[:, free], replies.time, replies.q[:, free])
-    return identify_actuator(*parts, source=run.digest)
-
-
-def identify_motion(sent: Array, measured: Array) -> Actuator:
-    """Identify the actuator of an arm from a motion of all joints.
-
-    Args:
-        sent: Time [s] and setpoint of the free joints [rad], shape (m, 7).
-        measured: Time [s] and measured free joints [rad], shape (p, 7).
-
-    Returns:
-        The actuator; the source of its fit is the digest of the two arrays.
-
-    Raises:
-        RecordingError: The motion cannot be used, see `identify_actuator`.
-    """
-    source = DIGEST_PREFIX + sha256(sent.tobytes() + measured.tobytes()).hexdigest()
-    parts = (sent[:, 0], sent[:, 1:], measured[:, 0], measured[:, 1:])
-    return identify_actuator(*parts, source=source)
+    sent, measured = (np.column_stack((part.time, part.q[:, free])) for part in (stream, replies))
+    return identify_actuator(sent, measured, source=run.digest)
 
 
 def speed_ranges(time: Array, q: Array) -> Array:
@@ -352,18 +328,19 @@ def _search(log: Log, kind: Kind, fitted: list[int]) -> list[tuple[float, Array]
 
 
 def _fit(log: Log, kind: Kind, fitted: list[int], starts: list[tuple[float, Array]]) -> JointFit:
-    """Fit one kind of actuator, weighted by residual first, then by the effective noise."""
+    """Fit one kind of actuator, each joint weighted by its residual."""
     fits = list[JointFit]()
     for share, unknowns in starts:
         # Delay and t_c are nearly the same to slow motions, and a fit proceeds slowly from one to
         # the other: starts that are nearly as good as the best one are used, too.
         if share > 3.0 * starts[0][0]:
             break
-        left = np.std(log.residual(kind, unknowns), axis=1)
-        unknowns = _solve(log, kind, unknowns, fitted, 1.0 / left)
-        weights = 1.0 / _effective_noise(log, kind, unknowns, fitted)
-        unknowns = _solve(log, kind, unknowns, fitted, weights)
-        fits.append(JointFit(kind, unknowns, fitted, weights, log.residual(kind, unknowns)))
+        residual, weights = log.residual(kind, unknowns), np.ones(FREE_JOINTS)
+        for _ in range(2):  # weighted by the residuals of the search, then by those of the fit
+            weights = 1.0 / np.std(residual, axis=1)
+            unknowns = _solve(log, kind, unknowns, fitted, weights)
+            residual = log.residual(kind, unknowns)
+        fits.append(JointFit(kind, unknowns, fitted, weights, residual))
     return min(fits, key=lambda fit: fit.rms)
 
 
@@ -401,22 +378,6 @@ def _choose(log: Log, fits: Mapping[Kind, JointFit]) -> JointFit:
         if np.mean(gains) > MIN_ADVANTAGE * np.std(gains, ddof=1) / sqrt(BLOCKS):
             best = richer
     return best
-
-
-def _effective_noise(log: Log, kind: Kind, unknowns: Array, fitted: list[int]) -> Array:
-    """Return the standard deviation of white noise with the same effect, shape (6,) [rad].
-
-    The gradient of the squared residual over each block of time shifts the unknowns of a joint. For
-    white noise, the squared gradients over the information of the motion are the variance.
-    """
-    J, residual = log.sensitivities(kind, unknowns, fitted), log.residual(kind, unknowns)
-    block, sizes = blocks_of_time(log.time, BLOCKS), np.empty(FREE_JOINTS)
-    for j in range(FREE_JOINTS):
-        J_j = J[j][:, [i for i, p in enumerate(fitted) if p < LAG or (p - LAG) % FREE_JOINTS == j]]
-        gradients = np.stack([J_j[block == i].T @ residual[j, block == i] for i in range(BLOCKS)])
-        share = np.linalg.lstsq(J_j.T @ J_j, gradients.T @ gradients, rcond=None)[0]
-        sizes[j] = sqrt(np.trace(share) / J_j.shape[1])
-    return sizes
 
 
 def _half_widths(log: Log, fit: JointFit) -> list[float]:

@@ -133,31 +133,6 @@ def fit_growing(
     return fit_bounded(recording, friction, best, FINE)
 
 
-def fit_richer(
-    recording: SwingRecording, friction: Friction, simple: FittedUnknowns
-) -> FittedUnknowns:
-    """Fit a friction model roughly from the optimum of a simpler one; return the better of both.
-
-    Args:
-        recording: The free swing.
-        friction: The richer friction model.
-        simple: Best fit of a simpler model.
-    """
-    known = simple.unknowns
-    # The other frictions start at half the power of the viscous one in the first period.
-    rate = max(float(np.ptp(recording.predict(known))) / 2.0, 1e-9)
-    rate *= 1.0 if recording.is_rate else sqrt(known[W2])
-    starts = [known]
-    for place, share in ((COULOMB, 0.8 * rate), (DRAG, 1.2 / rate)):
-        if place in FRICTIONS[friction]:
-            start = known.copy()
-            start[C] /= 2.0
-            start[place] = share * start[C]
-            starts.append(start)
-    fits = [simple, *(fit_bounded(recording, friction, start, COARSE) for start in starts)]
-    return min(fits, key=lambda fit: recording.rms(fit.unknowns))
-
-
 def fit_bounded(
     recording: SwingRecording, friction: Friction, start: Array, tolerance: float
 ) -> FittedUnknowns:

@@ -26,7 +26,7 @@ import numpy.typing as npt
 from equipoise.artefacts import DIGEST_PREFIX, MEBIBYTE, StrPath, read_bytes, shortened, write_whole
 from equipoise.errors import RecordingError
 from equipoise.model.encoder import counts_from_theta, theta_from_counts
-from equipoise.model.pendulum import PendulumParameters, swing
+from equipoise.model.pendulum import STEPS_PER_PERIOD, Pendulum, PendulumParameters, swing
 from equipoise.printable import printable
 
 Array = npt.NDArray[np.float64]
@@ -295,3 +295,35 @@ def simulate_swing(
         resolution=2.0 * pi / counts_per_rev,
         source="simulated swing",
     )
+
+
+def fitted_curve(trajectory: Trajectory, pendulum: Pendulum) -> Array:
+    """Return the fitted sensor values at the times of a recording.
+
+    Args:
+        trajectory: The recording that `pendulum` was identified from.
+        pendulum: The pendulum, with its fit.
+
+    Returns:
+        Angle [rad] or rate [rad/s] with zero offset or bias, shape (n,); NaN outside the fitted
+        window.
+
+    Raises:
+        RecordingError: The pendulum was not identified from this recording.
+    """
+    fit = pendulum.fit
+    if fit is None or fit.sha256 != trajectory.sha256:
+        raise RecordingError(
+            f"the pendulum was identified from {fit.source if fit else 'no recording'}, "
+            f"not from this {trajectory.source}; give the recording that it came from"
+        )
+    begin, end = fit.window
+    inside = (trajectory.time >= begin - 1e-9) & (trajectory.time <= end + 1e-9)
+    # The fitted state is that of the window's start, which may lie between two samples.
+    time = np.concatenate(([begin], trajectory.time[inside]))
+    theta, theta_dot = np.empty_like(time), np.empty_like(time)
+    h = (end - begin) / fit.periods / STEPS_PER_PERIOD
+    swing(time, fit.theta, fit.theta_dot, h, pendulum.parameters(), theta, theta_dot)
+    curve = np.full(trajectory.time.shape, np.nan)
+    curve[inside] = (theta_dot if fit.quantity == "rate" else theta)[1:] + fit.offset
+    return curve

@@ -3,30 +3,29 @@
 This is the future work of Safeea & Neto: from the robot back to the simulation. A log holds the
 setpoints of the joints, their measured angles, and the encoder's counts. From these are identified
 
-1. the pendulum: w2 and c (`equipoise.identification.regression`). The pivot follows from the
-   measured joints; phi in space is the encoder's angle plus the tilt of the flange;
+1. the pendulum's w2 (`equipoise.identification.regression`). The pivot follows from the measured
+   joints; phi in space is the encoder's angle plus the tilt of the flange;
 2. the actuator: delay, cycle, and the lags of the joints that move. Balancing moves few joints; the
    others keep their lags.
 
-A parameter has changed if it differs beyond both 95 % intervals, corrected for the number of
+A parameter has moved if it differs beyond both 95 % intervals, corrected for the number of
 parameters, and beyond the range of the training. Training continues with the new values from the
 old table and its visits. The better of old and new table on the new model is kept, by trials that
 selected neither.
 """
 
 from collections.abc import Mapping
-from math import sqrt
-from typing import Any, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.artefacts import Estimate, Value
+from equipoise.artefacts import Estimate
 from equipoise.control.policy import Checkpoint, TabularPolicy
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.executors import Show, running
 from equipoise.identification.actuator import LEAST_SPEED, identify_actuator, speed_ranges
-from equipoise.identification.regression import ROUGH_FIT, ClosedLoopFit, regress
+from equipoise.identification.regression import ClosedLoopFit, regress
 from equipoise.learning.target import TARGET, compare_policies, measure_policy
 from equipoise.learning.train import train
 from equipoise.logs.run_log import RunLog
@@ -55,41 +54,19 @@ class ModelMotion(NamedTuple):
     """Displacement of the pivot along base x [m]."""
 
 
-class ParameterChange(Value):
-    """Significant change of a parameter between its identification and the log."""
-
-    name: str
-    """`w2`, `c`, `delay`, `cycle`, or `lag of` a joint."""
-    before: Estimate
-    """Previous estimate [SI]."""
-    now: Estimate
-    """Estimate from the log [SI]."""
-    z: float
-    """Difference in combined standard deviations."""
-
-    @property
-    def text(self) -> str:
-        """The change in one line."""
-        before, now = (
-            f"{e.value:.4g} [{e.low:.4g}, {e.high:.4g}]" for e in (self.before, self.now)
-        )
-        unit = {"w2": "1/s^2", "c": "1/s"}.get(self.name, "s")
-        return f"{self.name} moved from {before} to {now} {unit} (95 %, z = {self.z:.1f})"
-
-
-class RefinementFindings(Value):
-    """Model of a policy as identified from a log, and its changes."""
+class RefinementFindings(NamedTuple):
+    """Model of a policy as identified from a log."""
 
     fit: ClosedLoopFit
     """The identified pendulum."""
     response: dict[str, Estimate]
     """The identified parameters of the actuator, by name [s]."""
-    moves: tuple[ParameterChange, ...]
-    """Changed parameters; empty if the model still holds."""
+    moves: dict[str, str]
+    """A line on each parameter that moved, by name; empty if the model still holds."""
     pendulum: Pendulum
-    """The policy's pendulum with the changed parameters."""
+    """The policy's pendulum, with w2 and k of the log if w2 moved."""
     actuator: Actuator
-    """The policy's actuator, with all identified parameters if any changed."""
+    """The policy's actuator, with all identified parameters if any of them moved."""
     warnings: tuple[str, ...]
     """Limitations of the log, each with advice."""
 
@@ -118,26 +95,44 @@ def inspect(policy: TabularPolicy, log: RunLog) -> RefinementFindings:
         ArtefactError: The log is of another arm.
         RecordingError: The log identifies no pendulum.
     """
-    plant, arm = policy.settings.plant, policy.arm
-    fit = regress(*thinned(read_motion(log, arm)), g=policy.pendulum.g)
+    plant, arm, pendulum, actuator = (
+        policy.settings.plant,
+        policy.arm,
+        policy.pendulum,
+        policy.actuator,
+    )
+    motion = read_motion(log, arm)
+    # A board sends every millisecond, with stamps that err by a third of that, which a spline
+    # through all samples would fit. The equation of the pendulum is nearly linear, so that averages
+    # of its terms over about 10 ms satisfy it.
+    every = max(round(0.01 / float(np.median(np.diff(motion.time)))), 1)
+    whole = len(motion.time) // every * every
+    fit = regress(*(part[:whole].reshape(-1, every).mean(axis=1) for part in motion), g=pendulum.g)
     response: dict[str, Estimate] = {}
     warnings = list(fit.warnings)
     # An ideal arm has no actuator to compare with.
     if not plant.ideal:
         try:
-            response = read_response(log, arm, policy.actuator)
+            response = read_response(log, arm, actuator)
         except RecordingError as error:
             warnings.append(f"the log does not identify the actuator: {error}")
-    moves = pendulum_changes(policy.pendulum, fit, plant)
-    responded = actuator_changes(policy.actuator, response, arm, plant)
-    return RefinementFindings(
-        fit=fit,
-        response=response,
-        moves=(*moves, *responded),
-        pendulum=_moved_pendulum(policy.pendulum, fit, {move.name for move in moves}),
-        actuator=_moved_actuator(policy.actuator, response, arm) if responded else policy.actuator,
-        warnings=tuple(warnings),
-    )
+    moves = pendulum_moves(pendulum, fit, plant)
+    responded = actuator_moves(actuator, response, arm, plant)
+    if moves:
+        covariance = np.array(pendulum.covariance)
+        covariance[0, :] = covariance[:, 0] = 0.0
+        covariance[0, 0] = (fit.w2.half_width / NORMAL) ** 2
+        changes = {"w2": fit.w2, "k": fit.k, "covariance": tuple(map(tuple, covariance.tolist()))}
+        # A new inertia has no mass and length.
+        gone = dict.fromkeys(("fit", "friction", "mass", "length", "inertia"))
+        pendulum = pendulum.model_copy(update=changes | gone)
+    if responded:
+        now = numbers(actuator, arm) | response
+        lags = tuple(now[_lag(arm, j)] for j in range(FREE_JOINTS))
+        new = {"delay": now["delay"], "cycle": now["cycle"], "lags": lags, "fit": None}
+        actuator = actuator.model_copy(update=new)
+    moved = moves | responded
+    return RefinementFindings(fit, response, moved, pendulum, actuator, tuple(warnings))
 
 
 def retrain(
@@ -163,11 +158,10 @@ def retrain(
         workers: Number of threads; the result does not depend on it.
         show: Called with the progress of the stages `train`, `select`, `compare` and `test`.
     """
-    settings = settings_of_retraining(policy.settings, episodes)
     new = train(
         pendulum,
         policy.arm,
-        settings,
+        settings_of_retraining(policy.settings, episodes),
         actuator=actuator,
         seed=seed,
         init_policy=policy,
@@ -220,31 +214,18 @@ def read_motion(log: RunLog, arm: Arm) -> ModelMotion:
     # A tick without a new sample reads the previous one again.
     time, first = np.unique(log.encoder.time, return_index=True)
     measured, of = np.unique(log.replies.time, return_index=True)
-    if conditions.counts_per_rev is None or min(len(time), len(measured)) < 2:
+    inside = (time >= np.min(measured, initial=np.inf)) & (
+        time <= np.max(measured, initial=-np.inf)
+    )
+    if conditions.counts_per_rev is None or np.count_nonzero(inside) < 2 or len(measured) < 2:
         raise RecordingError(
             f"the log holds {len(time)} encoder counts and {len(measured)} measured postures (world"
             f" {conditions.world}), expected a run on a rig; run the policy on one, or on a twin"
         )
     theta = theta_from_counts(log.encoder.counts[first].astype(float), conditions.counts_per_rev, 1)
     phi = np.mod(2.0 * np.pi - theta, 2.0 * np.pi) - np.pi
-    pivot = CubicSpline(measured, _pivot(log.replies.q[of], arm))
-    inside = (time >= measured[0]) & (time <= measured[-1])
-    x, tilt = pivot(time[inside]).T
+    x, tilt = CubicSpline(measured, _pivot(log.replies.q[of], arm))(time[inside]).T
     return ModelMotion(time[inside], phi[inside] + tilt, x)
-
-
-def thinned(motion: ModelMotion) -> ModelMotion:
-    """Return a motion with averaged neighbouring samples, about 10 ms apart.
-
-    A board sends every millisecond, with stamps that err by a third of that, which a spline through
-    all samples would fit. The equation of the pendulum is nearly linear, so that averages of its
-    terms satisfy it.
-    """
-    if len(motion.time) < 2:
-        return motion
-    every = max(round(0.01 / float(np.median(np.diff(motion.time)))), 1)
-    whole = len(motion.time) // every * every
-    return ModelMotion(*(part[:whole].reshape(-1, every).mean(axis=1) for part in motion))
 
 
 def _pivot(q: Array, arm: Arm) -> Array:
@@ -277,20 +258,18 @@ def read_response(log: RunLog, arm: Arm, known: Actuator) -> dict[str, Estimate]
     Raises:
         RecordingError: The joints moved too little, or did not follow their setpoints.
     """
-    free = list(arm.free)
-    stream, replies = log.stream, log.replies
-    sent, q = stream.q[:, free], replies.q[:, free]
-    moving = np.flatnonzero(speed_ranges(stream.time, sent) >= LEAST_SPEED).tolist()
+    free, stream, replies = np.array(arm.free), log.stream, log.replies
+    speeds = speed_ranges(stream.time, stream.q[:, free])
+    moving = np.flatnonzero(speeds >= LEAST_SPEED).tolist()
     if not moving:
         raise RecordingError(
             f"no joint's velocity ranges over {LEAST_SPEED} rad/s; let the pendulum move more, or "
             "record a run with equipoise deploy --excite"
         )
     # The fit needs six moving joints: the first of these replaces those at rest.
-    joints = [j if j in moving else moving[0] for j in range(FREE_JOINTS)]
-    actuator = identify_actuator(
-        stream.time, sent[:, joints], replies.time, q[:, joints], source=log.digest, kind=known.kind
-    )
+    joints = free[[j if j in moving else moving[0] for j in range(FREE_JOINTS)]]
+    sent, measured = (np.column_stack((part.time, part.q[:, joints])) for part in (stream, replies))
+    actuator = identify_actuator(sent, measured, source=log.digest, kind=known.kind)
     still = {_lag(arm, j) for j in range(FREE_JOINTS) if j not in moving}
     return {
         name: estimate
@@ -309,38 +288,15 @@ def _lag(arm: Arm, joint: int) -> str:
     return f"lag of {arm.free_joints[joint].name}"
 
 
-def pendulum_changes(
-    known: Pendulum, fit: ClosedLoopFit, plant: PlantSettings
-) -> tuple[ParameterChange, ...]:
-    """Return the parameters of a pendulum that changed since its identification.
-
-    Friction is compared at the rates of the log. After a fit with viscous friction alone, c
-    contains a part of the dry friction that decreases with the rate: every value between no dry
-    friction and that of the log agrees.
-    """
-    pairs = {"w2": (known.w2, fit.w2, plant.inertia_sigma * known.w2.value)}
-    if fit.unexplained >= ROUGH_FIT:
-        return _changes(pairs)
-    before, now = known.c, fit.friction
-    if known.friction_model == "viscous":
-        low, high = sorted((fit.c, fit.friction), key=lambda estimate: estimate.value)
-        within = low.value <= before.value <= high.value
-        now = min((low, high), key=lambda estimate: abs(estimate.value - before.value))
-        now = before if within else now
-    else:
-        # In the order of the covariance: Coulomb friction decreases with the rate, drag increases.
-        weights = np.array([0.0, 1.0, 1.0 / fit.rate, fit.rate])
-        value = float(weights[1:] @ [known.c.value, known.coulomb.value, known.drag.value])
-        sigma = sqrt(max(float(weights @ np.array(known.covariance) @ weights), 0.0))
-        before = Estimate.normal(value, sigma, "identified")
-    pairs["c"] = before, now, plant.friction_sigma * abs(before.value)
-    return _changes(pairs)
+def pendulum_moves(known: Pendulum, fit: ClosedLoopFit, plant: PlantSettings) -> dict[str, str]:
+    """Return a line on w2 if it moved; the friction of a balanced pendulum is hardly known."""
+    return _moves({"w2": (known.w2, fit.w2, plant.inertia_sigma * known.w2.value)}, "1/s^2")
 
 
-def actuator_changes(
+def actuator_moves(
     known: Actuator, response: Mapping[str, Estimate], arm: Arm, plant: PlantSettings
-) -> tuple[ParameterChange, ...]:
-    """Return the changed parameters of an actuator.
+) -> dict[str, str]:
+    """Return a line on each parameter of an actuator that moved.
 
     The training's range of the delay covers lags too: to slow motion both are equivalent.
 
@@ -356,53 +312,26 @@ def actuator_changes(
         varied = 0.0 if name == "cycle" else plant.delay_spread
         varied += 0.0 if name == "delay" else plant.lag_spread * before.value
         pairs[name] = before, now, varied
-    return _changes(pairs)
+    return _moves(pairs, "s")
 
 
-def _changes(
-    pairs: Mapping[str, tuple[Estimate, Estimate, float]],
-) -> tuple[ParameterChange, ...]:
-    """Return significant changes of values before and now beyond the range of the training."""
+def _moves(pairs: Mapping[str, tuple[Estimate, Estimate, float]], unit: str) -> dict[str, str]:
+    """Return a line on each significant change of a value beyond the range of the training.
+
+    Args:
+        pairs: Values before and now, and that range, by name.
+        unit: Unit of the values.
+    """
     from scipy.stats import norm
 
     limit = float(norm.isf(0.025 / max(len(pairs), 1)))
-    moves: list[ParameterChange] = []
+    moves: dict[str, str] = {}
     for name, (before, now, varied) in pairs.items():
         low, high = sorted((before, now), key=lambda estimate: estimate.value)
         # In standard deviations, from the facing halves of the intervals.
         halves = float(np.hypot(low.high - low.value, high.value - high.low))
         z = NORMAL * (high.value - low.value) / max(halves, 1e-300)
         if z > limit and high.value - low.value > varied:
-            moves.append(ParameterChange(name=name, before=before, now=now, z=z))
-    return tuple(moves)
-
-
-def _moved_pendulum(known: Pendulum, fit: ClosedLoopFit, moved: set[str]) -> Pendulum:
-    """Return the pendulum with its changed parameters; a new inertia has no mass and length.
-
-    Balancing is too slow to identify air drag.
-    """
-    changes: dict[str, Any] = {"fit": None, "friction": None} if moved else {}
-    found: dict[str, Estimate] = {}
-    if "w2" in moved:
-        found |= {"w2": fit.w2, "k": fit.k}
-        changes |= {"mass": None, "length": None, "inertia": None}
-    if "c" in moved:
-        none = Estimate(value=0.0, low=0.0, high=0.0, source="assumed")
-        found |= {"c": fit.c.not_negative(), "coulomb": fit.coulomb.not_negative(), "drag": none}
-        changes |= {"friction_model": "coulomb"}
-    covariance = np.array(known.covariance)
-    for place, name in enumerate(("w2", "c", "coulomb", "drag")):
-        if name in found:
-            covariance[place, :] = covariance[:, place] = 0.0
-            covariance[place, place] = (found[name].half_width / NORMAL) ** 2
-    changes |= {"covariance": tuple(map(tuple, covariance.tolist())), **found}
-    return known.model_copy(update=changes)
-
-
-def _moved_actuator(known: Actuator, response: dict[str, Estimate], arm: Arm) -> Actuator:
-    """Return the actuator with all identified parameters, which one fit identified together."""
-    now = numbers(known, arm) | response
-    lags = tuple(now[_lag(arm, j)] for j in range(FREE_JOINTS))
-    changes = {"delay": now["delay"], "cycle": now["cycle"], "lags": lags, "fit": None}
-    return known.model_copy(update=changes)
+            was, is_now = (f"{e.value:.4g} [{e.low:.4g}, {e.high:.4g}]" for e in (before, now))
+            moves[name] = f"{name} moved from {was} to {is_now} {unit} (95 %, z = {z:.1f})"
+    return moves

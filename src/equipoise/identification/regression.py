@@ -43,7 +43,7 @@ leaves 0.01."""
 
 GRAVITY_TERM, VISCOUS, DRY, ZERO, LATE = range(5)
 """Indices of the coefficients: w2, the frictions, w2 times the zero error, k times the latency."""
-TIME, TERMS, ACCELERATION, RATE = 0, slice(1, 6), 6, 7
+TIME, TERMS, ACCELERATION = 0, slice(1, 6), 6
 """Columns of the averaged equation."""
 
 
@@ -58,15 +58,10 @@ class ClosedLoopFit(Value):
     """Viscous friction over inertia [1/s]."""
     coulomb: Estimate
     """Coulomb friction over inertia [1/s^2]."""
-    friction: Estimate
-    """Viscous friction with the same dissipation as both, c + coulomb / rate [1/s]; its interval is
-    narrower than that of either."""
     zero: Estimate
     """Zero error of the encoder: phi as read minus true [rad]."""
     late: Estimate
     """Latency of x relative to phi [s]."""
-    rate: float
-    """Mean square of phi_dot over its mean absolute value [rad/s]."""
     duration: float
     """Length of the log [s]."""
     samples: int
@@ -119,26 +114,23 @@ def regress(time: Array, phi: Array, x: Array, *, g: float = GRAVITY) -> ClosedL
     # Increase of the slope in a regression of gravity's term on all others.
     inverse = float(np.linalg.pinv(M.T @ M, hermitian=True)[0, 0])
     reach = float(residual @ residual) * inverse / w2
-    speed = np.abs(rows[:, RATE])
-    rate = float(np.mean(speed**2) / max(float(np.mean(speed)), 1e-12))
 
-    def estimate(weights: dict[int, float], offset: float = 0.0, reach: float = 0.0) -> Estimate:
-        """Return a weighted sum of the coefficients with its interval."""
-        w = np.zeros(len(values))
-        w[list(weights)] = list(weights.values())
-        value, half = offset + float(w @ values), half_width(float(w @ spread @ w), blocks)
+    def estimate(
+        place: int, factor: float = 1.0, offset: float = 0.0, reach: float = 0.0
+    ) -> Estimate:
+        """Return a coefficient times a factor, with its interval."""
+        value = offset + factor * float(values[place])
+        half = half_width(factor**2 * float(spread[place, place]), blocks)
         low, high = value - half, value + half + reach
         return Estimate(value=value, low=low, high=high, source="identified")
 
     fit = ClosedLoopFit(
-        w2=estimate({GRAVITY_TERM: 1.0}, reach=reach),
-        k=estimate({GRAVITY_TERM: 1.0 / g}, reach=reach / g),
-        c=estimate({VISCOUS: 1.0}),
-        coulomb=estimate({DRY: 1.0}),
-        friction=estimate({VISCOUS: 1.0, DRY: 1.0 / rate}),
-        zero=estimate({ZERO: 1.0 / w2}),
-        late=estimate({LATE: g / w2}, offset=late),
-        rate=rate,
+        w2=estimate(GRAVITY_TERM, reach=reach),
+        k=estimate(GRAVITY_TERM, 1.0 / g, reach=reach / g),
+        c=estimate(VISCOUS),
+        coulomb=estimate(DRY),
+        zero=estimate(ZERO, 1.0 / w2),
+        late=estimate(LATE, g / w2, offset=late),
         duration=length,
         samples=len(time),
         unexplained=_unexplained(rows, residual),
@@ -150,8 +142,7 @@ def _averaged(time: Array, phi: Array, x: Array, g: float) -> Array:
     """Return the equation averaged over a moving window, without gaps.
 
     Returns:
-        Rows of time, the regressors of the coefficients, phi_ddot and smoothed phi_dot, shape
-        (n, 8).
+        Rows of time, the regressors of the coefficients and phi_ddot, shape (n, 7).
 
     Raises:
         RecordingError: The log is too short.
@@ -175,7 +166,7 @@ def _averaged(time: Array, phi: Array, x: Array, g: float) -> Array:
     terms += [-cosine - x_ddot * sine / g, -pivot(fine, 3) * cosine]
     steps = np.diff(time)[np.searchsorted(time, fine, side="right") - 1]
     gap = np.asarray(steps > 3.5 * usual, dtype=np.float64)
-    columns = np.stack([fine - time[0], *terms, angle(fine, 2), rate, gap], axis=1)
+    columns = np.stack([fine - time[0], *terms, angle(fine, 2), gap], axis=1)
     bump = _bump(WINDOW, step)[:, None]
     if len(bump) <= len(fine):
         means = np.asarray(oaconvolve(columns, bump, "valid", axes=0))[::4]

@@ -6,8 +6,8 @@ r"""Identification of a pendulum from a free swing (Safeea & Neto, section 3.2, 
 with theta from hanging. The frictions f and d go beyond the paper and are fitted on request. The
 recording holds theta plus a zero offset, or theta_dot of a gyro plus a bias.
 
-1. Detect the free swing from turning points and unexplained accelerations; exclude a hand on the
-   pendulum and rotations over the top (`release`).
+1. Detect the free swing from its turning points; exclude a hand on the pendulum and rotations over
+   the top (`release`).
 2. Fit the nonlinear equation by least squares over a growing horizon (`fit`).
 3. Compute intervals with a jackknife over periods. Residuals of real swings are autocorrelated;
    errors that assume independence are up to 39 times too small.
@@ -27,15 +27,13 @@ from equipoise.identification.least_squares import half_width
 from equipoise.identification.recording import Trajectory
 from equipoise.identification.release import find_free_swing
 from equipoise.model.pendulum import Pendulum, SwingFit
-from equipoise.settings import Friction, IdentificationSettings
+from equipoise.settings import IdentificationSettings
 
 MODELS: Final = list(fitting.FRICTIONS)
 """Friction models, from the paper's to the richest."""
 WARNING_MISFIT: Final = 0.005
 """Misfit above which a warning is given, as a share of the amplitude: a well-modelled pivot
 leaves 0.1 to 0.4 %."""
-BETTER_SHARE: Final = 0.8
-"""Ratio of the residuals below which a richer friction model is recommended."""
 
 
 def identify(
@@ -88,7 +86,7 @@ def identify(
         theta_dot=float(fit.unknowns[fitting.THETA_DOT]),
         settings=settings,
     )
-    warnings = (*free.warnings, *_warnings(recording, fit, swing_fit))
+    warnings = tuple(_warnings(recording, fit, swing_fit, free.touched))
     swing_fit = swing_fit.model_copy(update={"warnings": warnings})
     # A block is a period, or shorter in a window of few periods: the scatter of fewer blocks is
     # meaningless.
@@ -132,18 +130,23 @@ def _weighed(pendulum: Pendulum, mass: Estimate, length: Estimate, blocks: int) 
     return pendulum.model_copy(update=known)
 
 
-def _warnings(recording: SwingRecording, fit: FittedUnknowns, swing_fit: SwingFit) -> list[str]:
+def _warnings(
+    recording: SwingRecording, fit: FittedUnknowns, swing_fit: SwingFit, touched: float | None
+) -> list[str]:
     friction, warnings = swing_fit.settings.friction, list[str]()
+    if touched is not None:
+        warnings.append(
+            f"something touched the pendulum at about {touched:.2f} s, or samples are missing: the "
+            "recording is used up to there; choose another window with --start and --end"
+        )
     amplitude = float(np.max(np.abs(recording.values - swing_fit.offset)))
     unexplained = sqrt(max(swing_fit.rms**2 - swing_fit.noise**2, 0.0)) / amplitude
-    model, left = _best_friction(recording, fit, swing_fit)
-    if model != friction or unexplained > WARNING_MISFIT:
-        cure = f"try --friction {model}, which leaves {left / swing_fit.rms:.0%} of that"
-        if model == friction:
-            cure = "look for play, vibration or a moving pivot, or choose another window"
+    if unexplained > WARNING_MISFIT:
         warnings.append(
             f"{friction} friction leaves {unexplained:.1%} of the amplitude unexplained, and its "
-            f"numbers hold only near the amplitudes of this window; {cure}"
+            "numbers hold only near the amplitudes of this window; try a richer --friction "
+            f"({', '.join(MODELS)}), look for play, vibration or a moving pivot, or choose another "
+            "window"
         )
     names = {C: "viscous", COULOMB: "Coulomb", DRAG: "quadratic"}
     warnings += [
@@ -165,27 +168,3 @@ def _warnings(recording: SwingRecording, fit: FittedUnknowns, swing_fit: SwingFi
             "the pendulum from 40 to 60 deg"
         )
     return warnings
-
-
-def _best_friction(
-    recording: SwingRecording, fit: FittedUnknowns, swing_fit: SwingFit
-) -> tuple[Friction, float]:
-    """Return the simplest friction model that is clearly better than all simpler ones.
-
-    Returns:
-        The model with its root mean square residual; the current one if no other is better.
-    """
-    best, left = swing_fit.settings.friction, swing_fit.rms
-    # Friction does not explain noise, and below 10 % of the warning limit the model is good enough.
-    enough = 0.1 * WARNING_MISFIT * float(np.std(recording.values))
-    if swing_fit.noise > BETTER_SHARE * left or left < enough:
-        return best, left
-    # To compare models, 100 samples per period are sufficient.
-    every = slice(None, None, max(int(0.01 * swing_fit.samples / swing_fit.periods), 1))
-    few = recording._replace(time=recording.time[every], values=recording.values[every])
-    for model in MODELS[MODELS.index(best) + 1 :]:
-        fit = fitting.fit_richer(few, model, fit)
-        richer = recording.rms(fit.unknowns)
-        if richer < BETTER_SHARE * left:
-            best, left = model, richer
-    return best, left

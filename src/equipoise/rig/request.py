@@ -48,7 +48,7 @@ class RunRequest:
     """Further actuators: with any, the run selects one of all from the move of the self-test."""
     identify: Callable[[Array, Array], Actuator] | None = None
     """Identification of the arm from an excitation before the lift, such as
-    `equipoise.identification.actuator.identify_motion`; None without one."""
+    `equipoise.identification.actuator.identify_actuator`; None without one."""
 
     def response(
         self, actuator: Actuator, counts_per_rev: int, max_speed: float = inf

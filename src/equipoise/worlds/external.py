@@ -24,7 +24,6 @@ from equipoise.control.grid import (
     PHI_LIMIT,
     TRACK,
     TRUNCATED,
-    make_grid,
 )
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import BATCH_SIZE
@@ -60,8 +59,7 @@ class ExternalLoop(ClosedLoop):
             has_sensor=setup.actuator.kind != "ideal",
         )
         self.controller = new_controller_state()
-        boxes = make_grid(setup.settings.boxes, nominal.k)
-        self._handle = new_controller_handle(self.params, self.controller, boxes)
+        self._handle = new_controller_handle(self.params, self.controller)
         self._sigmas = np.repeat([plant.position_error_sigma, plant.orientation_error_sigma], 3)
         self._fastest = inf if plant.max_speed is None else plant.max_speed
         self._state, self._tick = np.zeros(4), 0

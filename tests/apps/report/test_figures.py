@@ -11,7 +11,7 @@ from equipoise.apps.report.figures import free_swing
 from equipoise.apps.report.page import FIGURES
 from equipoise.apps.style import render, save
 from equipoise.errors import RecordingError
-from equipoise.identification.fitted import fitted_curve
+from equipoise.identification.recording import fitted_curve
 from tests.apps.report import made_up
 
 LABELS = {

@@ -60,10 +60,12 @@ def test_what_is_recorded_identifies_the_pendulum(tmp_path, height):
     write_swing(tmp_path / "swing.csv", swing)
     pendulum = identify(read_swing(tmp_path / "swing.csv"), IdentificationSettings())
     assert pendulum.w2.value == pytest.approx(70.2, rel=0.01)
-    assert pendulum.w2.low < 70.2 < pendulum.w2.high
+    # The board's clock drifts by 8e-5, and w2 by twice as much.
+    assert pendulum.w2.low < 70.2 * (1.0 + 16e-5)
+    assert pendulum.w2.high > 70.2
     assert pendulum.c.value == pytest.approx(0.15, abs=0.02)
-    # The hand is on at first; identification sees it let go, a quarter of a period before the fall.
-    assert LEAD_TIME - PERIOD / 4.0 - 0.1 < pendulum.fit.release < LEAD_TIME + 0.1
+    # The hand is on at first; the fit begins at a turning point after it has let go.
+    assert LEAD_TIME - PERIOD / 4.0 - 0.1 < pendulum.fit.release < LEAD_TIME + PERIOD
 
 
 def test_w2_is_right_through_malformed_lines_and_gaps():

@@ -12,8 +12,7 @@ from equipoise import paper
 from equipoise.apps import style
 from equipoise.apps.style import new_figure, plain, styled, typeset
 from equipoise.control.policy import TabularPolicy
-from equipoise.identification.fitted import fit_of, fitted_curve
-from equipoise.identification.recording import Trajectory
+from equipoise.identification.recording import Trajectory, fitted_curve
 from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
 from equipoise.outcomes import Outcome
@@ -57,10 +56,10 @@ def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
     Raises:
         RecordingError: The pendulum was not identified from this recording.
     """
-    fit = fit_of(trajectory, pendulum)
     time, recorded = trajectory.time, np.rad2deg(trajectory.values)
     fitted = np.rad2deg(fitted_curve(trajectory, pendulum))
-    rate = fit.quantity == "rate"
+    fit: Any = pendulum.fit  # there is one, or no curve
+    rate = trajectory.theta is None
     name, unit = ("angular velocity dθ/dt", "°/s") if rate else ("angle from hanging θ", "°")
     figure = new_figure(4.3, "Free swing: recording and fit (the paper's figure 2)")
     axes: Any = figure.subplots(2, 1, sharex=True, height_ratios=(5, 2))

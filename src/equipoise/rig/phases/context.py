@@ -49,8 +49,8 @@ class Excitation(NamedTuple):
     setpoints: Array
     """All joints [rad], h / 2 apart, from home to home, shape (m, joints)."""
     identify: Callable[[Array, Array], Actuator]
-    """Job that identifies the actuator from setpoints and measurements of the free joints, rows as
-    in `equipoise.control.actuator_choice.MotionRecord`."""
+    """Job that identifies the actuator from setpoints and measurements of the free joints, as
+    `equipoise.identification.actuator.identify_actuator`."""
     respond: Callable[[Actuator], tuple[ArmResponse, str]]
     """Returns what follows from the identified actuator, and a sentence for the operator; raises
     `EquipoiseError` where the policy cannot run with it."""

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import partial
 
-from equipoise.control.actuator_choice import MotionRecord
+from equipoise.control.actuator_choice import motion_rows
 from equipoise.outcomes import End, Outcome, Phase
 from equipoise.printable import printable
 from equipoise.rig.phases.context import Excitation, RunContext, RunPhase, Setpoints
@@ -18,7 +18,8 @@ class Exciting(RunPhase):
     def __init__(self, run: RunContext, plan: Excitation) -> None:
         """Create the phase from its plan."""
         super().__init__(run)
-        self._plan, self._motion, self._measured = plan, MotionRecord(), False
+        self._plan, self._measures = plan, True
+        self._sent, self._measured = list[tuple[float, ...]](), list[tuple[float, ...]]()
 
     @property
     def on_track(self) -> bool:
@@ -33,17 +34,17 @@ class Exciting(RunPhase):
 
     def take_joints(self, time: float, q: Sequence[float]) -> None:
         """Record the response."""
-        if not self._measured:
-            self._motion.measure(time, self.run.parts.arm.without_held(q))
+        if self._measures:
+            self._measured.append((time, *self.run.parts.arm.without_held(q)))
 
     def note_sent(self, time: float, q: Sequence[float]) -> None:
         """Record the setpoints."""
-        if not self._measured:
-            self._motion.send(time, self.run.parts.arm.without_held(q))
+        if self._measures:
+            self._sent.append((time, *self.run.parts.arm.without_held(q)))
 
     def begin_anew(self, missed: int, unsent: bool) -> None:
         """Stop: an excitation with a gap identifies nothing."""
-        if not self._measured:
+        if self._measures:
             self.run.stop(_interrupted("the computer"))
 
     def wait(self, now: float) -> Setpoints:
@@ -60,9 +61,9 @@ class Exciting(RunPhase):
             run.q, run.dq = second, tuple(speeds.tolist())
             return first, second
         over = (row - len(plan.setpoints)) * 0.5 * h
-        if over > 0.3 and not self._measured:
-            self._measured = True
-            run.job = partial(plan.identify, *self._motion.values())
+        if over > 0.3 and self._measures:
+            self._measures = False
+            run.job = partial(plan.identify, motion_rows(self._sent), motion_rows(self._measured))
             run.notify("notice", "The arm is identified; this takes some seconds.")
         if run.result is not None:
             try:

@@ -6,23 +6,20 @@ from math import pi
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from equipoise.control.actuator_choice import (
+    MOVE_TIME,
     REST_AFTER_MOVE,
-    MotionRecord,
     choose_actuator,
     describe_choice,
+    flange_move,
+    motion_rows,
 )
 from equipoise.control.minimum_jerk import Path
-from equipoise.control.self_test import (
-    MOVE_TIME,
-    SWING_TIME,
-    SelfTest,
-    SelfTestVerdict,
-    excitation,
-    self_test,
-)
 from equipoise.control.ticks import Sample
+from equipoise.identification.self_test import SWING_TIME, SelfTest, SelfTestVerdict, self_test
+from equipoise.model.actuator import Actuator
 from equipoise.outcomes import End, Outcome, Phase
 from equipoise.rig.phases.context import RunContext, RunPhase, Setpoints
 from equipoise.rig.phases.exciting import Exciting
@@ -39,6 +36,31 @@ MAX_SWINGS: Final = 4
 """Maximum number of swings of a self-test, repeated until the zero's interval is small."""
 
 
+Array = npt.NDArray[np.float64]
+
+
+def judge_swing(
+    test: Callable[[], SelfTest], carried: Sequence[Actuator], sent: Array, measured: Array
+) -> tuple[SelfTest, list[float]]:
+    """Judge a swing; if it is right, compare the arm with the policy's actuators.
+
+    Args:
+        test: Judges the swing.
+        carried: The actuators; none without a selection.
+        sent: Setpoints of the move, as of `choose_actuator`.
+        measured: Measured joints of the move.
+
+    Returns:
+        The result, and that of `choose_actuator`; empty without a selection.
+
+    Raises:
+        RecordingError: The move cannot be compared.
+    """
+    result = test()
+    selects = carried and result.verdict is SelfTestVerdict.PASSED
+    return result, choose_actuator(carried, sent, measured) if selects else []
+
+
 class SelfTesting(RunPhase):
     """The flange moves by 40 mm, the pendulum answers and swings out, and the flange returns."""
 
@@ -50,14 +72,13 @@ class SelfTesting(RunPhase):
         self._reference = reference
         self._swings = 0
         self._swing(REST_BEFORE)
-        self._motion = MotionRecord() if run.parts.alternatives else None
+        self._sent, self._measured = list[tuple[float, ...]](), list[tuple[float, ...]]()
         self._judged: SelfTest | None = None
-        self._selects = False
         self._chosen: int | None = None
 
     def _swing(self, begin: float) -> None:
         """Plan a swing that begins at a time of the phase [s], to the other side each time."""
-        self._path = excitation(self.run.controller.x, -1.0 if self._swings % 2 else 1.0)
+        self._path = flange_move(self.run.controller.x, -1.0 if self._swings % 2 else 1.0)
         self._begin, self._asked = begin, False
         self._swings += 1
         self._encoder, self._pivot = list[tuple[float, float]](), list[tuple[float, float]]()
@@ -76,25 +97,24 @@ class SelfTesting(RunPhase):
         run = self.run
         if not self._asked:
             self._pivot.append((time, run.flange.pose(tuple(q)).x))
-        if self._motion is not None and self._records_move:
-            self._motion.measure(time, run.parts.arm.without_held(q))
+        if self._records_move:
+            self._measured.append((time, *run.parts.arm.without_held(q)))
 
     def note_sent(self, time: float, q: Sequence[float]) -> None:
         """Record the move."""
-        if self._motion is not None and self._records_move:
-            self._motion.send(time, self.run.parts.arm.without_held(q))
+        if self._records_move:
+            self._sent.append((time, *self.run.parts.arm.without_held(q)))
 
     @property
     def _records_move(self) -> bool:
         """Whether the first move is under way, from which an actuator is selected."""
-        if self._judged is not None or self._swings > 1:
-            return False
-        return self.ticks * self.run.h - self._begin < MOVE_TIME + REST_AFTER_MOVE
+        moves = self.ticks * self.run.h - self._begin < MOVE_TIME + REST_AFTER_MOVE
+        return self._swings == 1 and moves
 
     def begin_anew(self, missed: int, unsent: bool) -> None:
         """Go on from rest; a move with a pause selects no actuator."""
-        if self._motion is not None and self._records_move:
-            self._motion.clear()
+        if self._records_move:
+            self._sent, self._measured = [], []
         self.run.rest_on_track(missed, unsent)
 
     def wait(self, now: float) -> Setpoints:
@@ -107,14 +127,14 @@ class SelfTesting(RunPhase):
         """Move, record and judge the swing, then return home."""
         run, h = self.run, self.run.h
         if self._judged is not None:
-            return self._return(now, self._judged)
+            return self._return(self._judged)
         t = self.ticks * h - self._begin
         if -REST_BEFORE <= t < MOVE_TIME - 0.5 * h:
             return run.glide(self._path, t)
         if t >= MOVE_TIME + SWING_TIME and not self._asked:
             self._asked = True
             params = run.response.params
-            run.job = partial(
+            test = partial(
                 self_test,
                 *np.array(self._encoder).reshape(-1, 2).T.copy(),
                 *np.array(self._pivot).reshape(-1, 2).T.copy(),
@@ -123,26 +143,30 @@ class SelfTesting(RunPhase):
                 resting=run.encoder.zero or 0.0,
                 delay=0.0,
             )
+            carried = tuple(each.actuator for each in run.parts.alternatives)
+            motion = motion_rows(self._sent), motion_rows(self._measured)
+            run.job = partial(judge_swing, test, carried, *motion)
         if self._asked and run.result is not None:
             failure = self._judge(run.result)
             if failure is not None:
                 return run.stop_and_rest(End(Outcome.SELF_TEST, {"text": failure}), now)
         return run.command(0.0)
 
-    def _judge(self, result: SelfTest | Exception) -> str | None:
+    def _judge(self, judged: tuple[SelfTest, list[float]] | Exception) -> str | None:
         """Act on the verdict; return why the run has to stop, if it has to."""
         run, h = self.run, self.run.h
-        if isinstance(result, Exception):
-            return f"the self-test failed ({result})"
+        if isinstance(judged, Exception):
+            return f"the self-test failed ({judged})"
+        result, residuals = judged
         run.notify("self-test", f"Self-test: {result.reason}.")
         if result.verdict is SelfTestVerdict.REPEAT and self._swings < MAX_SWINGS:
             self._swing(self.ticks * h + REST_BEFORE)
         elif result.verdict in (SelfTestVerdict.PASSED, SelfTestVerdict.ZERO):
             self._judged = result
-            if self._motion is not None and result.verdict is SelfTestVerdict.PASSED:
-                carried = tuple(each.actuator for each in run.parts.alternatives)
-                run.job = partial(choose_actuator, carried, *self._motion.values())
-                self._selects = True
+            if residuals:
+                self._chosen = int(np.argmin(residuals))
+                carried = [each.actuator for each in run.parts.alternatives]
+                run.notify("actuator", describe_choice(residuals, carried))
             self._go_home()
         else:
             return result.reason
@@ -152,18 +176,11 @@ class SelfTesting(RunPhase):
         self._path = Path((self.run.controller.x,), (0.0,), RETURN_TIME)
         self._begin = (self.ticks + 1) * self.run.h
 
-    def _return(self, now: float, judged: SelfTest) -> Setpoints:
+    def _return(self, judged: SelfTest) -> Setpoints:
         """Return home, take the selected actuator, and go on to the next phase."""
         run, h = self.run, self.run.h
         t = self.ticks * h - self._begin
-        if self._selects and isinstance(run.result, Exception):
-            text = f"the selection of an actuator failed ({run.result})"
-            return run.stop_and_rest(End(Outcome.SELF_TEST, {"text": text}), now)
-        if self._selects and run.result is not None:
-            self._selects, self._chosen = False, int(np.argmin(run.result))
-            carried = [each.actuator for each in run.parts.alternatives]
-            run.notify("actuator", describe_choice(run.result, carried))
-        if t < RETURN_TIME + REST_BEFORE or self._selects:
+        if t < RETURN_TIME + REST_BEFORE:
             return run.glide(self._path, t)
         if abs(run.controller.x) > HOME_TOLERANCE:  # a stall has cost a part of the way
             self._go_home()

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from equipoise.control.actuator_choice import MotionRecord, choose_actuator, move_setpoints
+from equipoise.control.actuator_choice import choose_actuator, motion_rows, move_setpoints
 from equipoise.control.control_step import (
     SETPOINTS_PER_TICK,
     make_controller_params,
@@ -140,15 +140,16 @@ class TwinLoop(ClosedLoop):
 
     def _select(self, move: Array) -> None:
         """Make a move with the hanging pendulum, and select the actuator from it."""
-        twin, record = self._twin, MotionRecord()
+        twin, sent, measured = self._twin, list[tuple[float, ...]](), list[tuple[float, ...]]()
         twin.reset()
         for q in move:
-            record.send(twin.now, q)
+            sent.append((twin.now, *q))
             twin.send(q)
             twin.advance(self.params.h / SETPOINTS_PER_TICK)
-            measured, stamp = twin.measured()
-            record.measure(stamp, measured)
-        chosen = int(np.argmin(choose_actuator(self._simulation.actuators, *record.values())))
+            joints, stamp = twin.measured()
+            measured.append((stamp, *joints))
+        motion = motion_rows(sent), motion_rows(measured)
+        chosen = int(np.argmin(choose_actuator(self._simulation.actuators, *motion)))
         self.params, self._trial = self._simulation.params[chosen], self._trials[chosen]
         self.chosen = chosen
 

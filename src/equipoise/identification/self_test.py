@@ -23,16 +23,18 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.control.minimum_jerk import Path
+from equipoise.control.actuator_choice import MOVE_DISTANCE
+from equipoise.identification.least_squares import (
+    blocks_of_time,
+    fit_unknowns,
+    half_width,
+    jackknife,
+)
 from equipoise.jit import kernel
 from equipoise.model.pendulum import PendulumParameters, step
 
 Array = npt.NDArray[np.float64]
 
-MOVE_DISTANCE: Final = 0.04
-"""Distance of the flange's move [m]."""
-MOVE_TIME: Final = 0.8
-"""Duration of the move [s]."""
 SWING_TIME: Final = 4.0
 """Observation of the pendulum after the move [s]: five periods."""
 COUNTS_TOLERANCE: Final = 0.05
@@ -62,8 +64,7 @@ MAX_SAMPLE_GAP: Final = 0.05
 DIFFERENCE_STEP: Final = 1e-4
 """Step of the finite differences, in units of `SCALES`."""
 
-UNKNOWNS: Final = 8
-GAIN, W2, TAU, ZERO, C, COULOMB, THETA, THETA_DOT = range(UNKNOWNS)
+GAIN, W2, TAU, ZERO, C, COULOMB, THETA, THETA_DOT = range(8)
 """Indices of the unknowns."""
 SCALES: Final = np.array([1.0, 70.0, 0.1, 0.1, 1.0, 1.0, 0.1, 1.0])
 """Typical size of each unknown, in its unit."""
@@ -109,16 +110,6 @@ class SelfTest(NamedTuple):
     """Half of the width of the 95 % interval of `zero` [rad]."""
     misfit: float = nan
     """Root mean square of the residual over the response's standard deviation [-]."""
-
-
-def excitation(x: float, direction: float = 1.0) -> Path:
-    """Return the path of the flange, from x to 40 mm further [m].
-
-    Args:
-        x: Start of the path [m].
-        direction: 1 or -1.
-    """
-    return Path((x,), (x + direction * MOVE_DISTANCE,), MOVE_TIME)
 
 
 @kernel
@@ -173,36 +164,70 @@ def self_test(
             f"least {np.degrees(MIN_RESPONSE):g} deg: is the pendulum free, the encoder connected?",
         )
     every = -(-len(time) // MAX_SAMPLES)
-    recorded = _Response.of(time[::every], angle[::every], pivot_time, pivot_x, pendulum)
-    guess = recorded.guess(delay, until=_rest(pivot_time, pivot_x))
-    return _judged(recorded, recorded.fitted(guess), answer, delay)
+    grid = np.arange(time[0] - 0.15, time[-1] + 0.15, MODEL_STEP)  # [s]: for the searched delays
+    u = _acceleration(pivot_time, pivot_x, grid[:-1] + 0.5 * MODEL_STEP)
+    recorded = _Response(time[::every], angle[::every], grid, u, pendulum)
+    unknowns = fit_unknowns(
+        lambda x: recorded.angle - recorded.model(x),
+        recorded.sensitivities,
+        recorded.guess(delay),
+        list(range(len(SCALES))),
+        SCALES,
+        (np.full(len(SCALES), -inf), np.full(len(SCALES), inf)),
+        xtol=1e-5,
+        ftol=1e-4,
+        max_nfev=30,  # about ten are usual
+    )
+    # Blocks of half a period.
+    elapsed = float(recorded.time[-1] - recorded.time[0])
+    blocks = int(elapsed * sqrt(pendulum.w2) / pi)
+    residual = recorded.angle - recorded.model(unknowns)
+    block = blocks_of_time(recorded.time, blocks)
+    spread = jackknife(recorded.sensitivities(unknowns) * SCALES, residual, block)
+    gain, w2, tau, zero = unknowns[[GAIN, W2, TAU, ZERO]].tolist()
+    # Where two unknowns are indistinguishable, rounding may make a variance negative.
+    half = SCALES[ZERO] * half_width(max(float(spread[ZERO, ZERO]), 0.0), blocks)
+    misfit = float(np.sqrt(np.mean(residual**2))) / answer
+    result = SelfTest(SelfTestVerdict.PASSED, "", gain, w2, tau, zero, float(half), misfit)
+    verdict, reason = _verdict(result, pendulum.w2, delay)
+    return result._replace(verdict=verdict, reason=reason)
 
 
 def _unusable(time: Array, counts: Array, pivot_time: Array, pivot_x: Array) -> str:
     """Return the reason why the samples are unusable; empty if they are usable."""
     for name, times, values in (("encoder", time, counts), ("pivot", pivot_time, pivot_x)):
-        if times.shape != values.shape or times.ndim != 1 or len(times) < MIN_SAMPLES:
-            got = f"{len(values)} samples for {len(times)} times"
-            return f"the {name} gave {got}, expected {MIN_SAMPLES} or more"
-        if not (np.all(np.isfinite(times)) and np.all(np.isfinite(values))):
-            return f"the {name} gave values that are not finite numbers"
-        if not np.all(np.diff(times) > 0.0):
-            return f"the times of the {name} do not increase"
+        usable = times.shape == values.shape and len(times) >= MIN_SAMPLES
+        if not usable or not np.all(np.isfinite(values)) or not np.all(np.diff(times) > 0.0):
+            return (
+                f"the {name} gave {len(values)} samples for {len(times)} times, expected "
+                f"{MIN_SAMPLES} finite ones or more, at times that increase"
+            )
     moved = float(np.ptp(pivot_x))
     if not 0.5 * MOVE_DISTANCE < moved < 2.0 * MOVE_DISTANCE:
         expected = f"expected {1e3 * MOVE_DISTANCE:g} mm"
         return f"the flange was measured to move by {1e3 * moved:.1f} mm, {expected}"
-    left = float(time[-1]) - _rest(pivot_time, pivot_x)
+    away = np.abs(pivot_x - np.median(pivot_x[-len(pivot_x) // 8 :])) > 0.02 * moved
+    left = float(time[-1] - pivot_time[np.flatnonzero(away)[-1]])
     if left < 0.5 * SWING_TIME:
         expected = f"expected {SWING_TIME:g} s"
         return f"the pendulum was observed for {left:.1f} s after the move, {expected}"
     return ""
 
 
-def _rest(pivot_time: Array, pivot_x: Array) -> float:
-    """Return the time at which the pivot has come to rest [s]."""
-    away = np.abs(pivot_x - np.median(pivot_x[-len(pivot_x) // 8 :])) > 0.02 * np.ptp(pivot_x)
-    return float(pivot_time[np.flatnonzero(away)[-1]])
+def _acceleration(time: Array, x: Array, at: Array) -> Array:
+    """Return the acceleration of the measured pivot at some times [m/s^2]; zero outside.
+
+    Twice the derivative of noise is mostly fast, and the pendulum is slow: a spline with knots that
+    follow the move is smooth enough.
+    """
+    from scipy.interpolate import make_lsq_spline
+
+    begin, end = float(time[0]), float(time[-1])
+    pieces = max(int((end - begin) / 0.04), 1)  # [s]: a twentieth of the move
+    inner = np.linspace(begin, end, pieces + 1)[1:-1]
+    knots = np.concatenate(([begin] * 6, inner, [end] * 6))
+    u_of = make_lsq_spline(time, x, knots, k=5).derivative(2)
+    return np.where((at > begin) & (at < end), u_of(np.clip(at, begin, end)), 0.0)
 
 
 class _Response(NamedTuple):
@@ -219,28 +244,6 @@ class _Response(NamedTuple):
     pendulum: PendulumParameters
     """The identified pendulum."""
 
-    @classmethod
-    def of(
-        cls, time: Array, angle: Array, pivot_time: Array, pivot_x: Array, p: PendulumParameters
-    ) -> "_Response":
-        from scipy.interpolate import make_lsq_spline
-
-        # Twice the derivative of noise is mostly fast, and the pendulum is slow: knots that follow
-        # the move are smooth enough.
-        begin, end = float(pivot_time[0]), float(pivot_time[-1])
-        spacing = 0.04  # of the knots [s]: a twentieth of the move
-        pieces = max(int((end - begin) / spacing), 1)
-        inner = np.linspace(begin, end, pieces + 1)[1:-1]
-        knots = np.concatenate(([begin] * 6, inner, [end] * 6))
-        # The stub of SciPy lacks the second derivative's type.
-        u_of = make_lsq_spline(pivot_time, pivot_x, knots, k=5).derivative(2)
-        margin = 0.15  # [s], for the delays that are searched
-        grid = np.arange(time[0] - margin, time[-1] + margin, MODEL_STEP)
-        middle = grid[:-1] + 0.5 * MODEL_STEP
-        inside = (middle > begin) & (middle < end)
-        u = np.where(inside, u_of(np.clip(middle, begin, end)), 0.0)
-        return cls(time, angle, grid, u, p)
-
     def model(self, unknowns: Array) -> Array:
         """Return the model's encoder angle [rad], shape (n,)."""
         gain, w2, tau, zero, c, coulomb, theta, theta_dot = map(float, unknowns)
@@ -251,86 +254,28 @@ class _Response(NamedTuple):
         _driven_swing(theta, theta_dot, self.u, MODEL_STEP, parameters, thetas)
         return gain * np.interp(self.time - tau, self.grid, thetas) + zero
 
-    def guess(self, delay: float, until: float) -> Array:
-        """Return initial unknowns: w2 from the swing after the move, G and tau from a search."""
-        rate, decay = self._oscillation(until)
-        best, least = np.zeros(UNKNOWNS), np.inf
-        for tau in delay + np.array([-0.06, -0.03, 0.0, 0.03, 0.06]):
-            unknowns = np.array([1.0, rate**2, tau, 0.0, 2.0 * decay, 0.0, 0.0, 0.0])
-            columns = np.stack([self.model(unknowns), np.ones_like(self.angle)], axis=1)
-            solution = np.linalg.lstsq(columns, self.angle, rcond=None)[0]
-            left = float(np.sum((self.angle - columns @ solution) ** 2))
-            if left < least:
-                unknowns[GAIN], unknowns[ZERO] = solution
-                # The pendulum rests at first, so that the encoder shows its zero.
-                best, least = unknowns, left
-        return best
-
-    def _oscillation(self, begin: float) -> tuple[float, float]:
-        """Return rate [rad/s] and decay [1/s] of the swing from a time on."""
-        chosen = self.time > begin
-        every = max(int(np.sum(chosen)) // 400, 1)
-        t, y = self.time[chosen][::every] - begin, self.angle[chosen][::every]
-        best, least = (0.0, 0.0), np.inf
-        for rate in sqrt(self.pendulum.w2) * np.linspace(0.6, 1.5, 181):
-            for decay in (0.05, 0.15, 0.3):
-                faded = np.exp(-decay * t)
-                swings = [faded * np.cos(rate * t), faded * np.sin(rate * t), np.ones_like(t)]
-                columns = np.stack(swings, axis=1)
-                solution = np.linalg.lstsq(columns, y, rcond=None)[0]
-                left = float(np.sum((y - columns @ solution) ** 2))
-                if left < least:
-                    best, least = (float(rate), decay), left
-        return best
-
     def sensitivities(self, unknowns: Array) -> Array:
-        """Return the derivatives of the model by the unknowns over their scales, (n, UNKNOWNS)."""
-        here = self.model(unknowns)
-        moved = unknowns + np.diag(DIFFERENCE_STEP * SCALES)
-        return np.stack([(self.model(row) - here) / DIFFERENCE_STEP for row in moved], axis=1)
+        """Return the derivatives of the model by the unknowns, shape (n, 8)."""
+        here, steps = self.model(unknowns), DIFFERENCE_STEP * SCALES
+        moved = zip(unknowns + np.diag(steps), steps, strict=True)
+        return np.stack([(self.model(row) - here) / step for row, step in moved], axis=1)
 
-    def fitted(self, guess: Array) -> Array:
-        """Return the unknowns with the least sum of squares."""
-        from scipy.optimize import least_squares
+    def guess(self, delay: float) -> Array:
+        """Return initial unknowns: w2 and tau from a search, G and zero that fit them best.
 
-        solution = least_squares(
-            lambda z: self.model(z * SCALES) - self.angle,
-            guess / SCALES,
-            # The stub of SciPy has a name here, but no function.
-            jac=lambda z: self.sensitivities(z * SCALES),  # pyright: ignore[reportArgumentType]
-            method="lm",
-            xtol=1e-5,
-            ftol=1e-4,
-            gtol=1e-9,
-            max_nfev=30,  # about ten are usual
-        )
-        return np.asarray(solution.x * SCALES, dtype=np.float64)
-
-    def zero_half(self, unknowns: Array, residual: Array) -> float:
-        """Return half of the width of the interval of the zero [rad]."""
-        from scipy.stats import t as student
-
-        J = self.sensitivities(unknowns)
-        half_period = pi / sqrt(self.pendulum.w2)
-        block = ((self.time - self.time[0]) / half_period).astype(np.intp)
-        blocks = int(block[-1]) + 1
-        pulls = np.stack([J[block == b].T @ residual[block == b] for b in range(blocks)])
-        inverse = np.linalg.pinv(J.T @ J)
-        spread = inverse @ (pulls.T @ pulls) @ inverse * blocks / (blocks - 1)
-        # Where two unknowns are indistinguishable, rounding may make a variance negative.
-        deviation = SCALES * np.sqrt(np.maximum(np.diag(spread), 0.0))
-        # 95 % between both sides.
-        return float(student.ppf(0.975, blocks - 1)) * float(deviation[ZERO])
-
-
-def _judged(recorded: _Response, unknowns: Array, answer: float, delay: float) -> SelfTest:
-    residual = recorded.angle - recorded.model(unknowns)
-    misfit = float(np.sqrt(np.mean(residual**2))) / answer
-    half = recorded.zero_half(unknowns, residual)
-    gain, w2, tau, zero = unknowns[[GAIN, W2, TAU, ZERO]].tolist()
-    result = SelfTest(SelfTestVerdict.PASSED, "", gain, w2, tau, zero, half, misfit)
-    verdict, reason = _verdict(result, recorded.pendulum.w2, delay)
-    return result._replace(verdict=verdict, reason=reason)
+        The pendulum rests at first, so that the encoder shows its zero.
+        """
+        best, least = np.zeros(len(SCALES)), np.inf
+        for w2 in self.pendulum.w2 * np.geomspace(0.4, 2.5, 25):
+            for tau in delay + np.array([-0.06, -0.03, 0.0, 0.03, 0.06]):
+                unknowns = np.array([1.0, w2, tau, 0.0, self.pendulum.c, 0.0, 0.0, 0.0])
+                columns = np.stack([self.model(unknowns), np.ones_like(self.angle)], axis=1)
+                solution = np.linalg.lstsq(columns, self.angle, rcond=None)[0]
+                left = float(np.sum((self.angle - columns @ solution) ** 2))
+                if left < least:
+                    unknowns[GAIN], unknowns[ZERO] = solution
+                    best, least = unknowns, left
+        return best
 
 
 def _verdict(result: SelfTest, known_w2: float, delay: float) -> tuple[SelfTestVerdict, str]:
