@@ -174,14 +174,6 @@ def course():
     return balancing()
 
 
-def test_it_comes_from_home_to_balance_and_goes_on(course):
-    course.ticks(20)
-    assert course.pilot.phase.kind is Phase.BALANCING
-    order = ["homing", "home", "hang", "reference", "swing", "self-test", "lift", "armed"]
-    assert [name for name in course.told if name in order] == order
-    assert "warning" not in course.told
-
-
 SWAYS = np.array(ARM.home) + 0.02 * np.sin(np.linspace(0.0, 8.0 * pi, 401))[:, None] ** 2
 """Two seconds of motion from home to home."""
 
@@ -254,14 +246,6 @@ def test_a_confirmation_that_comes_after_the_pendulum_has_moved_is_not_a_stop():
     course.until(Phase.SELF_TEST, 5.0)
     assert course.told.count("reference") == 2
     assert course.pilot.encoder.zero == pytest.approx(radians(1.0) * PER_RADIAN, abs=1.0)
-
-
-def test_a_confirmation_of_nothing_stops_what_moves():
-    course = Course(q=tuple(np.add(ARM.home, 0.1)))
-    course.tick()
-    assert course.pilot.phase.kind is Phase.HOMING
-    course.tick(lines=["ok"])
-    assert course.cause == "operator"
 
 
 # Time.
@@ -389,13 +373,6 @@ def test_a_robot_that_answers_without_joints_stops_it(stream):
         course.tick()
     assert course.cause == Outcome.MEASUREMENT_STALE
     assert course.now - began <= MAX_MEASUREMENT_AGE + H
-
-
-def test_a_late_loop_at_rest_is_no_slow_link():
-    course = Course().until(Phase.REFERENCING)
-    course.tick(0.4)
-    course.ticks(20)
-    assert course.cause is None
 
 
 def run_off(course, joint, rate, most=1.5):
