@@ -29,10 +29,13 @@ def cut(link):
 
 
 FAULTS = {
-    "the robot's process dies": (lambda rig: rig.robot.link.close(), "closed the link"),
-    "the robot's cable is pulled": (lambda rig: cut(rig.robot.link), "within 1 s|for 0.5 s"),
-    "the encoder's board dies": (lambda rig: rig.sensor.link.close(), "is gone: .*closed the link"),
-    "the encoder falls silent": (lambda rig: cut(rig.sensor.link), "no valid line for 0.5 s"),
+    "the robot's process dies": (lambda rig: rig.emulated[0].link.close(), "closed the link"),
+    "the robot's cable is pulled": (lambda rig: cut(rig.emulated[0].link), "within 1 s|for 0.5 s"),
+    "the encoder's board dies": (
+        lambda rig: rig.emulated[1].link.close(),
+        "is gone: .*closed the link",
+    ),
+    "the encoder falls silent": (lambda rig: cut(rig.emulated[1].link), "no valid line for 0.5 s"),
 }
 
 
@@ -73,7 +76,7 @@ def rig():
 
 
 def unattended(emulated):
-    return emulated.rig._replace(operator=None)
+    return emulated._replace(operator=None)
 
 
 @pytest.mark.parametrize("fault", FAULTS)
