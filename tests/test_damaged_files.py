@@ -39,7 +39,6 @@ duration = 60.0
 friction = "coulomb"
 """
 RIG = """\
-name = "bench 3"
 arm = "iiwa7"
 robot = "kst://172.31.1.147:30001"
 encoder = "serial:///dev/ttyACM0"

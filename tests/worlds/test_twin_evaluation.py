@@ -64,11 +64,11 @@ def test_the_twin_has_the_friction_that_was_identified(behind_a_servo):
     sticky = World("twin:sticky", TwinSettings(coulomb=0.1, drag=0.0))
     for world, coulomb, drag, varies in ((WORLD, 1.957, 0.02, True), (sticky, 0.1, 0.0, False)):
         run = simulate_run(policy, world=world, seed=1, duration=0.2).conditions
-        inertia = run.pendulum["w2"] / dry.w2.value if varies else 1.0
-        assert run.pendulum["coulomb"] == pytest.approx(coulomb * inertia)
-        assert run.pendulum["drag"] == pytest.approx(drag * inertia)
+        inertia = run.pendulum.w2 / dry.w2.value if varies else 1.0
+        assert run.pendulum.coulomb == pytest.approx(coulomb * inertia)
+        assert run.pendulum.drag == pytest.approx(drag * inertia)
         excited = excite(iiwa(7), world, dry, duration=0.2).conditions
-        assert excited.pendulum["coulomb"] == coulomb
+        assert excited.pendulum.coulomb == coulomb
 
 
 def test_model_and_twin_agree_about_a_regulator_on_a_pivot_with_dry_friction(behind_a_servo):
