@@ -62,7 +62,7 @@ def test_the_motion_is_the_same_bits_without_jacobian_and_bias(case):
     assert not motions[:, BIAS:].any()
 
 
-@pytest.mark.parametrize("library", [Pinocchio, MuJoCo])
+@pytest.mark.parametrize("library", [pytest.param(Pinocchio, marks=pytest.mark.full), MuJoCo])
 def test_pose_jacobian_and_bias_equal_those_of_an_independent_library(case, library):
     arm, urdf, q, dq, frames = case
     robot = library(urdf)
