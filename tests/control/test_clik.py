@@ -16,7 +16,6 @@ from equipoise.settings import Settings
 from equipoise.worlds.plant import (
     PHI,
     PHI_DOT,
-    TRACKED,
     DomainRandomization,
     make_loop_params,
     new_batch_state,
@@ -81,49 +80,6 @@ def test_near_a_singularity_the_inverse_is_damped_least_squares_and_says_so():
     # 1e-5: where J J^T is singular to rounding, w is known to the root of the rounding only.
     np.testing.assert_allclose(y[::BATCH_SIZE], expected, rtol=1e-5, atol=1e-8)
     assert np.all(np.isfinite(y))
-
-
-def run_actions(size, h, held=0.01, duration=15.0, seed=5):
-    """Hold random actions for 10 ms each, inside the track, without noise; return the errors.
-
-    The pendulum is held at upright by hand: it plays no part here.
-    """
-    arm = iiwa(size)
-    plant = make_loop_params(arm, SETTINGS, h, PENDULUM)._replace(
-        position_noise=0.0, orientation_noise=0.0
-    )
-    block = new_batch_state()
-    reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0), 0)
-    rng = np.random.default_rng(seed)
-    acceleration, position = [], []
-    x, x_dot = 0.0, 0.0
-    for _ in range(round(duration / held)):
-        # A spring keeps the random actions on the track.
-        options = np.array([-2.0, -1.5, -1.0, -0.5, 0.5, 1.0, 1.5, 2.0])
-        wanted = rng.normal(0.0, 1.5) - 20.0 * x - 4.0 * x_dot
-        u = options[np.argmin(np.abs(options - wanted))]
-        for _ in range(round(held / h)):
-            block.controller.u[0] = u
-            block.state[PHI * BATCH_SIZE] = block.state[PHI_DOT * BATCH_SIZE] = 0.0
-            step(plant, block, 1)
-            assert block.cause[0] == 0
-            acceleration.append(block.state[TRACKED * BATCH_SIZE] - u)
-            position.append(
-                block.controller.frame[: 3 * BATCH_SIZE : BATCH_SIZE]
-                - block.controller.reference[: 3 * BATCH_SIZE : BATCH_SIZE]
-            )
-        x += x_dot * held + 0.5 * u * held**2
-        x_dot += u * held
-        assert abs(x) < 0.22
-    assert np.ptp(acceleration) > 0.0
-    return np.sqrt(np.mean(np.square(acceleration))), np.max(np.linalg.norm(position, axis=1))
-
-
-@ARMS
-def test_clik_tracks_the_commanded_acceleration(size):
-    rms, deviation = run_actions(size, 0.01)
-    assert rms < 0.005  # m/s^2; accelerations are 0.5 to 2
-    assert deviation < 1e-4  # m
 
 
 @ARMS

@@ -203,25 +203,11 @@ def test_a_log_of_a_named_world_gives_its_servo(world, kind, t_c):
 # What comes with the numbers.
 
 
-def test_joints_that_are_too_weak_are_mentioned():
-    actuator = identified(recorded(strength=10.0, duration=6.0), kind="kst")
-    assert any("deviates from the model" in warning for warning in actuator.fit.warnings)
-
-
 def test_a_cycle_that_the_log_does_not_tell_is_kept():
     actuator = identified(recorded(scale=0.12, noise=2e-3, duration=6.0), kind="kst")
     assert actuator.cycle.source == "assumed"
     assert actuator.cycle.value == actuator.cycle.low == actuator.cycle.high == 1e-3
     assert any("cycle of the shaping law" in warning for warning in actuator.fit.warnings)
-
-
-def test_equal_logs_give_equal_bits_and_another_clock_the_same_actuator():
-    log = recorded(duration=6.0)
-    first, again = identified(log, kind="kst"), identified(log, kind="kst")
-    assert first == again
-    log.stream_time, log.reply_time = log.stream_time + 1.7e9, log.reply_time + 1.7e9
-    # Seconds since 1970 are known to 0.2 us.
-    assert identified(log, kind="kst").delay.value == pytest.approx(first.delay.value, abs=2e-6)
 
 
 # Refusals.

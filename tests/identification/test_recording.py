@@ -79,15 +79,6 @@ def test_one_recording_in_many_spellings_is_one_recording(tmp_path, text):
     assert swing.theta.tolist() == [1.0, 2.5]
 
 
-@pytest.mark.parametrize("header", ["", "t,angle\n"])
-def test_columns_can_be_named_where_the_file_does_not(tmp_path, header):
-    path = tmp_path / "swing.csv"
-    path.write_text(header + "0,90\n250,45\n")
-    swing = read_swing(path, columns="time_ms, theta_deg")
-    assert swing.time.tolist() == [0.0, 0.25]
-    np.testing.assert_allclose(swing.theta, [pi / 2, pi / 4])
-
-
 def test_a_window_holds_the_samples_at_its_ends_and_trusts_its_start(tmp_path):
     path = column(tmp_path, "theta_rad", [0.1, 0.2, 0.1, -0.3])
     swing = read_swing(path, start=0.1, end=0.2)

@@ -11,18 +11,13 @@ import numpy as np
 import pytest
 
 from equipoise.artefacts import Estimate
-from equipoise.control.policy import Checkpoint, shipped_policy
+from equipoise.control.policy import shipped_policy
 from equipoise.errors import ArtefactError, RecordingError
-from equipoise.identification import refine
 from equipoise.identification.refine import (
     actuator_moves,
     inspect,
-    pendulum_moves,
     read_motion,
-    retrain,
 )
-from equipoise.identification.regression import regress
-from equipoise.learning.target import measure_policy
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
@@ -65,10 +60,6 @@ def run(seed, factor=1.0, duration=20.0, **numbers):
 
 def policy_knowing(actuator=ACTUATOR):
     return shipped_policy().model_copy(update={"actuators": (actuator,)})
-
-
-def regressed(log):
-    return regress(*read_motion(log, shipped_policy().arm))
 
 
 # What is read from a log
@@ -127,14 +118,6 @@ def test_unusable_logs_are_refused_and_an_arm_at_rest_tells_no_actuator():
 
 
 # The pendulum
-
-
-@pytest.mark.parametrize(("seed", "factor", "moves"), [(2, 1.0, []), (2, 0.9, ["w2"])])
-def test_a_pendulum_that_is_another_by_ten_percent_is_flagged_and_the_same_is_not(
-    seed, factor, moves
-):
-    fit = regressed(run(seed, factor))
-    assert list(pendulum_moves(shipped_policy().pendulum, fit, PlantSettings())) == moves
 
 
 def test_what_moved_makes_another_pendulum():
@@ -206,37 +189,3 @@ def test_a_delay_moves_beyond_intervals_and_beyond_what_training_varies(now, mov
     arm = shipped_policy().arm
     moves = actuator_moves(ACTUATOR, {"delay": now}, arm, PlantSettings())
     assert list(moves) == ["delay"] * moved
-
-
-# Training on
-
-
-def test_the_better_table_is_kept_with_the_new_model(small_policy):
-    there = with_w2(small_policy.pendulum, 1.1)
-    refined = retrain(small_policy, there, small_policy.actuator, episodes=80, seed=3)
-    scores = {"old": refined.old.score, "new": refined.new.score}
-    assert scores[refined.kept] == max(scores.values())
-    assert refined.policy.pendulum == there
-    assert refined.policy.arm == small_policy.arm
-    assert (refined.policy.table.tolist() == small_policy.table.tolist()) == (refined.kept == "old")
-    # Both ran the same trials, of the policy's own settings.
-    assert refined.old.trials == refined.new.trials
-    # The table that is kept has a test on the new model.
-    alone = refined.policy.model_copy(update={"tests": ()})
-    assert refined.policy.tests == measure_policy(alone)
-
-
-@pytest.mark.parametrize(("score", "kept"), [(0.6, "new"), (0.5, "old"), (0.4, "old")])
-def test_a_new_table_is_kept_only_if_it_is_better(monkeypatch, small_policy, score, kept):
-    def judged(policies, **_):
-        assert policies[0].Q == small_policy.Q
-        counts = {"episodes": 1, "trials": 9, "survived": 5, "mean_duration": 1.0, "rms_x": 0.1}
-        return [Checkpoint(**counts, score=each) for each in (0.5, score)]
-
-    monkeypatch.setattr(refine, "compare_policies", judged)
-    refined = retrain(
-        small_policy, small_policy.pendulum, small_policy.actuator, episodes=40, seed=3
-    )
-    assert refined.kept == kept
-    assert (refined.policy.Q == small_policy.Q) == (kept == "old")
-    assert refined.policy.settings.learning.episodes == (40 if kept == "new" else 120)

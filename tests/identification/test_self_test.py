@@ -136,11 +136,6 @@ def test_estimates_are_those_of_the_rig_and_intervals_hold_them(runs):
         assert result.misfit < 0.02
 
 
-def test_a_pendulum_that_still_swings_may_be_tested_again():
-    result = judged(np.random.default_rng(8), swinging=radians(15.0))
-    assert result.verdict is SelfTestVerdict.PASSED, result
-
-
 def test_a_disturbed_swing_is_repeated():
     # A draft: the angle wanders by a degree, which leaves the fit its numbers, but not the zero.
     rng = np.random.default_rng(9)

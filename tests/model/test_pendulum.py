@@ -152,9 +152,3 @@ def test_the_papers_period_belongs_to_the_papers_pendulum():
     assert parameters == (W2, W2 / pendulum.g, 0.15, 0.0, 0.0, False)
     assert pendulum.parameters(linearised=True).linearised
     assert parameters.k == pytest.approx(W2 / 9.80665)
-
-
-def test_a_pendulum_survives_its_file(tmp_path):
-    pendulum = Pendulum.assumed(W2, 0.15)
-    pendulum.save(tmp_path / "pendulum.json", command="test")
-    assert Pendulum.load(tmp_path / "pendulum.json") == pendulum

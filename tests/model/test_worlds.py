@@ -65,26 +65,6 @@ def test_what_a_trial_varies_varies_the_pendulums_own_friction_and_not_the_world
     assert pendulum_on(DRY, sticky, heavy) == heavy._replace(coulomb=0.1, drag=0.0)
 
 
-@pytest.mark.parametrize(
-    ("name", "changes"),
-    [
-        ("light-rotors", {"rotor_inertia": (0.02,)}),
-        ("bare", {"rotor_inertia": (0.0,)}),
-        ("pd", {"inner": "pd"}),
-        ("trajectory40", {"inner": "trajectory40"}),
-        ("smart60", {"inner": "pd", "shaped": False, "transport": 0.044}),
-        ("fri", {"inner": "pd", "shaped": False, "transport": 0.003}),
-    ],
-)
-def test_the_other_sets_differ_from_nominal_in_what_the_documents_state(name, changes):
-    nominal = read_world("twin:nominal").settings
-    assert nominal.rotor_inertia == (3.19, 3.05, 1.98, 2.05, 0.787, 0.391, 0.394)
-    assert read_world(f"twin:{name}").settings == nominal.model_copy(update=changes)
-    # A drive critically damped at omega stays 2 / omega behind a ramp.
-    smart60 = read_world("twin:smart60").settings
-    assert smart60.transport + 2.0 / smart60.pd_frequency == pytest.approx(0.060)
-
-
 def test_a_file_holds_differences_to_nominal_and_keeps_its_own_name(tmp_path):
     file = tmp_path / "nominal.toml"
     file.write_text("transport = 0.02\nzero_offset = 0.0087\n")

@@ -109,14 +109,6 @@ def test_two_ends_are_a_question(edited):
         read_urdf(path, tip="hand", home=ELBOW_HOME)
 
 
-def test_seven_joints_need_one_to_hold(tmp_path):
-    path = tmp_path / "iiwa.urdf"
-    path.write_text(iiwa_urdf(7))
-    for held in (None, 9):
-        with pytest.raises(ArmError):
-            read_urdf(path, held=held)
-
-
 def test_unreadable_files_are_refused(tmp_path):
     large, binary = tmp_path / "large.urdf", tmp_path / "binary.urdf"
     with large.open("wb") as file:
