@@ -1,7 +1,6 @@
 """experiments/recoverable.py against closed forms, SciPy's integrator and brute force."""
 
 from itertools import combinations_with_replacement
-from math import degrees
 
 import numpy as np
 import pytest
@@ -87,10 +86,3 @@ def test_the_delay_of_a_lag_is_the_sum_of_transport_and_lag():
     expected = 0.03 + np.log1p(rate * 0.02) / rate - 0.0025
     assert response_delay(iiwa(7), actuator, rate) == pytest.approx(expected, abs=0.001)
     assert response_delay(iiwa(7), IDEAL_ACTUATOR, rate) == 0.0
-
-
-def test_a_speed_limit_lowers_the_limit():
-    given, direction = params(), np.array([0.0, 0.0, 1.0, 0.0])
-    slow = largest_start(given._replace(speed_limit=0.23), direction)
-    assert slow < 0.9 * largest_start(given, direction)
-    assert degrees(slow) > 1.0

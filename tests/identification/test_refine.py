@@ -20,7 +20,6 @@ from equipoise.identification.refine import (
 )
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.rig.simulate import simulate_run
 from equipoise.settings import PlantSettings
@@ -91,17 +90,6 @@ def test_pivot_and_phi_are_those_of_mujoco_where_the_flange_tilts(turned):
     assert motion.x == pytest.approx(moved[0], abs=1e-9)
 
 
-def test_a_run_is_read_as_it_was_but_for_the_zero_and_the_counts():
-    log = run(0)
-    motion = read_motion(log, iiwa(7))
-    count = 2.0 * np.pi / log.conditions.counts_per_rev
-    phi = np.interp(motion.time, log.time, log.truth.phi) + log.conditions.zero_error
-    # The counts' time stamps are wrong by up to 0.3 ms, and the pendulum turns at up to 1 rad/s.
-    assert np.max(np.abs(motion.phi - phi)[1:-1]) < 2.0 * count
-    x = np.interp(motion.time, log.time, log.truth.x)
-    assert np.std(motion.x - x) < 5e-4
-
-
 def test_unusable_logs_are_refused_and_an_arm_at_rest_tells_no_actuator():
     policy, log = shipped_policy(), run(2)
     bare = log.conditions.model_copy(update={"counts_per_rev": None})
@@ -123,22 +111,17 @@ def test_unusable_logs_are_refused_and_an_arm_at_rest_tells_no_actuator():
 def test_what_moved_makes_another_pendulum():
     weighed = Estimate.normal(0.2, 0.001, "given")
     policy = policy_knowing()
-    known = policy.pendulum.model_copy(
-        update=dict.fromkeys(("mass", "length", "inertia", "friction"), weighed)
-    )
+    known = policy.pendulum.model_copy(update={"mass": weighed, "inertia": weighed})
     policy = policy.model_copy(update={"pendulum": known})
     found = inspect(policy, run(4, 1.1))
     assert list(found.moves) == ["w2"]
     there = found.pendulum
-    assert (there.w2, there.k) == (found.fit.w2, found.fit.k)
+    assert (there.w2, there.k, there.c) == (found.fit.w2, found.fit.k, known.c)
     assert there.w2.value == pytest.approx(1.1 * known.w2.value, rel=0.01)
-    assert there.k.value == pytest.approx(there.w2.value / there.g)
-    assert there.c == known.c
-    assert (there.mass, there.length, there.inertia, there.friction) == (None,) * 4
+    assert (there.mass, there.inertia) == (None, None)
     half = there.w2.value - there.w2.low
     assert there.covariance[0][0] == pytest.approx((half / 1.96) ** 2, rel=0.3)
     assert there.covariance[0][1:] == (0.0, 0.0, 0.0)
-    assert Pendulum.model_validate(there.model_dump()) == there
     # The arm is the same, and nothing of it changes.
     assert found.actuator == policy.actuator
 

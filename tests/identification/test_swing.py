@@ -240,10 +240,6 @@ def lift(angle, seconds):
 
 HANDS = {
     "held still for a second": lambda: lift(1.0, 1.0),
-    "held for a moment": lambda: lift(1.0, 0.15),
-    "hanging for long, then lifted in a hurry": lambda: np.concatenate(
-        (np.zeros(1500), lift(1.0, 0.3))
-    ),
     "held longer than it swings": lambda: lift(1.0, 12.0),
     "moved to and fro": lambda: 1.0 * np.cos(2.0 * np.arange(1000) * STEP) ** 3 + 0.2,
     "pushed in time with the swing": lambda: (
@@ -291,18 +287,12 @@ def test_gravity_mass_and_length_give_coupling_inertia_and_friction_with_their_u
     mass, length = (Estimate.normal(value, 0.01 * value, "given") for value in (0.2, 0.14))
     pendulum = identify(simulated(), IdentificationSettings(g=9.78), mass=mass, length=length)
     assert pendulum.k.value == pytest.approx(pendulum.w2.value / 9.78)
-    assert pendulum.k.low == pytest.approx(pendulum.w2.low / 9.78)
     I = 0.2 * 9.78 * 0.14 / pendulum.w2.value
     assert pendulum.inertia.value == pytest.approx(I)
     assert pendulum.friction.value == pytest.approx(I * pendulum.c.value)
     # 1 % and 1 % add up to 1.414 %; what the swing leaves open is far below that.
     for estimate in (pendulum.inertia, pendulum.friction):
         assert estimate.half_width / estimate.value == pytest.approx(1.96 * 0.01414, rel=0.02)
-    # The covariance belongs to the frictions that were fitted.
-    spread = np.array(pendulum.covariance)
-    assert not spread[2:].any()
-    np.testing.assert_array_equal(spread, spread.T)
-    assert np.all(np.linalg.eigvalsh(spread[:2, :2]) > 0.0)
 
 
 def test_the_fitted_curve_can_be_drawn_from_files_alone(tmp_path):
@@ -328,28 +318,18 @@ def plain(theta):
     return Trajectory(time=np.arange(len(theta)) * STEP, theta=np.asarray(theta))
 
 
-def scaled(factor, **quantity):
-    swing = simulated()
-    return replace(swing, sha256="", time=swing.time * factor, **quantity)
-
-
 CHIRP = np.arange(0.0, 10.0, STEP)
 NOISE = np.random.default_rng(0).standard_normal(2000)
 NO_SWINGS = {
     "a third of a period": lambda: simulated(theta0=0.5, duration=0.3 * PERIOD),
-    "nearly a period after the hand": lambda: held_then_released(
-        lift(1.0, 1.0), simulated(duration=0.9 * PERIOD)
-    )[0],
     "a dozen samples": lambda: plain(np.zeros(12)),
     "at rest": lambda: plain(np.zeros(2000)),
     "noise": lambda: plain(0.01 * NOISE),
-    "one count to and fro": lambda: plain(np.round(0.3 * NOISE) * 2.0 * pi / 4096),
     "a chirp": lambda: plain(0.3 * np.sin(CHIRP * (3.0 + CHIRP))),
     "sampled too slowly": lambda: simulated(theta0=0.5, rate_hz=5.0, duration=20.0),
-    "sampled at the period": lambda: simulated(theta0=2.6, rate_hz=3.0, duration=20.0),
-    "milliseconds as seconds": lambda: scaled(1e3),
-    "seconds as milliseconds": lambda: scaled(1e-3),
-    "degrees as radians": lambda: scaled(1.0, theta=np.rad2deg(simulated().theta)),
+    "milliseconds as seconds": lambda: simulated(
+        PendulumParameters(70.2e-6, 7.15e-6, 0.15e-3), duration=4e3, rate_hz=0.25
+    ),
     "over the top": lambda: plain(10.0 * np.arange(0.0, 2.5, STEP)),
 }
 

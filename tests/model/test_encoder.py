@@ -29,11 +29,6 @@ def test_an_angle_comes_back_within_half_a_step(theta, counts_per_rev, sign):
     )
 
 
-def test_the_sign_turns_the_count_round():
-    assert counts_from_theta(1.0, 4096, -1) == -counts_from_theta(1.0, 4096, 1)
-    assert theta_from_counts(100.0, 4096, -1) == -theta_from_counts(100.0, 4096, 1)
-
-
 def test_a_simulated_swing_is_the_true_one_within_half_a_step():
     swing = simulate_swing(PENDULUM, **SWING, zero_offset=0.1)
     theta, _ = reference.swing(swing.time, 1.0, 0.0, w2=70.2, c=0.15)

@@ -22,40 +22,14 @@ DRY = Pendulum.assumed(120.0, 0.23).model_copy(
 )
 
 
-@pytest.mark.parametrize(
-    ("name", "transport", "counts", "coulomb", "zero_deg", "inertia", "friction"),
-    [
-        ("twin:nominal", 0.010, 8192, 0.1, 0.2, 0.02, 0.2),
-        ("twin:harsh", 0.030, 4096, 0.3, 0.4, 0.04, 0.4),
-    ],
-)
-def test_the_named_sets_have_the_numbers_that_the_documents_state(
-    name, transport, counts, coulomb, zero_deg, inertia, friction
-):
-    world = read_world(name).settings
-    assert (world.transport, world.counts_per_rev) == (transport, counts)
-    assert (world.coulomb, world.drag, world.assumed_coulomb) == (None, None, coulomb)
-    assert world.zero_error == pytest.approx(radians(zero_deg))
-    assert (world.inertia_sigma, world.friction_sigma) == (inertia, friction)
-    assert (world.lag, world.cycle, world.inner, world.pivot_outward) == (8e-3, 1, "velocity", 0.13)
-
-
-@pytest.mark.parametrize(
-    ("pendulum", "world", "coulomb", "drag"),
-    [
-        (DRY, "twin:nominal", 1.957, 0.02),
-        (DRY, "twin:harsh", 1.957, 0.02),
-        (VISCOUS, "twin:nominal", 0.1, 0.0),
-        (VISCOUS, "twin:harsh", 0.3, 0.0),
-    ],
-)
-def test_a_twin_has_the_friction_of_its_pendulum_unless_its_set_says_otherwise(
-    pendulum, world, coulomb, drag
-):
-    settings = read_world(world).settings
-    swings = pendulum_on(pendulum, settings)
-    assert (swings.coulomb, swings.drag) == (coulomb, drag)
-    assert (swings.w2, swings.c) == (pendulum.w2.value, pendulum.c.value)
+def test_the_harsh_set_has_the_numbers_that_the_documents_state():
+    world = read_world("twin:harsh").settings
+    assert (world.transport, world.counts_per_rev) == (0.030, 4096)
+    assert (world.coulomb, world.drag, world.assumed_coulomb) == (None, None, 0.3)
+    assert world.zero_error == pytest.approx(radians(0.4))
+    assert (world.inertia_sigma, world.friction_sigma) == (0.04, 0.4)
+    swings = pendulum_on(VISCOUS, world)
+    assert (swings.w2, swings.coulomb) == (VISCOUS.w2.value, 0.3)
 
 
 def test_what_a_trial_varies_varies_the_pendulums_own_friction_and_not_the_worlds():

@@ -68,23 +68,6 @@ def test_an_evaluation_says_what_was_evaluated(evaluation, small_policy, setting
 
 
 @pytest.mark.compiled_only
-def test_equal_seeds_give_equal_evaluations_whatever_the_workers(
-    small_policy, settings, evaluation
-):
-    many = settings.model_copy(
-        update={"evaluation": settings.evaluation.model_copy(update={"trials": 150})}
-    )
-    digests = {evaluate(small_policy, many, seed=3, workers=w).digest for w in (1, 2, 3)}
-    assert len(digests) == 1
-    assert evaluate(small_policy, settings, seed=3).digest == evaluation.digest
-    assert evaluate(small_policy, settings, seed=4).results != evaluation.results
-    # More trials begin with the same ones.
-    few = evaluation.results
-    first = evaluate(small_policy, many, seed=3).results
-    assert (first.survival[:20], first.outcomes[:20]) == (few.survival, few.outcomes)
-
-
-@pytest.mark.compiled_only
 def test_the_table_as_a_plain_object_runs_the_same_trials(small_policy, settings, evaluation):
     plain = Plain(small_policy)
     told = []

@@ -1,6 +1,7 @@
 """`equipoise refine`: identifies the model of a policy again, from the log of a run."""
 
 from pathlib import Path
+from typing import Any
 
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output
@@ -27,7 +28,7 @@ def refine(output: Output, policy: Path, run: Path, *, files: opt.Files) -> None
     with output.busy("identifying again"):
         findings = inspect(table, log)
     inputs = {"policy": table.digest, "run": log.digest}
-    paths: dict[str, Path] = {}
+    paths: dict[str, Any] = {}
     if findings.pendulum.digest != table.pendulum.digest:
         paths["pendulum"] = out
         findings.pendulum.save(out, command="refine", inputs=inputs)

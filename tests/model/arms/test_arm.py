@@ -25,16 +25,11 @@ def changed_joint(**fields):
     ("build", "says"),
     [
         (lambda: changed(held_joint=None), "7 free joints, expected six; hold one"),
-        (lambda: changed(held_joint=8), "held joint is 8; give a number from 1 to 7"),
-        (lambda: changed(joints=iiwa(7).joints[:5], home=(0.0,) * 5), "4 free joints"),
         (lambda: changed(home=(0.0,) * 6), "home has 6 angles; give one for each of 7 joints"),
         (lambda: changed(home=(0, 0, 0, -2.5, 0, 0, 0)), r"joint 4 \(A4\) at -2.5 rad"),
-        (lambda: changed(home=(0, 0, 0.1, -1, 0, 0, 0)), "joint 3 at 0.1 rad, but it is held at 0"),
-        (lambda: changed(home=(math.nan, 0, 0, -1, 0, 0, 0)), "finite number"),
         (lambda: changed(colour="orange"), "colour: there is no such field"),
         (lambda: changed(name='a"""; import os'), "name"),
         (lambda: changed_joint(lower=1.0, upper=1.0), "the lower must be below the upper"),
-        (lambda: changed_joint(velocity=0.0), "velocity: Input should be greater than 0, got 0"),
         (lambda: changed_joint(axis=(0.0, 0.0, 0.0)), "axis 0 0 0; give a direction"),
         (
             lambda: changed_joint(xyz=(0.0, 0.0, math.inf)),
