@@ -28,7 +28,6 @@ from tests.cli.damage import rebuilt
 
 CLAIMS = [
     (0.99, 0.95, 1000),
-    (0.999, 0.95, 10_000),
     (0.985, 0.95, 200),
     (0.95, 0.95, 59),  # no failure is allowed, and with one trial less nothing is granted
     (0.8, 0.999, 37),
