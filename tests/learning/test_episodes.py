@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise import paper
-from equipoise.control.grid import mirrored_box
 from equipoise.learning.choice import compile_learner, load_learner
 from equipoise.learning.episodes import (
     BEGUN,
@@ -127,35 +126,6 @@ def test_training_behind_an_actuator_equals_the_slow_loop_bit_for_bit(pendulum, 
     assert np.array_equal(ours.tables.visits, theirs.visits)
     assert np.array_equal(ours.tables.Q, theirs.Q)
     assert np.count_nonzero(ours.tables.visits) > 60
-
-
-def test_episodes_that_last_are_cut_off_and_are_no_failure(pendulum):
-    # Two steps cannot fail from upright at rest: nothing bad is ever seen.
-    plant, parameters, settings = problem(
-        pendulum,
-        "paper",
-        "learning.episodes=40",
-        "learning.episode_duration=0.02",
-        "learning.start_phi=0",
-    )
-    progress = trained(plant, parameters, settings, 40)
-    assert progress.totals.tolist() == [40, 40, 0, 80, 80]
-    assert not progress.tables.Q.any()
-    assert progress.tables.visits.sum() == 80
-
-
-@pytest.mark.parametrize("held", ["true", "false"])
-def test_with_a_mirror_the_table_is_symmetric_to_the_bit(pendulum, held):
-    plant, parameters, settings = problem(
-        pendulum, "robust", "learning.episodes=60", f"learning.hold_action={held}"
-    )
-    progress = trained(plant, parameters, settings, 60)
-    image = [int(mirrored_box(box, 270)) for box in range(270)]
-    assert np.array_equal(progress.tables.Q, progress.tables.Q[image][:, ::-1])
-    assert np.array_equal(progress.tables.visits, progress.tables.visits[image][:, ::-1])
-    # Every update has its image; an action that is held is updated once for all of its steps.
-    updates = progress.tables.visits.sum() / 2
-    assert updates < progress.totals[STEPS] if held == "true" else updates == progress.totals[STEPS]
 
 
 # What the result depends on

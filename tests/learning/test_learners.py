@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from equipoise.errors import InputError, SettingsError
-from equipoise.learning.choice import compile_learner, load_learner, with_digests
+from equipoise.learning.choice import compile_learner, with_digests
 from equipoise.learning.learner import Transition, UpdateParams, new_tables
 from equipoise.learning.learners import LEARNERS, double_q
 from equipoise.learning.learners.watkins import TRACE_DECAY
@@ -201,14 +201,6 @@ def test_a_guest_that_does_what_ours_does_gives_our_bits(guest, small_policy, qu
         trained(small_policy, made.settings)
 
 
-@pytest.mark.compiled_only
-def test_other_learners_and_rewards_give_other_tables(guest, small_policy, quick_settings):
-    changes = [{"learner": name} for name in LEARNERS]
-    changes += [{"reward": name} for name in ("alive", "guest_of_tests:scaled")]
-    made = [trained(small_policy, quick_settings, **change) for change in changes]
-    assert len({policy.Q for policy in made}) == len(changes)
-
-
 REFUSED = {
     "sarza": "learner",
     "nowhere_at_all:update": "learner",
@@ -238,7 +230,3 @@ def test_an_error_of_compiled_code_ends_the_training(
         trained(small_policy, quick_settings, learner=f"guest_of_tests:{name}")
     assert "\x1b" not in str(refusal.value)
     assert capfd.readouterr() == ("", "")
-
-
-def test_the_paper_s_learner_is_the_default():
-    assert load_learner(LearningSettings()) is LEARNERS["q_learning"]

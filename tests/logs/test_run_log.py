@@ -9,7 +9,6 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from equipoise.control.ticks import TickRecord
 from equipoise.errors import ArtefactError, OutsideError
 from equipoise.logs.columns import TABLES
 from equipoise.logs.conditions import RunEnd
@@ -85,12 +84,6 @@ def test_any_reader_of_mcap_finds_named_numbers_with_a_schema(file, run):
     (tick,) = {schema.data for schema, channel, _ in found if channel.topic == "/tick"}
     assert json.loads(tick)["properties"]["u"]["description"].endswith("[m/s^2]")
     assert topics[-1] == "/end"
-
-
-def test_each_field_of_a_control_steps_record_is_a_column_of_the_log(run):
-    kinds = {float: "f", int: "i"}
-    for name, value in TickRecord()._asdict().items():
-        assert run.tables["tick"].dtype[name].kind == kinds[type(value)]
 
 
 def test_each_message_stands_at_its_time_in_the_file(file, run):
