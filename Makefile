@@ -1,4 +1,4 @@
-# One word each. `make check` before a commit, `make test` before a push; `.ci/run` runs test, lint, cover, docs.
+# One word each. `make check` before a commit, `make test` before a push; `.ci/run` runs test-all, lint, cover, docs.
 
 PYTHON ?= python
 # Tests that take seconds, compiled or not: the lower rooms, without the fits of whole recordings.
@@ -10,10 +10,10 @@ COVERING = $(patsubst %,tests/safety/test_%.py,rules trial dropouts plausibility
            tests/robots/kst/test_codec.py tests/robots/encoder/test_codec.py
 
 .DEFAULT_GOAL := help
-.PHONY: help install check lint quick plain cover test slow docs generated pictures screenshots demo bench
+.PHONY: help install check lint quick plain cover test full test-all slow docs generated pictures screenshots demo bench
 
 help:  ## list these words
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 install:  ## install for development, in the active virtual environment
 	$(PYTHON) -m pip install --editable '.[dev]'
@@ -37,8 +37,14 @@ cover:  ## every branch of safety rules, release, codecs and outcomes is tested;
 	NUMBA_DISABLE_JIT=1 $(PYTHON) -m pytest -q --cov --cov-report=term-missing:skip-covered \
 	  -m 'not slow and not compiled_only' $(COVERING)
 
-test:  ## every test but the full statistics
+test:  ## the tests of every day, in three minutes
 	$(PYTHON) -m pytest -n 2
+
+full:  ## the rest of them: peers, browsers, notebooks, long runs
+	$(PYTHON) -m pytest -n 2 -m 'full and not slow'
+
+test-all: test full  ## every test but the full statistics
+
 
 slow:  ## the full statistics
 	$(PYTHON) -m pytest -m slow

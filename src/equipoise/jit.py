@@ -87,15 +87,16 @@ def cache_folder(name: str) -> Path:
 
 
 @contextmanager
-def watching_compilation(compiled: Callable[[], None]) -> Generator[None]:
-    """Call `compiled` for each function that Numba compiles in this context."""
+def watching_compilation(compiled: Callable[[str], None]) -> Generator[None]:
+    """Call `compiled` with the name of each function that Numba compiles in this context."""
 
     class _Listener(event.Listener):
         def on_start(self, event: event.Event) -> None:
             pass
 
         def on_end(self, event: event.Event) -> None:
-            compiled()
+            data: Any = event.data
+            compiled(data["dispatcher"].py_func.__name__)
 
     with event.install_listener("numba:compile", _Listener()):
         yield

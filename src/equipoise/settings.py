@@ -333,6 +333,15 @@ textbook constants for unpublished parameters, starts near upright, no symmetry,
 as the policy."""
 
 
+def changed(settings: Settings, changes: Mapping[str, Any]) -> Settings:
+    """Return settings with other values of some of them, by their full names."""
+    tree = settings.model_dump()
+    for name, value in changes.items():
+        section, _, key = name.partition(".")
+        tree[section][key] = value
+    return Settings.model_validate(tree)
+
+
 def resolve(
     recipe: str = "robust",
     file: StrPath | None = None,

@@ -138,7 +138,7 @@ class Output:
                 total = None if share is None else 1.0
                 bars.update(stages[stage], text=text, total=total, completed=share or 0.0)
 
-        def count() -> None:
+        def count(_: str) -> None:
             nonlocal compiled
             compiled += 1
             update("compile", None, f"{compiled} functions, once on this machine")

@@ -18,8 +18,8 @@ def warm_up(output: Output) -> None:
     from equipoise.reproduction.warm_up import warm_up
 
     begin = time.perf_counter()
-    with output.busy("compiling, half a minute on two cores"):
-        warm_up(available_cores())
+    with output.progress() as show:
+        warm_up(available_cores(), show)
     output.result(
         compiled_s=round(time.perf_counter() - begin, 1),
         cache=cache_directory(),

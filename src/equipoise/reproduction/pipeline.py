@@ -9,11 +9,11 @@ files. `equipoise.apps.report.page.build` makes the page from the folder.
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
 from equipoise.artefacts import StrPath
 from equipoise.control.bound_policy import BUILT_IN
@@ -42,8 +42,9 @@ from equipoise.reproduction.results import (
     digests,
 )
 from equipoise.reproduction.synthetic_swing import synthetic_swing
+from equipoise.reproduction.warm_up import TWIN, is_warm, warm_up
 from equipoise.rig.simulate import simulate_run
-from equipoise.settings import Settings
+from equipoise.settings import Settings, changed
 from equipoise.worlds.evaluation import Evaluation, evaluate
 
 T = TypeVar("T")
@@ -59,8 +60,6 @@ QUICK: Final = {
     "evaluation.duration": 20.0,
 }
 """Maximum settings of a quick reproduction, which takes less than a minute."""
-TWIN: Final = "twin:nominal"
-"""World of the second evaluation and of the run."""
 TWIN_TRIALS: Final = 40
 """Maximum number of trials of the second evaluation: a trial there takes thirty times as long."""
 
@@ -111,6 +110,8 @@ def reproduce(
         value.save(out / file, command="reproduce", inputs=inputs)
         return value
 
+    if not is_warm():
+        warm_up(workers, report)
     given = stage("swing", lambda: swing or synthetic_swing(seed))
     write_swing(out / SWING, given)
     # The identification reads the file in the folder, so that a figure shows the same data.
@@ -199,15 +200,6 @@ def shortened(settings: Settings) -> Settings:
     return changed(
         settings, {name: min(attrgetter(name)(settings), most) for name, most in QUICK.items()}
     )
-
-
-def changed(settings: Settings, changes: Mapping[str, Any]) -> Settings:
-    """Return settings with other values of some of them, by their full names."""
-    tree = settings.model_dump()
-    for name, value in changes.items():
-        section, _, key = name.partition(".")
-        tree[section][key] = value
-    return Settings.model_validate(tree)
 
 
 def _has_twin(arm: Arm) -> bool:

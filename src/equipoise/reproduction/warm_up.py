@@ -1,26 +1,33 @@
 """Compilation of all kernels, before somebody waits for them.
 
-Each job does a little of everything that a user does, in a process of its own: two processes
-compile at the same time, which threads cannot. All verbs and environments of a user share
-the machine code, as long as the sources of the package are equal (`equipoise.jit`).
+Each job does a little of everything that a user does, in a process of its own: processes compile at
+the same time, which threads cannot. All verbs and environments of a user share the machine code, as
+long as the sources of the package are equal (`equipoise.jit`).
 """
 
 import multiprocessing
+import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from typing import Final
+from contextlib import suppress
+from pathlib import Path
+from queue import Empty
+from typing import Any, Final
 
 from equipoise.control.policy import shipped_policy
+from equipoise.errors import OutsideError
+from equipoise.executors import Show
 from equipoise.identification.swing import identify
+from equipoise.jit import cache_folder, disabled, package_digest, watching_compilation
 from equipoise.learning.target import train_to_target
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.worlds import IDEAL, MODEL
-from equipoise.reproduction.pipeline import TWIN, changed
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.rig.simulate import simulate_run
-from equipoise.settings import Settings
+from equipoise.settings import Settings, changed
 from equipoise.worlds.evaluation import evaluate
 
+TWIN: Final = "twin:nominal"
+"""World of the reproduction's second evaluation and of its run."""
 SECONDS: Final = 0.5
 """Length of trials and runs [s]: long enough for every branch of a tick."""
 LITTLE: Final = {
@@ -34,6 +41,8 @@ LITTLE: Final = {
     "evaluation.duration": SECONDS,
 }
 """Settings of the little work."""
+REFRESH: Final = 0.2
+"""Time between two reports of the progress [s]."""
 
 
 def train_a_little() -> None:
@@ -55,18 +64,66 @@ def run_a_little() -> None:
 
 JOBS: Final[dict[str, Callable[[], None]]] = {"train": train_a_little, "run": run_a_little}
 """Jobs by name; they share few kernels."""
+KERNELS: Final = {
+    **{"train_episodes": 6.5, "run_trials": 6.2, "advance_lanes": 3.4, "run_trial": 2.4},
+    **{"reset": 1.4, "begin_episode": 1.3, "new_twin_handle": 1.2, "place_trial": 1.1},
+}
+"""Compilation of the large kernels, whose loops contain most other functions [s]."""
+OTHER: Final = 0.14
+"""Compilation of any other function, in the mean [s]."""
+FUNCTIONS: Final = 180
+"""Number of all functions."""
 
 
-def warm_up(workers: int, done: Callable[[str], None] = lambda _: None) -> None:
+def _marker() -> Path:
+    return cache_folder(f"kernels/{package_digest()}") / "warm"
+
+
+def is_warm() -> bool:
+    """Return whether the kernels of these sources were compiled by `warm_up`."""
+    return disabled() or _marker().exists()
+
+
+def _process(name: str, compiled: Any) -> None:
+    with watching_compilation(compiled.put):
+        JOBS[name]()
+
+
+def warm_up(workers: int, show: Show = lambda *_: None) -> None:
     """Compile the kernels of the pipeline, of twins and of runs into the cache.
 
     Args:
         workers: Maximum number of processes.
-        done: Callback; receives the name of each finished job.
+        show: Called with the progress, which is linear in time.
+
+    Raises:
+        OutsideError: A process ended early.
     """
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(JOBS)), mp_context=context) as pool:
-        jobs = {pool.submit(job): name for name, job in JOBS.items()}
-        for job in as_completed(jobs):
-            job.result()
-            done(jobs[job])
+    context, begin = multiprocessing.get_context("spawn"), time.monotonic()
+    compiled: Any = context.Queue()
+    waiting, running, left = list(JOBS), dict[str, Any](), dict(KERNELS)
+    total, done, last = sum(KERNELS.values()) + FUNCTIONS * OTHER, 0.0, begin
+    try:
+        while waiting or running:
+            while waiting and len(running) < workers:
+                name = waiting.pop(0)
+                running[name] = context.Process(target=_process, args=(name, compiled))
+                running[name].start()
+            with suppress(Empty):
+                name = compiled.get(timeout=REFRESH)
+                done, last = done + left.pop(name, OTHER), time.monotonic()
+            for name, process in list(running.items()):
+                if process.exitcode:
+                    raise OutsideError(f"the compilation of {name!r} ended: {process.exitcode}")
+                if process.exitcode == 0:
+                    running.pop(name)
+            now = time.monotonic()
+            # While a large kernel compiles, nothing is reported: go on at the same rate.
+            rate = done / max(last - begin, 1.0)
+            ahead = min(rate * (now - last), max(left.values(), default=OTHER))
+            show("compile", min((done + ahead) / total, 0.99), "once on this machine")
+    finally:
+        for process in running.values():
+            process.terminate()
+    _marker().touch()
+    show("compile", 1.0, "once on this machine")
