@@ -117,7 +117,7 @@ EDITS = {
     "half a count": {"counts": 0.5},
     "a word for a number": {"compute": "far"},
     "a huge number": {"compute": 1e300},
-    "a short posture": {"q": [0.0, 0.0, 0.0]},
+    "a short posture": {"dq": [0.0, 0.0, 0.0]},
     "no such phase": {"state": 99},
 }
 
