@@ -88,7 +88,7 @@ def rig_log(tmp_path_factory):
     settings = RigSettings()
     world = read_world("twin:nominal")
     real = pendulum_on(policy.pendulum, world.settings)
-    emulated = emulated_rig(world, settings, real, seed=3, robot="kst")
+    rig = emulated_rig(world, settings, real, seed=3, robot="kst")
     request = RunRequest(
         policy=policy,
         actuator=policy.actuator,
@@ -100,7 +100,7 @@ def rig_log(tmp_path_factory):
         dry_run=False,
         seed=3,
     )
-    assert run_virtually(request, path, rig=emulated.rig).outcome == "lasted"
+    assert run_virtually(request, path, rig=rig).outcome == "lasted"
     return path
 
 

@@ -66,7 +66,7 @@ class TestGuest(RobotConformance):
         quiet = world._replace(settings=world.settings.model_copy(update={"joint_noise": 1e-5}))
         rig = emulated_rig(
             quiet, RigSettings(), pendulum_on(shipped_pendulum(), world.settings), robot="guest"
-        ).rig
+        )
         assert isinstance(rig.robot, PacedStream)
         rig.clock.wait_until(10.0)  # the pendulum has pulled the arm down, and rests
         return rig.robot, rig.clock

@@ -115,12 +115,13 @@ class FaultHarness:
         self.scenario = scenario
         world = read_world(WORLD)
         pendulum = pendulum_on(scenario.policy.pendulum, world.settings)
-        self.parts = emulated_rig(world, scenario.settings, pendulum, seed=seed)
-        self.bench, self.board = self.parts.bench, self.parts.sensor.emulator
-        clock = self.parts.rig.clock
+        self.rig = emulated_rig(world, scenario.settings, pendulum, seed=seed)
+        self.robot, self.sensor = self.rig.emulated
+        self.bench, self.board = self.rig.bench, self.sensor.emulator
+        clock = self.rig.clock
         self.clock = StallingClock(clock)
-        self.robot_tap = TransportTap(self.parts.robot.link.other, clock)
-        self.encoder_tap = TransportTap(self.parts.sensor.link.other, clock)
+        self.robot_tap = TransportTap(self.robot.link.other, clock)
+        self.encoder_tap = TransportTap(self.sensor.link.other, clock)
         self.messages, self.observations = list[ReceivedMessage](), list[ArmObservation]()
         self.held_at_start = False  # whether the hand held the pendulum when the policy began
         self.injected_at = None  # time of the first injection [s]
@@ -137,10 +138,10 @@ class FaultHarness:
 
     def run(self) -> RunEnd:
         """Run the policy, and return the result; `Outcome.ERROR` for a refused run."""
-        scenario, parts = self.scenario, self.parts
-        sensor = parts.sensor.driver(self.encoder_tap.open, self.clock)
-        robot = parts.robot.driver(self.robot_tap.open, DrainingClock(self.clock, sensor))
-        rig = parts.rig._replace(robot=robot, sensor=sensor, clock=self.clock)
+        scenario = self.scenario
+        sensor = self.sensor.driver(self.encoder_tap.open, self.clock)
+        robot = self.robot.driver(self.robot_tap.open, DrainingClock(self.clock, sensor))
+        rig = self.rig._replace(robot=robot, sensor=sensor, clock=self.clock)
         rig.operator.ignored = scenario.missed_messages
         request = RunRequest(
             policy=scenario.policy,

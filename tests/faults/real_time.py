@@ -8,7 +8,6 @@ from the simulated rig.
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -218,42 +217,9 @@ def _play_kill():
         return f"warned after {1e3 * late:.0f} ms to press the E-stop", problems + run.motion()
 
 
-def _play_second_client():
-    with live_run() as run:
-        run.wait_for("Balancing")
-        reply = b""
-        with suppress(OSError), socket.create_connection((HOST, run.port), 1.0) as second:
-            second.settimeout(1.0)
-            second.sendall(b"getJointsPositions\nend\n")
-            reply = second.recv(100)
-        problems = run.problems(0, 1)
-        return run.final_line(), problems + ([f"the server answered {reply!r}"] if reply else [])
-
-
-def _play_load():
-    spin = "import time\nend = time.monotonic() + 3.0\nwhile time.monotonic() < end: pass"
-    with live_run() as run:
-        run.wait_for("Balancing")
-        load = [subprocess.Popen([sys.executable, "-c", spin]) for _ in range(2 * os.cpu_count())]
-        try:
-            problems = run.problems(0, 1)
-            return run.final_line(), problems
-        finally:
-            for process in load:
-                process.wait()
-
-
-SIGNALS = (
-    (signal.SIGINT, "Moving to home", 0.4),
-    (signal.SIGTERM, "Self-test: the arm moves", 0.6),
-    (signal.SIGINT, "Armed", 0.1),
-    (signal.SIGINT, "Balancing", 1.0),
-    (signal.SIGTERM, "Balancing", 1.5),
-)
+SIGNALS = ((signal.SIGINT, "Moving to home", 0.4), (signal.SIGTERM, "Balancing", 1.5))
 """Signals that end a run, each with a line of its output and the time after it [s]."""
 REAL_TIME = {
-    "CPU load": _play_load,
-    "second client": _play_second_client,
     "control process killed": _play_kill,
     **{f"{one[0].name}: {one[1].lower()}": _play_signal(*one) for one in SIGNALS},
 }

@@ -85,7 +85,7 @@ STALL = 0.060
 
 def hold_back(harness: FaultHarness, part: str) -> None:
     """Hold back all bytes of the link to `robot` or `sensor` for a stall, then pass them on."""
-    link = getattr(harness.parts, part).link
+    link = getattr(harness, part).link
     ends = [(end, end.delay) for end in (link, link.other)]
 
     def delay(since: float) -> None:
@@ -110,10 +110,10 @@ def _slip_slowly(harness: FaultHarness) -> None:
 
 # fmt: off
 ENCODER = (
-    Fault("encoder unplugged", _ends("encoder lost"), _call("parts.sensor.link.close"),
+    Fault("encoder unplugged", _ends("encoder lost"), _call("sensor.link.close"),
           within=0.02, says="encoder"),
     Fault("encoder unplugged in the self-test", _ends("encoder lost"),
-          _call("parts.sensor.link.close"), Trigger("swing", 0.7), within=0.02, says="encoder"),
+          _call("sensor.link.close"), Trigger("swing", 0.7), within=0.02, says="encoder"),
     Fault("encoder silent", _ends("stale encoder"), _change("board", silent=True), within=0.09,
           says="its cable"),
     Fault("encoder frozen", FELL | _ends("count jump"), _change("board", frozen=True), within=2.0),
@@ -134,7 +134,7 @@ ENCODER = (
           _call("board.zero"), Trigger("swing", 1.4), within=0.03),
     Fault("zero error", _ends("lasted"), _slip_slowly, Trigger("swing"), check=_referenced_twice),
     Fault("zero error while balancing", FELL | _ends("lasted"), _slip_slowly),
-    Fault("stale samples", _ends("stale encoder"), _change("parts.sensor.link", delay=0.1),
+    Fault("stale samples", _ends("stale encoder"), _change("sensor.link", delay=0.1),
           within=0.09, says="old"),
     Fault("stall of the encoder", _ends("lasted"), lambda harness: hold_back(harness, "sensor")),
     Fault("malformed lines", _ends("encoder gap"), _change("board", malformed=0.02), within=0.5,
@@ -172,16 +172,16 @@ TIME = (
 
 
 def _drop(harness: FaultHarness) -> None:
-    harness.parts.robot.emulator.cut = True
-    harness.parts.robot.link.close()
+    harness.robot.emulator.cut = True
+    harness.robot.link.close()
 
 
 def _half_open(harness: FaultHarness) -> None:
-    harness.parts.robot.link.cut = harness.parts.robot.link.other.cut = True
+    harness.robot.link.cut = harness.robot.link.other.cut = True
 
 
 def _back_up(harness: FaultHarness) -> None:
-    there = harness.parts.robot.link.other
+    there = harness.robot.link.other
     before, there.delay = there.delay, 0.09
     harness.after(0.1, lambda: setattr(there, "delay", before))
 
@@ -301,7 +301,7 @@ def slow_link(round_trip: float) -> Inject:
     """Let every later round trip to the robot take a duration [s]."""
 
     def inject(harness: FaultHarness) -> None:
-        link = harness.parts.robot.link
+        link = harness.robot.link
         link.delay = link.other.delay = max(0.5 * round_trip, link.delay)
 
     return inject
@@ -319,7 +319,7 @@ ROBOT = (
     Fault("command backlog", _ends("link overdue"), _back_up, within=0.1, says="has not answered"),
     Fault("stall of the link", _ends("lasted"), lambda harness: hold_back(harness, "robot"),
           says="stood still"),
-    Fault("nak", _ends("link lost"), _change("parts.robot.emulator", refuses=True),
+    Fault("nak", _ends("link lost"), _change("robot.emulator", refuses=True),
           stoppable=False, within=0.03),
     Fault("reconnect in mid-run", _ends("link lost"), _drop, stoppable=False, within=0.02,
           check=_no_bytes_after),

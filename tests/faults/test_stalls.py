@@ -32,8 +32,8 @@ class Balance:
             words_after_stop=False,
             seed=seed,
         )
-        parts = self.harness.parts
-        self.link = {"link": parts.robot.link, "encoder": parts.sensor.link}.get(part)
+        harness = self.harness
+        self.link = {"link": harness.robot.link, "encoder": harness.sensor.link}.get(part)
         self.usual = self.link and self.link.delay
         self.end = self.harness.run()
 

@@ -10,7 +10,6 @@ from math import inf
 import numpy as np
 
 from equipoise.control.bound_policy import BoundPolicy
-from equipoise.control.policy import tick_policy
 from equipoise.control.ticks import TickInputs, TickRecord
 from equipoise.identification.actuator import identify_actuator
 from equipoise.logs.recorder import FAILED, WORD_TYPED
@@ -56,11 +55,13 @@ def replay(run, policy):
         identify=identify_actuator if conditions.identifies else None,
     )
     limit = None if run.end is None else run.end.max_speed
-    clock, rest = PolicyClock(), (conditions.counts_per_rev, inf if limit is None else limit)
+    clock = PolicyClock()
     controller = RunController(
-        request.parts(tick_policy(policy), clock, *rest),
-        request.response(actuator, *rest),
+        request,
         reply[np.isnan(reply["sent"])]["q"][0].tolist(),
+        counts_per_rev=conditions.counts_per_rev,
+        max_speed=inf if limit is None else limit,
+        clock=clock,
     )
     return compared(run, controller, clock)
 

@@ -17,8 +17,7 @@ from equipoise.rig.preflight import warm_up
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
 from equipoise.rig.run_controller import PHASES
-from tests.control.test_bound_policy import KINDS, folder
-from tests.rig.replayed import replay
+from tests.control.test_bound_policy import folder
 
 __all__ = ["folder"]
 
@@ -73,19 +72,6 @@ FAILURES = {
     lambda policy: np.nan: "Failing returned nan",
     is_late: "the policy failed: it took 6.0 ms, expected at most 5.0 ms",
 }
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["guest:Counting"]
-    + [pytest.param(name, marks=pytest.mark.slow) for name in KINDS if name != "guest:Counting"],
-)
-def test_a_policy_of_any_kind_runs_on_a_virtual_rig_and_its_run_replays(folder, name):
-    policy = load_policy(name)
-    _, log = run(policy, folder / "run.mcap")
-    assert log.conditions.policy == policy.digest
-    assert log.conditions.policy_name == policy.name
-    assert replay(log, load_policy(name)) == (len(log.tables["tick"]), [])
 
 
 @pytest.mark.parametrize(

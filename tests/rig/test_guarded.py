@@ -104,15 +104,6 @@ def test_a_way_to_rest_that_ends_at_a_limit_is_not_taken_over():
     assert max(q[6] for q in tape.sent) <= UPPER[6] + 1e-12
 
 
-def test_what_may_be_sent_leaves_as_it_came():
-    robot, tape = guarded()
-    stream = [tuple(HOME), *along(HOME, 0.2 * VELOCITY, 50)]
-    for setpoint in stream:
-        robot.send(setpoint)
-        assert robot.last == setpoint
-    assert tape.sent == stream
-
-
 @pytest.mark.parametrize("away", [2.0 * FIRST_LIMIT, -0.1, nan])
 def test_nothing_leaves_before_a_first_setpoint_where_the_arm_is(away):
     robot, tape = guarded()

@@ -1,8 +1,6 @@
 """Robot and encoder that fail while nothing moves, in virtual time."""
 
 import re
-from math import inf
-from types import SimpleNamespace
 
 import pytest
 
@@ -10,12 +8,10 @@ from equipoise.control.policy import shipped_policy
 from equipoise.errors import LinkError, OutsideError
 from equipoise.logs.run_log import RunLog
 from equipoise.model.worlds import pendulum_on, read_world
-from equipoise.rig import plugins
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import CHECKLIST, run_virtually
-from tests.guest.guest.robot import PLUGIN as GUEST
 
 pytestmark = pytest.mark.compiled_only
 
@@ -33,10 +29,13 @@ def cut(link):
 
 
 FAULTS = {
-    "the robot's process dies": (lambda rig: rig.robot.link.close(), "closed the link"),
-    "the robot's cable is pulled": (lambda rig: cut(rig.robot.link), "within 1 s|for 0.5 s"),
-    "the encoder's board dies": (lambda rig: rig.sensor.link.close(), "is gone: .*closed the link"),
-    "the encoder falls silent": (lambda rig: cut(rig.sensor.link), "no valid line for 0.5 s"),
+    "the robot's process dies": (lambda rig: rig.emulated[0].link.close(), "closed the link"),
+    "the robot's cable is pulled": (lambda rig: cut(rig.emulated[0].link), "within 1 s|for 0.5 s"),
+    "the encoder's board dies": (
+        lambda rig: rig.emulated[1].link.close(),
+        "is gone: .*closed the link",
+    ),
+    "the encoder falls silent": (lambda rig: cut(rig.emulated[1].link), "no valid line for 0.5 s"),
 }
 
 
@@ -68,33 +67,22 @@ class Absent:
         assert now < self.failed_at + PATIENCE, "the run goes on with a dead link"
 
 
-@pytest.fixture
-def rig_of(monkeypatch):
-    """Make a request for a kind of robot, and its emulated rig."""
-    known = plugins.entry_points
-    guest = SimpleNamespace(name="guest", value="guest:GUEST", load=lambda: GUEST)
-    monkeypatch.setattr(plugins, "entry_points", lambda group: [*known(group=group), guest])
-
-    def make(robot):
-        policy, settings, address = shipped_policy(), RigSettings(), f"{robot}://twin:nominal"
-        request = RunRequest(policy, policy.actuator, settings, address, None, 1.0)
-        pendulum = pendulum_on(policy.pendulum, WORLD.settings)
-        return request, emulated_rig(WORLD, settings, pendulum, robot=robot, seed=3)
-
-    return make
+def rig():
+    """Return a request for a run, and its emulated rig."""
+    policy, settings = shipped_policy(), RigSettings()
+    request = RunRequest(policy, policy.actuator, settings, "kst://twin:nominal", None, 1.0)
+    pendulum = pendulum_on(policy.pendulum, WORLD.settings)
+    return request, emulated_rig(WORLD, settings, pendulum, seed=3)
 
 
 def unattended(emulated):
-    return emulated.rig._replace(operator=None)
+    return emulated._replace(operator=None)
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize(
-    ("robot", "answered"),
-    [("kst", 0), ("kst", len(ANSWERS) - 1), ("guest", 4)],
-)
-def test_a_link_that_fails_at_a_question_ends_the_run(rig_of, tmp_path, robot, answered, fault):
-    out, (request, emulated) = tmp_path / "run.mcap", rig_of(robot)
+@pytest.mark.parametrize("answered", [0, len(ANSWERS) - 1])
+def test_a_link_that_fails_at_a_question_ends_the_run(tmp_path, answered, fault):
+    out, (request, emulated) = tmp_path / "run.mcap", rig()
     person = Absent(emulated, fault, answered)
     with pytest.raises(LinkError, match=person.saying) as failed:
         run_virtually(request, out, person, rig=unattended(emulated))
@@ -109,33 +97,11 @@ def test_a_link_that_fails_at_a_question_ends_the_run(rig_of, tmp_path, robot, a
     list(zip(FAULTS, (1.7, 3.3, 2.7, 3.3), strict=True)),
 )
 def test_a_link_that_fails_in_the_preflight_ends_a_run_whose_answers_were_typed_ahead(
-    rig_of, fault, moment
+    fault, moment
 ):
-    request, emulated = rig_of("kst")
+    request, emulated = rig()
     person = Absent(emulated, fault, len(ANSWERS), at=moment)
     with pytest.raises(OutsideError) as failed:
         run_virtually(request, None, person, rig=unattended(emulated))
     assert failed.value.exit_code == 3
     assert re.search(f"{person.saying}|the newest", str(failed.value))  # a check of the pre-flight
-
-
-def test_a_run_after_long_questions_is_like_any_other(rig_of):
-    request, emulated = rig_of("guest")
-
-    class Slow:
-        due, word = inf, ""
-
-        def notify(self, event):
-            if event.name == "checklist":
-                self.due, self.word = emulated.bench.now + 5.0, event.answers[0]
-
-        def read_input(self):
-            if emulated.bench.now < self.due:
-                return []
-            self.due = inf
-            return [self.word]
-
-    emulated.rig.operator.ignored = frozenset({"checklist"})
-    end = run_virtually(request, None, Slow(), rig=emulated.rig)
-    assert emulated.bench.now > 20.0
-    assert (end.outcome, end.lasted) == ("lasted", 1.0)

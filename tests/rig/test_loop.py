@@ -5,7 +5,7 @@ import pytest
 
 from equipoise.control.ticks import OperatorMessage, TickOutput, TickRecord
 from equipoise.errors import LinkError
-from equipoise.logs.recorder import FAILED, WORD_TYPED, Recorder, read_events
+from equipoise.logs.recorder import FAILED, Recorder, read_events
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.outcomes import End, Outcome, describe
 from equipoise.rig.clocks import VirtualClock
@@ -167,23 +167,6 @@ def test_each_tick_reads_decides_and_sends_two_setpoints_half_a_tick_apart():
     assert [len(inputs.replies) for _, inputs in course.heart.seen] == [0] + 19 * [2]
 
 
-def test_what_was_read_decided_sent_and_said_is_in_the_rings():
-    said = OperatorMessage("armed", "Let go.")
-    heart = Heart(20, {3: lambda output: output._replace(events=(said,))})
-    course = Course(heart, says=[[], ["y"]])
-    course.run()
-    rings = course.recorder.rings
-    lengths = {name: len(rings[name].take()) for name in ("tick", "encoder", "reply")}
-    assert lengths == {"tick": 20, "encoder": 20, "reply": 38}
-    logged_as_sent(course)
-    assert course.person.told == [said[:2]]
-    logged = [(e.name, e.text, e.time) for e in read_events(rings["event"].take())]
-    assert logged == [
-        (WORD_TYPED, "y", pytest.approx(0.02)),
-        ("armed", "Let go.", pytest.approx(0.04)),
-    ]
-
-
 @pytest.mark.parametrize(
     ("late", "found", "missed"),
     [(0.004, 0.004, 0), (0.009, 0.010, 1), (0.012, 0.012, 1), (0.060, 0.060, 6)],
@@ -338,11 +321,3 @@ def test_the_guard_is_told_of_a_way_to_rest():
     course.robot.send = lambda q, **how: told.append(how["to_rest"]) or send(q, **how)
     course.run()
     assert told == [False] * 4 + [True] * 2
-
-
-def test_a_job_is_done_between_two_ticks_and_its_result_reaches_the_heart_once():
-    heart = Heart(10, {3: lambda output: output._replace(job=lambda: 42)})
-    course = Course(heart)
-    course.run()
-    results = [inputs.result for _, inputs in heart.seen]
-    assert results == [None] * 4 + [42] + [None] * 5

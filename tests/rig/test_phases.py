@@ -4,11 +4,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from equipoise.control.policy import shipped_policy, tick_policy
+from equipoise.control.policy import shipped_policy
 from equipoise.outcomes import End, Outcome, Phase
 from equipoise.rig.config import RigSettings
 from equipoise.rig.phases.balancing import Balancing
-from equipoise.rig.phases.context import Excitation, RunContext
+from equipoise.rig.phases.context import RunContext
 from equipoise.rig.phases.exciting import Exciting
 from equipoise.rig.phases.preparation import Confirming, Homing, Referencing
 from equipoise.rig.phases.release import Lifting
@@ -26,7 +26,7 @@ MAKE = {
     Phase.AT_HOME: Confirming,
     Phase.REFERENCING: Referencing,
     Phase.SELF_TEST: lambda run: SelfTesting(run, Referencing),
-    Phase.EXCITING: lambda run: Exciting(run, Excitation([HOME], None, None)),
+    Phase.EXCITING: lambda run: Exciting(run, None),
     Phase.LIFTING: Lifting,
     Phase.BALANCING: Balancing,
 }
@@ -34,8 +34,7 @@ KEY, FROZEN = End(Outcome.OPERATOR, {"typed": "stop"}), End(Outcome.NOT_FOLLOWIN
 
 
 def context(kind):
-    parts = REQUEST.parts(tick_policy(POLICY), lambda: 0.0, 8192)
-    run = RunContext(parts, REQUEST.response(POLICY.actuator, 8192), HOME)
+    run = RunContext(REQUEST, HOME, counts_per_rev=8192)
     run.stopping, run.phase = Stopping(run), MAKE[kind](run)
     return run
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from equipoise.model.encoder import counts_from_theta, theta_from_counts
-from equipoise.model.pendulum import PendulumParameters, step
+from equipoise.model.pendulum import PendulumParameters
 from equipoise.rig import release
 from equipoise.rig.release import BUFFER_SIZE, MAX_SAMPLE_GAP, ReleaseDetector, ReleaseState
 
@@ -285,39 +285,7 @@ def starts(held):
     said = fed(ReleaseDetector(PENDULUM), held.time, read(held.phi, held.zero))
     return RELEASED in said
 
-
-def clean_release(rng):
-    """Let go at once at a random armed moment, and return the growing part at the start [deg].
-
-    None where the fall was not seen. A pendulum that dry friction holds upright is no release.
-    """
-    while True:
-        held = hold(rng)
-        said = fed(ReleaseDetector(PENDULUM), held.time, read(held.phi, held.zero))
-        moments = [i for i, grip in enumerate(said[:-1]) if grip is ARMED]
-        if not moments:
-            continue
-        last = int(rng.choice(moments))
-        rate = (held.phi[last + 1] - held.phi[last - 1]) / (
-            held.time[last + 1] - held.time[last - 1]
-        )
-        plant = PENDULUM._replace(
-            w2=PENDULUM.w2 * rng.normal(1.0, 0.02), coulomb=rng.uniform(0.0, 0.2)
-        )
-        phi, phi_dot = radians(held.phi[last]), radians(rate)
-        detector = ReleaseDetector(PENDULUM)
-        fed(detector, held.time[: last + 1], read(held.phi, held.zero)[: last + 1])
-        time = held.time[last]
-        for _ in range(2 * RATE):
-            now = time + 1.0 / RATE + rng.uniform(-5e-5, 5e-5)
-            phi, phi_dot = step(phi, phi_dot, 0.0, now - time, plant)
-            time = now
-            grip = detector.feed(time, radians(float(read(np.degrees(phi), held.zero))))
-            if grip is RELEASED:
-                return float(np.degrees(phi + phi_dot / W))
-            if grip is HELD:
-                return None
-        # It stands.
+    # It stands.
 
 
 @pytest.mark.compiled_only
@@ -332,12 +300,3 @@ def test_no_hold_is_taken_for_a_release(holds):
 def test_a_hand_that_drifts_half_as_far_again_seldom_is(holds):
     rng = np.random.default_rng(42)
     assert sum(starts(hold(rng, drift=1.5)) for _ in range(holds)) <= 0.02 * holds
-
-
-@pytest.mark.compiled_only
-@pytest.mark.parametrize("releases", [3, pytest.param(200, marks=pytest.mark.slow)])
-def test_clean_releases_start_where_they_can_be_caught(releases):
-    rng = np.random.default_rng(43)
-    grown = [clean_release(rng) for _ in range(releases)]
-    caught = sum(value is not None and abs(value) < 5.0 for value in grown)
-    assert caught >= 0.99 * releases, grown

@@ -6,12 +6,9 @@ Another one adds a class that says how to make it.
 import numpy as np
 import pytest
 
-from equipoise.rig.interfaces import PacedRobot
-from equipoise.rig.paced import PacedStream
 from equipoise.robots.kst.robot import KstRobot
 from equipoise.testing import RobotConformance
 from tests.rig import in_process
-from tests.rig.paced import paced_robot
 from tests.robots.kst.follower import Bench
 
 
@@ -28,14 +25,6 @@ class TestKstOverASlowLink(TestKst):
 
 class TestTwin(RobotConformance):
     make = staticmethod(in_process.twin_robot)
-
-
-class TestRobotThatSetsThePace(RobotConformance):
-    def make(self):
-        robot, clock = paced_robot(4)
-        assert isinstance(robot, PacedRobot)
-        stream = PacedStream(robot, clock)
-        return stream, stream
 
 
 @pytest.mark.parametrize("name", [name for name in dir(RobotConformance) if "test_" in name])

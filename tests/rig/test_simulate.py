@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from equipoise import paper
 from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.rig.simulate import DEPLOYMENT, simulate_run
 from equipoise.worlds.plant import make_loop_params
@@ -31,26 +30,6 @@ def test_it_starts_as_a_release_leaves_the_pendulum(run):
     # Home is found to the tolerance of the posture's iteration, 1e-12.
     first = (run.x[0], run.x_dot[0], run.phi[0], run.phi_dot[0])
     np.testing.assert_allclose(first, run.conditions.start, atol=1e-9)
-
-
-def test_each_command_is_that_of_the_table(run, small_policy):
-    for i in range(len(run.time)):
-        state = np.array([run.x[i], run.x_dot[i], run.phi[i], run.phi_dot[i]])
-        assert run.u[i] == small_policy.act(state)
-
-
-def test_each_box_holds_its_state_as_the_paper_prints_the_intervals(run):
-    axes = (
-        paper.PHI_INTERVALS_DEG,
-        paper.PHI_DOT_INTERVALS_DEG,
-        paper.X_INTERVALS,
-        paper.X_DOT_INTERVALS,
-    )
-    values = (np.rad2deg(run.phi), np.rad2deg(run.phi_dot), run.x, run.x_dot)
-    for i, box in enumerate(run.box):
-        indices = np.unravel_index(box, (6, 5, 3, 3))
-        for intervals, index, series in zip(axes, indices, values, strict=True):
-            assert float(series[i]) in intervals[index]
 
 
 def test_what_the_policy_saw_is_the_truth_of_the_arm(run, small_policy):

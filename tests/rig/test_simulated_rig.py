@@ -3,26 +3,14 @@
 import numpy as np
 import pytest
 
-from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
-from equipoise.rig.clocks import VirtualClock
-from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.settings import GRAVITY
 from equipoise.worlds.twin.twin import Twin
+from tests.rig.in_process import ARM, PENDULUM, stand
 
 pytestmark = pytest.mark.compiled_only
 
-ARM = iiwa(7)
-PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
 NOMINAL = TwinSettings()
-
-
-def stand(**more):
-    clock = VirtualClock()
-    bench = SimulatedRig(ARM, PENDULUM, NOMINAL, **more)
-    clock.attach(bench.advance)
-    return bench, clock
 
 
 def wait(clock, seconds):

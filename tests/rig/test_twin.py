@@ -5,13 +5,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from equipoise.identification.recording import Trajectory
-from equipoise.identification.swing import identify
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.encoder import theta_from_counts
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
-from equipoise.settings import GRAVITY, IdentificationSettings
+from equipoise.settings import GRAVITY
 from equipoise.worlds.twin.excitation import excitation
 from equipoise.worlds.twin.physics import TICK
 from equipoise.worlds.twin.twin import Twin, reset
@@ -50,32 +47,6 @@ def test_a_free_swing_is_that_of_the_equation(theta):
     # The engine's steps are of first order: they are half a step late.
     assert errors[0] < TICK * rate
     assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.15)
-
-
-@pytest.mark.compiled_only
-def test_a_pendulum_is_identified_as_it_was_built():
-    model, friction = "quadratic", {"coulomb": 0.2, "drag": 0.04}
-    settings = FIRM
-    pendulum = PENDULUM._replace(**friction)
-    twin = Twin(ARM, pendulum, settings, seed=3)
-    twin.reset(phi=np.pi - 1.2)
-    samples = []
-    for _ in range(15_000):
-        twin.advance(0.002)
-        samples.append(twin.encoder())
-    counts, time = np.array(samples).T
-    recording = Trajectory(
-        time=time,
-        theta=theta_from_counts(counts, settings.counts_per_rev, 1),
-        resolution=2 * np.pi / settings.counts_per_rev,
-    )
-    found = identify(recording, IdentificationSettings(friction=model))
-    assert found.w2.value == pytest.approx(pendulum.w2, rel=1e-3)
-    assert found.c.value == pytest.approx(pendulum.c, rel=0.02)
-    assert found.coulomb.value == pytest.approx(pendulum.coulomb, rel=0.02)
-    assert found.drag.value == pytest.approx(pendulum.drag, rel=0.02)
-    assert found.fit.offset == pytest.approx(-twin.kernel.sensors.zero[0], abs=1e-4)
-    assert found.fit.warnings == ()
 
 
 def test_the_truth_is_what_mujoco_says_of_the_bodies():

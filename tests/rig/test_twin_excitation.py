@@ -5,9 +5,7 @@ import pytest
 
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import TwinSettings
 from equipoise.worlds.twin.excitation import PERIOD, excitation
-from equipoise.worlds.twin.twin import Twin
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.16, c=0.15)
 
@@ -28,19 +26,3 @@ def test_it_starts_and_ends_at_rest_at_home_and_keeps_within_the_limits(size, du
         np.array([arm.kinematics(row).position for row in q[::10]]) - arm.kinematics(q[0]).position
     )
     assert np.abs(places).max() < 0.05
-
-
-@pytest.mark.compiled_only
-@pytest.mark.parametrize(
-    ("size", "changed"), [(7, {"lag": 0.004}), (14, {"inner": "pd"}), (14, {})], ids=str
-)
-def test_no_torque_ends_at_its_limit_and_the_pendulum_hangs(size, changed):
-    arm = iiwa(size)
-    twin = Twin(arm, PENDULUM, TwinSettings(**changed))
-    swung = []
-    for q in excitation(arm):
-        twin.send(q)
-        twin.advance(PERIOD)
-        swung.append(np.pi - twin.data.qpos[7])
-    assert twin.saturated <= (2 if "lag" in changed else 0)  # of 10,000 ms
-    assert np.abs(swung).max() < np.radians(50.0)

@@ -3,24 +3,10 @@
 import numpy as np
 import pytest
 
-from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import TwinSettings
-from equipoise.rig.clocks import VirtualClock
-from equipoise.rig.simulated_rig import SimulatedRig
-from equipoise.settings import GRAVITY
 from equipoise.worlds.twin.hand import RANGES, draw_hand_params
+from tests.rig.in_process import PENDULUM, stand
 
-ARM = iiwa(7)
-PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
 UNSTABLE = np.sqrt(PENDULUM.w2)
-
-
-def stand(seed):
-    clock = VirtualClock()
-    bench = SimulatedRig(ARM, PENDULUM, TwinSettings(), seed=seed)
-    clock.attach(bench.advance)
-    return bench, clock
 
 
 def recorded(bench, clock, seconds):
@@ -56,7 +42,7 @@ def test_manners_are_within_their_limits_and_of_every_kind():
 @pytest.mark.compiled_only
 @pytest.mark.parametrize(("side", "sign"), [("front", 1), ("back", -1)])
 def test_it_lifts_from_its_side_and_holds_upright_within_its_tremor(side, sign):
-    bench, clock = stand(11)
+    bench, clock = stand(seed=11)
     clock.wait_until(0.2)
     manner = bench.lift(side=side)
     lifting = recorded(bench, clock, manner.lifting)
@@ -75,7 +61,7 @@ def test_it_lifts_from_its_side_and_holds_upright_within_its_tremor(side, sign):
 @pytest.mark.compiled_only
 def test_released_cleanly_it_falls_freely_and_no_force_remains():
     for seed in range(2):
-        bench, clock = stand(seed)
+        bench, clock = stand(seed=seed)
         manner = bench.lift(clumsy=0.0)
         clock.wait_until(manner.lifting + 2.0)
         before = bench.truth()

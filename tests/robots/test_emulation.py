@@ -1,6 +1,5 @@
 """The emulated hardware, in virtual time but for its port."""
 
-import os
 import select
 import socket
 import sys
@@ -10,7 +9,6 @@ import pytest
 from equipoise.errors import OutsideError
 from equipoise.rig.clocks import VirtualClock
 from equipoise.robots.emulation import Emulation
-from equipoise.robots.encoder.codec import Decoder, Flags, Reading
 from tests.rig.in_process import ARM, PENDULUM, TwinSettings
 
 pytestmark = [
@@ -92,29 +90,6 @@ def test_a_client_that_vanishes_leaves_the_servo_on_until_the_word_start():
     stage.run(3.0)
     assert running == [True, False]
     assert "vanished" in stage.said[0]
-
-
-def test_the_terminal_tells_button_and_pendulum():
-    stage = Stage()
-    acts, came, decoder = stage.emulation.acts, [], Decoder()
-    port = os.open(stage.emulation.terminal.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-
-    def read():
-        if select.select([port], [], [], 0.0)[0]:
-            came.extend(decoder.feed(os.read(port, 65536)))
-
-    for i in range(1, 60):
-        stage.at(0.05 * i, read)
-    stage.at(0.5, acts["press"])
-    stage.at(1.0, acts["push"])
-    stage.plan.sort(key=lambda planned: planned[0])
-    stage.run(3.0)
-    os.close(port)
-    lines = [line for line in came if isinstance(line, Reading)]
-    assert sum(bool(line.flags & Flags.DOWN) for line in lines) == pytest.approx(100, abs=2)
-    assert max(abs(line.counts) for line in lines[:900]) <= 4
-    # 20 deg/s is 2.4 deg of a swing.
-    assert max(abs(line.counts) for line in lines) == pytest.approx(54, abs=8)
 
 
 def test_a_host_that_stalls_is_told_and_time_is_made_up_for():

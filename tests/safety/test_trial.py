@@ -23,20 +23,12 @@ from equipoise.outcomes import SAFETY_RULES, Outcome
 from equipoise.safety import rules
 from equipoise.safety.rules import (
     NO_VIOLATION,
-    MonitorState,
-    SafetyInputs,
     broken_flange,
     broken_setpoint,
-    check,
     check_setpoint,
-    error_time_exceeded,
     has_fallen,
-    largest_difference,
     make_safety_params,
     newest_before,
-    next_error_time,
-    overloaded_joint,
-    update_monitor,
 )
 from equipoise.safety.trial import (
     new_trial_monitor,
@@ -74,24 +66,6 @@ def compiled_setpoint(limits, q, last, before, dt):
     return broken_setpoint(limits, q, last, before, dt)
 
 
-@kernel
-def compiled_flange(guard, x, x_dot, drift, tilt, w):
-    return broken_flange(guard, x, x_dot, drift, tilt, w)
-
-
-@kernel
-def compiled_rest(guard, measured, expected, before, torque, phi):
-    error, joint = largest_difference(measured, expected)
-    error_time = next_error_time(before, error, guard.h)
-    pressed = overloaded_joint(torque, guard.torque)
-    return error, joint, error_time, error_time_exceeded(error_time), pressed, has_fallen(phi)
-
-
-@kernel
-def compiled_newest(sent, number, since):
-    return newest_before(sent, number, since)
-
-
 @pytest.mark.compiled_only
 @settings(deadline=None, max_examples=200)
 @given(
@@ -108,59 +82,6 @@ def test_a_setpoint_has_the_same_verdict_compiled_and_in_python(place, change, b
     code, joint, value, limit = compiled_setpoint(GUARD_7.limits, q, last, before, DT)
     assert same(violation, code, value, limit)
     assert violation is None or joint == violation.evidence["joint"]
-
-
-@pytest.mark.compiled_only
-@settings(deadline=None, max_examples=200)
-@given(
-    x=near(0.0, 0.3),
-    x_dot=near(0.0, 0.8),
-    drift=st.floats(0.0, 0.02),
-    tilt=near(0.0, 0.05),
-    w=st.floats(0.0, 0.1),
-    speed=st.sampled_from([float("inf"), rules.T1_SPEED, 0.4]),
-)
-def test_a_flange_has_the_same_verdict_compiled_and_in_python(x, x_dot, drift, tilt, w, speed):
-    guard = GUARD_7._replace(speed=speed)
-    view = SafetyInputs(on_track=True, x=x, x_dot=x_dot, drift=drift, tilt=tilt, manipulability=w)
-    violation = check(guard, MonitorState(), view)
-    code, value, limit = compiled_flange(guard, x, x_dot, drift, tilt, w)
-    assert same(violation, code, value, limit)
-
-
-@pytest.mark.compiled_only
-@settings(deadline=None, max_examples=200)
-@given(
-    off=numbers(0.05),
-    before=st.floats(0.0, 0.1),
-    torque=numbers(40.0),
-    phi=near(0.0, radians(15.0)),
-)
-def test_all_else_has_the_same_verdict_compiled_and_in_python(off, before, torque, phi):
-    expected = ARM.home
-    measured = tuple(float(a + b) for a, b in zip(expected, off, strict=True))
-    view = SafetyInputs(
-        measured=measured, expected=expected, torque=torque, phi=phi, balancing=True
-    )
-    watched = update_monitor(GUARD_7, MonitorState(error_time=before), view)
-    *_, joint, error_time, lost, pressed, fallen = compiled_rest(
-        GUARD_7, np.array(measured), np.array(expected), before, np.array(torque), phi
-    )
-    assert error_time == watched.error_time
-    violation = check(GUARD_7, watched, view)
-    rules_of = {Outcome.TORQUE: pressed, Outcome.FOLLOWING: lost, Outcome.ANGLE: fallen}
-    first = next((rule for rule, broken in rules_of.items() if broken), None)
-    assert (violation and violation.outcome) is first
-    if pressed or lost:
-        assert violation.evidence["joint"] == (pressed or joint)
-
-
-@pytest.mark.compiled_only
-@pytest.mark.parametrize("count", [4, 5])
-def test_the_setpoint_in_force_is_the_same_compiled_and_in_python(count):
-    sent = np.array([0.04, 0.01, 0.02, 0.03])
-    for since in np.arange(0.0, 0.05, 0.005):
-        assert compiled_newest(sent, count, since) == newest_before(sent, count, since)
 
 
 def test_a_number_that_is_none_breaks_a_rule():

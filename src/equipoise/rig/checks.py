@@ -45,21 +45,6 @@ class Finding(NamedTuple):
     """Action that helps; empty for a good result."""
 
 
-class EncoderStream(NamedTuple):
-    """Statistics of an encoder's stream."""
-
-    counts_per_rev: int
-    """Counts per revolution after x4, as the board reports them."""
-    rate: float
-    """Samples per second [1/s]."""
-    ages: Array
-    """Age of the newest sample at each read [s]."""
-    lost_share: float
-    """Share of samples lost on the way, damaged or out of sequence [-]."""
-    illegal: int
-    """Number of samples with an illegal transition on the board."""
-
-
 def find(
     name: str, found: str, remedy: str, *, warning: bool = False, bad: bool = False
 ) -> Finding:
@@ -134,14 +119,25 @@ def check_link(trips: Array) -> Finding:
     )
 
 
-def check_encoder(stream: EncoderStream, rig: RigSettings | None) -> list[Finding]:
+def check_encoder(
+    rig: RigSettings | None,
+    counts: int,
+    rate: float,
+    ages: Array,
+    lost_share: float,
+    illegal: int,
+) -> list[Finding]:
     """Judge an encoder by its stream.
 
     Args:
-        stream: Statistics of the stream.
         rig: Contents of `rig.toml`; None skips the comparison of the counts.
+        counts: Counts per revolution after x4, as the board reports them.
+        rate: Samples per second [1/s].
+        ages: Age of the newest sample at each read [s], shape (n,).
+        lost_share: Share of samples lost on the way, damaged or out of sequence [-].
+        illegal: Number of samples with an illegal transition on the board.
     """
-    age, counts = float(np.percentile(stream.ages, 99.0)), stream.counts_per_rev
+    age = float(np.percentile(ages, 99.0))
     expected = counts if rig is None else rig.counts_per_rev
     return [
         find(
@@ -152,20 +148,20 @@ def check_encoder(stream: EncoderStream, rig: RigSettings | None) -> list[Findin
         ),
         find(
             "encoder's samples",
-            f"{stream.rate:.0f} per second, the newest {1e3 * age:.1f} ms old",
+            f"{rate:.0f} per second, the newest {1e3 * age:.1f} ms old",
             "use a board with native USB (Teensy, Pico), or set the adapter's latency timer to "
             "1 ms: echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer",
             # A board at 500 Hz reaches 450; five samples at 1 kHz.
-            warning=stream.rate < 450.0 or age > 0.005,
-            bad=stream.rate < 200.0 or age > STALL,
+            warning=rate < 450.0 or age > 0.005,
+            bad=rate < 200.0 or age > STALL,
         ),
         find(
             "encoder's line",
-            f"{stream.lost_share:.2%} of the samples lost, {stream.illegal} illegal transitions",
+            f"{lost_share:.2%} of the samples lost, {illegal} illegal transitions",
             "check the encoder's supply, screen, plugs and baud rate, and keep its cable away "
             "from the motors'",
-            warning=stream.lost_share > 0.01,
-            bad=stream.illegal > 0,
+            warning=lost_share > 0.01,
+            bad=illegal > 0,
         ),
     ]
 

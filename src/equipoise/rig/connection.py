@@ -48,23 +48,14 @@ class Rig(NamedTuple):
     """The encoder."""
     clock: Clock
     """Clock of both."""
-    operator: Operator | None
-    """Emulated operator; None for a person at the rig."""
     plugin: RobotPlugin
     """The kind of robot."""
-
-
-class EmulatedRig(NamedTuple):
-    """A simulated rig behind drivers, in virtual time, with access for fault injection."""
-
-    rig: Rig
-    """The drivers."""
-    bench: SimulatedRig
-    """Arm, pendulum, hand and button."""
-    robot: Emulated[Any]
-    """The robot's driver, and its emulator."""
-    sensor: Emulated[AngleSensor]
-    """The encoder's driver, and its emulator."""
+    operator: Operator | None = None
+    """Emulated operator; None for a person at the rig."""
+    bench: SimulatedRig | None = None
+    """Arm, pendulum, hand and button of an emulated rig."""
+    emulated: tuple[Emulated[Any], Emulated[AngleSensor]] | None = None
+    """Robot and encoder of an emulated rig: their drivers and emulators, for fault injection."""
 
 
 def open_robot(
@@ -155,7 +146,7 @@ def connect(
             robot=scheme_of(robot),
             seed=request.seed,
             period=period,
-        ).rig
+        )
     if twin is not None or encoder is None:
         raise InputError(
             f"{robot} with --encoder {encoder} is no rig: a robot needs an encoder such as "
@@ -165,23 +156,21 @@ def connect(
     sensor = open_encoder(encoder, clock, counts_per_rev=counts, sign=settings.encoder_sign)
     draining = DrainingClock(clock, sensor)
     opened = open_robot(robot, draining, tell=tell, attend=attend)
-    return _rig(opened, sensor, clock, draining, period, None, robot_plugin(robot))
+    return Rig(*_stream(opened, sensor, clock, draining, period), robot_plugin(robot))
 
 
-def _rig(
+def _stream(
     robot: Robot | PacedRobot,
     sensor: AngleSensor,
     clock: Clock,
     draining: DrainingClock,
     period: float,
-    operator: Operator | None,
-    plugin: RobotPlugin,
-) -> Rig:
-    """Return a rig; a stream stands between it and a robot that sets the pace, as its clock too."""
+) -> tuple[Robot, AngleSensor, Clock]:
+    """Return the parts of a rig: a robot that sets the pace is behind a stream, the clock too."""
     if not isinstance(robot, PacedRobot):
-        return Rig(robot, sensor, clock, operator, plugin)
+        return robot, sensor, clock
     stream = PacedStream(robot, clock, period, draining)
-    return Rig(stream, sensor, stream, operator, plugin)
+    return stream, sensor, stream
 
 
 def emulated_rig(
@@ -192,7 +181,7 @@ def emulated_rig(
     robot: str = "kst",
     seed: int = 0,
     period: float = SETPOINT_PERIOD,
-) -> EmulatedRig:
+) -> Rig:
     """Return a twin behind the drivers of a kind of robot, in virtual time, with its operator.
 
     The link of an emulated robot takes its share of the twin's reply age each way, and the servo
@@ -234,5 +223,5 @@ def emulated_rig(
     clock.attach(emulated.advance)
     clock.attach(sensor.advance)
     operator = EmulatedOperator(bench, clock, seed=seed)
-    rig = _rig(emulated.device, sensor.device, clock, draining, period, operator, plugin)
-    return EmulatedRig(rig, bench, emulated, sensor)
+    parts = _stream(emulated.device, sensor.device, clock, draining, period)
+    return Rig(*parts, plugin, operator, bench, (emulated, sensor))

@@ -21,30 +21,25 @@ REACTION_TIME: Final = (0.3, 1.0)
 class EmulatedOperator:
     """Operator at a simulated rig, who perceives a run by its messages."""
 
-    def __init__(
-        self, bench: SimulatedRig, clock: Clock, *, clumsy: float = 0.0, seed: int = 0
-    ) -> None:
+    def __init__(self, bench: SimulatedRig, clock: Clock, *, seed: int = 0) -> None:
         """Stand at a simulated rig, idle.
 
         Args:
             bench: The rig; its own seed draws how the hand acts.
             clock: Time of the messages.
-            clumsy: Probability of a release with a push or a drag.
             seed: Seed of the reaction times.
         """
         self._clock, self._random = clock, np.random.default_rng(seed)
         self._due: list[tuple[float, str, str]] = []
-        self.messages: list[OperatorMessage] = []
-        """Messages received."""
         self.ignored: frozenset[str] = frozenset()
         """Names of messages that the operator misses."""
         self.acts: dict[str, Callable[[], object]] = {
             "hang": bench.steady,
             "reference": lambda: (bench.let_go(), bench.press()),
-            "lift": lambda: bench.lift(clumsy=clumsy),
+            "lift": lambda: bench.lift(clumsy=0.0),
             "armed": bench.let_go,
             "nudge": lambda: (bench.let_go(), bench.push(0.1)),
-            "disarmed": lambda: bench.lift(clumsy=clumsy),
+            "disarmed": lambda: bench.lift(clumsy=0.0),
         }
         """Act of the hand for each message that asks for one, by its name."""
 
@@ -52,7 +47,6 @@ class EmulatedOperator:
         """Receive a message, and plan the answer to it."""
         if event.name in self.ignored:
             return
-        self.messages.append(event)
         if event.name in self.acts or event.answers:
             moment = self._clock.now() + float(self._random.uniform(*REACTION_TIME))
             self._due.append((moment, next(iter(event.answers), ""), event.name))

@@ -15,7 +15,6 @@ from equipoise.control.controller import Controller, FlangeKinematics
 from equipoise.control.policy import tick_policy
 from equipoise.errors import InputError, LinkError
 from equipoise.rig.checks import (
-    EncoderStream,
     Finding,
     check_deadlines,
     check_encoder,
@@ -69,7 +68,7 @@ def preflight(
         check_link(trips),
         *check_speed(policy, max_speed),
         check_posture(rig.robot.measured(), settings),
-        *check_encoder(listen(rig.sensor, rig.clock, seconds), settings),
+        *check_encoder(settings, *listen(rig.sensor, rig.clock, seconds)),
         *check_settings(granted),
     ]
     return results, max_speed
@@ -98,7 +97,7 @@ def examine(
             with guest_code(f"the driver of the {name}"):
                 device.connect()
                 if isinstance(device, AngleSensor):
-                    findings += check_encoder(listen(device, clock, seconds), rig)
+                    findings += check_encoder(rig, *listen(device, clock, seconds))
                 else:
                     findings.append(check_link(round_trips(device, clock, seconds)))
         except LinkError as error:
@@ -181,8 +180,10 @@ def round_trips(
     return np.array(trips)
 
 
-def listen(sensor: AngleSensor, clock: Clock, seconds: float) -> EncoderStream:
-    """Measure the stream of a connected encoder.
+def listen(
+    sensor: AngleSensor, clock: Clock, seconds: float
+) -> tuple[int, float, Array, float, int]:
+    """Measure the stream of a connected encoder; return the arguments of `check_encoder`.
 
     Args:
         sensor: The encoder.
@@ -207,7 +208,7 @@ def listen(sensor: AngleSensor, clock: Clock, seconds: float) -> EncoderStream:
     lost = missing + sensor.rejected - before
     rate = received / (clock.now() - begin)
     share = lost / max(received + lost, 1)
-    return EncoderStream(sensor.counts_per_rev, rate, np.array(ages), share, illegal)
+    return sensor.counts_per_rev, rate, np.array(ages), share, illegal
 
 
 def _reads(clock: Clock, seconds: float) -> Generator[None]:

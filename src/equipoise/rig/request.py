@@ -3,23 +3,33 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf, radians
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.control.control_step import horizon, make_controller_params
-from equipoise.control.policy import Policy, TaskPolicy, shipped_policy
-from equipoise.errors import InputError
+from equipoise.control.control_step import ControllerParams, horizon, make_controller_params
+from equipoise.control.policy import TaskPolicy, shipped_policy
 from equipoise.logs.conditions import RunConditions
 from equipoise.model.actuator import Actuator
+from equipoise.outcomes import Phase
 from equipoise.rig.checks import fitting_actuators
 from equipoise.rig.config import RigSettings
-from equipoise.rig.phases.context import ArmResponse, Excitation, RunParts
-from equipoise.rig.run_controller import PHASES
-from equipoise.safety.rules import make_safety_params
+from equipoise.safety.rules import SafetyParams, make_safety_params
 from equipoise.worlds.twin.excitation import excitation
 
 Array = npt.NDArray[np.float64]
+
+
+class ArmResponse(NamedTuple):
+    """An actuator of the arm, and what follows from it."""
+
+    actuator: Actuator
+    """The actuator."""
+    params: ControllerParams
+    """Constants of the control step with it, with the rig's counts per revolution."""
+    safety: SafetyParams
+    """Safety limits with it."""
 
 
 @dataclass(frozen=True)
@@ -87,50 +97,24 @@ class RunRequest:
         )
         return ArmResponse(actuator, params, safety)
 
-    def parts(
-        self,
-        policy: Policy,
-        clock: Callable[[], float],
-        counts_per_rev: int,
-        max_speed: float = inf,
-    ) -> RunParts:
-        """Return the parts of the run controller.
+    def excitation(self) -> Array:
+        """Return the motion that identifies the arm, from home to home.
 
-        Args:
-            policy: The policy, as it decides tick by tick.
-            clock: Clock for its computing time [s].
-            counts_per_rev: Counts per revolution that the rig's encoder reports.
-            max_speed: Flange speed limit from the pre-flight [m/s].
+        Returns:
+            All joints [rad], h / 2 apart, shape (m, joints); without rows where the run identifies
+            nothing.
 
         Raises:
-            ArmError: Home is too close to a limit of a joint for the excitation.
+            ArmError: Home is too close to a limit of a joint.
         """
         arm = self.settings.described_arm
-        excited: Excitation | None = None
-        carried = (self.actuator, *self.alternatives) if self.alternatives else ()
-        if self.identify is not None:
-            free = excitation(arm, period=self.policy.h / 2.0)
-            # A half: behind a servo that is 30 ms slower than assumed, the joints follow within
-            # the limit of the following error.
-            free = arm.home_free + 0.5 * (free - arm.home_free)
-
-            def respond(actuator: Actuator) -> tuple[ArmResponse, str]:
-                text = describe_fit(self.policy, actuator)
-                if not fitting_actuators(self.policy, actuator):
-                    raise InputError(text)
-                return self.response(actuator, counts_per_rev, max_speed), text
-
-            setpoints = np.array([arm.with_held(q) for q in free])
-            excited = Excitation(setpoints, self.identify, respond)
-        return RunParts(
-            arm,
-            self.policy.settings.boxes,
-            policy,
-            self.duration,
-            clock,
-            tuple(self.response(each, counts_per_rev, max_speed) for each in carried),
-            excited,
-        )
+        if self.identify is None:
+            return np.zeros((0, len(arm.joints)))
+        free = excitation(arm, period=self.policy.h / 2.0)
+        # A half: behind a servo that is 30 ms slower than assumed, the joints follow within
+        # the limit of the following error.
+        free = arm.home_free + 0.5 * (free - arm.home_free)
+        return np.array([arm.with_held(q) for q in free])
 
     def conditions(self) -> RunConditions:
         """Return the run conditions for the log.
@@ -160,7 +144,7 @@ class RunRequest:
             encoder=self.encoder,
             t1=self.t1,
             dry_run=self.dry_run,
-            phases=PHASES,
+            phases=tuple(Phase),
         )
 
 

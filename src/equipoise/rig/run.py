@@ -11,7 +11,6 @@ from math import inf, nan
 from pathlib import Path
 from typing import Any, Final
 
-from equipoise.control.policy import tick_policy
 from equipoise.control.ticks import Job, OperatorMessage
 from equipoise.errors import EquipoiseError, LinkError, OutsideError
 from equipoise.logs.conditions import RunEnd
@@ -170,21 +169,16 @@ def run_on_rig(
         question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
         if (said := operator.ask(OperatorMessage("move", question, ("y", "n")))) != "y":
             return _unmoved(Outcome.OPERATOR, typed=printable(said))
-        counts_per_rev = rig.sensor.counts_per_rev
-        policy, kernel = tick_policy(request.policy), request.policy.kernel
         rig.sensor.samples()
         robot.start()
         began = rig.clock.now()
         recorder.reply.push(began, nan, robot.started_at, recorder.unknown, began)
         controller = RunController(
-            request.parts(
-                policy,
-                rig.clock.now if kernel is None else lambda: 0.0,  # it takes the computer's time
-                counts_per_rev,
-                max_speed,
-            ),
-            request.response(request.actuator, counts_per_rev, max_speed),
+            request,
             robot.started_at,
+            counts_per_rev=rig.sensor.counts_per_rev,
+            max_speed=max_speed,
+            clock=rig.clock.now,
         )
         ending = run_loop(
             robot,

@@ -13,14 +13,15 @@ training (`equipoise.control.control_step`).
 
 from collections.abc import Sequence
 from math import inf
-from typing import Final
+from typing import Any, Final
 
 from equipoise.control.controller import FlangePose
 from equipoise.control.ticks import OK, TickInputs, TickOutput, TickRecord, missed_ticks
 from equipoise.outcomes import End, Outcome, Phase, describe
-from equipoise.rig.phases.context import ArmResponse, RunContext, RunParts
+from equipoise.rig.phases.context import RunContext
 from equipoise.rig.phases.preparation import Homing
 from equipoise.rig.phases.stopping import Stopping
+from equipoise.rig.request import RunRequest
 from equipoise.safety import rules
 from equipoise.safety.rules import SafetyInputs
 
@@ -38,15 +39,9 @@ PHASES: Final = tuple(Phase)
 class RunController(RunContext):
     """Controller of a run: measurements, safety rules, phase."""
 
-    def __init__(self, parts: RunParts, response: ArmResponse, q: Sequence[float]) -> None:
-        """Begin the way home from the posture that the servo holds.
-
-        Args:
-            parts: Arm, policy and options.
-            response: Response of the arm in use; a phase may assume another one.
-            q: Measured joints, all of them [rad].
-        """
-        super().__init__(parts, response, q)
+    def __init__(self, request: RunRequest, q: Sequence[float], **rig: Any) -> None:
+        """Begin the way home from the posture that the servo holds; see `RunContext`."""
+        super().__init__(request, q, **rig)
         self.phase, self.stopping = Homing(self), Stopping(self)
         self.phase.enter()
         self._monitor = rules.MonitorState()

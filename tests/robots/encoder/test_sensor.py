@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from equipoise.errors import LinkError
+from equipoise.rig.interfaces import AngleSensor
 from equipoise.robots.encoder.codec import Reading, decode, encode
 from equipoise.robots.encoder.consistency import MAX_INCONSISTENT
 from equipoise.robots.encoder.sensor import LineEncoder
@@ -184,3 +185,12 @@ def test_a_link_that_cannot_be_opened_says_why():
         sensor.connect()
     with pytest.raises(LinkError, match="is not connected"):
         sensor.samples()
+
+
+def test_a_closed_sensor_gives_nothing_and_may_be_closed_again(bench):
+    assert isinstance(bench.sensor, AngleSensor)
+    assert bench.sensor.counts_per_rev == 8192
+    for _ in range(2):
+        bench.sensor.close()
+    with pytest.raises(LinkError):
+        bench.sensor.samples()

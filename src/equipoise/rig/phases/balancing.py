@@ -46,14 +46,14 @@ class Balancing(RunPhase):
             end = End(Outcome.ENCODER_LOST, {"text": "the encoder shows nothing"})
         elif run.controller.limit_exceeded:
             end = End(Outcome.JOINT_LIMIT)
-        elif self.ticks * run.h >= run.parts.duration - 0.5 * run.h:
-            end = End(Outcome.LASTED, {"duration": run.parts.duration})
+        elif self.ticks * run.h >= run.request.duration - 0.5 * run.h:
+            end = End(Outcome.LASTED, {"duration": run.request.duration})
         return self.decide(now) if end is None else run.stop_and_rest(end, now)
 
     def decide(self, now: float, *, first: bool = False) -> Setpoints:
         """Command the policy's u; stop where the policy fails, for u is then of no use."""
-        run, u, policy = self.run, nan, self.run.parts.policy
-        began = run.parts.clock()
+        run, u, policy = self.run, nan, self.run.policy
+        began = run.clock()
         try:
             if first:
                 policy.reset()
@@ -62,7 +62,7 @@ class Balancing(RunPhase):
         except BaseException as error:  # not even a request to exit may end the loop
             failure = printable(str(error)) or type(error).__name__
         evidence: dict[str, float | str] = {}
-        took, limit = run.parts.clock() - began, POLICY_TIME_SHARE * run.h
+        took, limit = run.clock() - began, POLICY_TIME_SHARE * run.h
         if not failure and took > limit:
             failure = f"it took {1e3 * took:.1f} ms, expected at most {1e3 * limit:.1f} ms"
             evidence = {"took": took, "limit": limit}

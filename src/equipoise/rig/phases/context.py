@@ -1,27 +1,23 @@
-"""What the phases of a run share: its parts, its measurements, its motion, its latch."""
+"""What the phases of a run share: its request, its measurements, its motion, its latch."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from functools import partial
+from math import inf
+from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-import numpy.typing as npt
-
-from equipoise.control.control_step import ControllerParams
 from equipoise.control.controller import Controller, FlangeKinematics
 from equipoise.control.minimum_jerk import Path
-from equipoise.control.policy import Policy
+from equipoise.control.policy import tick_policy
 from equipoise.control.ticks import Job, OperatorMessage, Sample, TickRecord
 from equipoise.model.actuator import Actuator
-from equipoise.model.arms.arm import Arm
 from equipoise.outcomes import End, Phase, describe
 from equipoise.rig.phases.readings import ArmReadings, EncoderReadings, SetpointHistory
-from equipoise.safety.rules import FROM_MEASURED, STOP_DECELERATION, SafetyParams
-from equipoise.settings import BoxSettings
+from equipoise.rig.request import ArmResponse, RunRequest
+from equipoise.safety.rules import FROM_MEASURED, STOP_DECELERATION
 
 if TYPE_CHECKING:
     from equipoise.rig.phases.stopping import Stopping
 
-Array = npt.NDArray[np.float64]
 Setpoints = tuple[tuple[float, ...], ...]
 """Setpoints of a tick [rad]: now, and h / 2 later; empty while nothing is to be sent."""
 
@@ -30,49 +26,6 @@ RESTART_ACCELERATION: Final = 0.5 * STOP_DECELERATION
 before [m/s^2]: with the policy's largest acceleration that of a stop."""
 LINK_STALLED: Final = "The robot's link stood still: `equipoise rig doctor` looks for the cause."
 """Warning of a stall of the link."""
-
-
-class ArmResponse(NamedTuple):
-    """An actuator of the arm, and what follows from it."""
-
-    actuator: Actuator
-    """The actuator."""
-    params: ControllerParams
-    """Constants of the control step with it, with the rig's counts per revolution."""
-    safety: SafetyParams
-    """Safety limits with it."""
-
-
-class Excitation(NamedTuple):
-    """Motion before the lift that identifies the arm, and the use of its result."""
-
-    setpoints: Array
-    """All joints [rad], h / 2 apart, from home to home, shape (m, joints)."""
-    identify: Callable[[Array, Array], Actuator]
-    """Job that identifies the actuator from setpoints and measurements of the free joints, as
-    `equipoise.identification.actuator.identify_actuator`."""
-    respond: Callable[[Actuator], tuple[ArmResponse, str]]
-    """Returns what follows from the identified actuator, and a sentence for the operator; raises
-    `EquipoiseError` where the policy cannot run with it."""
-
-
-class RunParts(NamedTuple):
-    """Parts of a run that do not change."""
-
-    arm: Arm
-    """The arm with its home."""
-    boxes: BoxSettings
-    """Grid whose numbers the records hold."""
-    policy: Policy
-    """Any policy."""
-    duration: float
-    """Duration of the balance [s]."""
-    clock: Callable[[], float] = lambda: 0.0
-    """Clock for the policy's computing time [s]; the default gives zero."""
-    alternatives: tuple[ArmResponse, ...] = ()
-    """Responses of which the move of the self-test selects one; none, or two and more."""
-    excitation: Excitation | None = None
-    """Motion before the lift that identifies the arm; None without one."""
 
 
 class RunPhase:
@@ -135,12 +88,42 @@ class RunContext:
     before: RunPhase
     """Phase before the stop."""
 
-    def __init__(self, parts: RunParts, response: ArmResponse, q: Sequence[float]) -> None:
-        """Begin with an arm that rests at the measured joints `q` [rad]."""
-        self.parts, self.response = parts, response
-        self.controller = Controller(parts.arm, response.params, parts.boxes)
+    def __init__(
+        self,
+        request: RunRequest,
+        q: Sequence[float],
+        *,
+        counts_per_rev: int,
+        max_speed: float = inf,
+        clock: Callable[[], float] = lambda: 0.0,
+    ) -> None:
+        """Begin with an arm that rests at the measured joints.
+
+        Args:
+            request: The run.
+            q: Measured joints, all of them [rad].
+            counts_per_rev: Counts per revolution that the rig's encoder reports.
+            max_speed: Flange speed limit from the pre-flight [m/s].
+            clock: Clock for the computing time of a policy in Python [s]; the default gives zero.
+
+        Raises:
+            ArmError: Home is too close to a limit of a joint for the excitation.
+        """
+        self.request, self.arm = request, request.settings.described_arm
+        self.policy = tick_policy(request.policy)
+        # A kernel takes the computer's time, which virtual time does not show.
+        self.clock = clock if request.policy.kernel is None else lambda: 0.0
+        self.respond = partial(request.response, counts_per_rev=counts_per_rev, max_speed=max_speed)
+        """Returns what follows from an actuator on this rig."""
+        self.response = response = self.respond(request.actuator)
+        carried = (request.actuator, *request.alternatives) if request.alternatives else ()
+        self.alternatives = tuple(self.respond(actuator) for actuator in carried)
+        """Responses of which the move of the self-test selects one; none, or two and more."""
+        self.excitation = request.excitation()
+        """Motion before the lift that identifies the arm, as of `RunRequest.excitation`."""
+        self.controller = Controller(self.arm, response.params, request.policy.settings.boxes)
         """Control step with the response in use."""
-        self.h, self.flange = response.params.h, FlangeKinematics(parts.arm, response.params)
+        self.h, self.flange = response.params.h, FlangeKinematics(self.arm, response.params)
         self.encoder = EncoderReadings(response.params.resolution)
         self.joints = ArmReadings(q, response.safety.limits)
         self.sent = SetpointHistory(q)
@@ -234,7 +217,7 @@ class RunContext:
     def assume(self, response: ArmResponse) -> None:
         """Assume a response of the arm from now on; the arm rests at home."""
         self.response = response
-        self.controller = Controller(self.parts.arm, response.params, self.parts.boxes)
+        self.controller = Controller(self.arm, response.params, self.request.policy.settings.boxes)
 
     def observe(self, now: float) -> None:
         """Pass the measurements of this tick to the observer."""

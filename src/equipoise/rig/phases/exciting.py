@@ -1,13 +1,17 @@
 """Excitation of every joint before the lift, which identifies the arm."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 from equipoise.control.actuator_choice import motion_rows
+from equipoise.errors import InputError
+from equipoise.model.actuator import Actuator
 from equipoise.outcomes import End, Outcome, Phase
 from equipoise.printable import printable
-from equipoise.rig.phases.context import Excitation, RunContext, RunPhase, Setpoints
+from equipoise.rig.checks import fitting_actuators
+from equipoise.rig.phases.context import RunContext, RunPhase, Setpoints
 from equipoise.rig.phases.release import Lifting
+from equipoise.rig.request import Array, describe_fit
 
 
 class Exciting(RunPhase):
@@ -15,10 +19,10 @@ class Exciting(RunPhase):
 
     kind, moves = Phase.EXCITING, True
 
-    def __init__(self, run: RunContext, plan: Excitation) -> None:
-        """Create the phase from its plan."""
+    def __init__(self, run: RunContext, identify: Callable[[Array, Array], Actuator]) -> None:
+        """Create the phase; `identify` is that of the request."""
         super().__init__(run)
-        self._plan, self._measures = plan, True
+        self._identify, self._measures = identify, True
         self._sent, self._measured = list[tuple[float, ...]](), list[tuple[float, ...]]()
 
     @property
@@ -28,19 +32,19 @@ class Exciting(RunPhase):
 
     def enter(self) -> None:
         """Warn of the motion."""
-        seconds = 0.5 * self.run.h * len(self._plan.setpoints)
+        seconds = 0.5 * self.run.h * len(self.run.excitation)
         text = f"Excitation: every joint moves about home for {seconds:.0f} s. Keep away."
         self.run.notify("excitation", text)
 
     def take_joints(self, time: float, q: Sequence[float]) -> None:
         """Record the response."""
         if self._measures:
-            self._measured.append((time, *self.run.parts.arm.without_held(q)))
+            self._measured.append((time, *self.run.arm.without_held(q)))
 
     def note_sent(self, time: float, q: Sequence[float]) -> None:
         """Record the setpoints."""
         if self._measures:
-            self._sent.append((time, *self.run.parts.arm.without_held(q)))
+            self._sent.append((time, *self.run.arm.without_held(q)))
 
     def begin_anew(self, missed: int, unsent: bool) -> None:
         """Stop: an excitation with a gap identifies nothing."""
@@ -53,24 +57,28 @@ class Exciting(RunPhase):
 
     def tick(self, now: float) -> Setpoints:
         """Move every joint, identify the arm, and assume what was found."""
-        run, plan = self.run, self._plan
+        run, setpoints = self.run, self.run.excitation
         row, h = 2 * self.ticks, run.h
-        if row < len(plan.setpoints):
-            first, second = (tuple(each) for each in plan.setpoints[row - 1 : row + 1].tolist())
-            speeds = (plan.setpoints[row] - plan.setpoints[row - 1]) / (0.5 * h)
+        if row < len(setpoints):
+            first, second = (tuple(each) for each in setpoints[row - 1 : row + 1].tolist())
+            speeds = (setpoints[row] - setpoints[row - 1]) / (0.5 * h)
             run.q, run.dq = second, tuple(speeds.tolist())
             return first, second
-        over = (row - len(plan.setpoints)) * 0.5 * h
+        over = (row - len(setpoints)) * 0.5 * h
         if over > 0.3 and self._measures:
             self._measures = False
-            run.job = partial(plan.identify, motion_rows(self._sent), motion_rows(self._measured))
+            run.job = partial(self._identify, motion_rows(self._sent), motion_rows(self._measured))
             run.notify("notice", "The arm is identified; this takes some seconds.")
         if run.result is not None:
             try:
                 if isinstance(run.result, Exception):
                     raise run.result
-                run.identified = run.result
-                response, text = plan.respond(run.result)
+                found: Actuator = run.result
+                run.identified = found
+                text = describe_fit(run.request.policy, found)
+                if not fitting_actuators(run.request.policy, found):
+                    raise InputError(text)
+                response = run.respond(found)
             except Exception as error:  # the arm comes to rest, whatever failed
                 end = End(Outcome.UNIDENTIFIED, {"text": printable(str(error))})
                 return run.stop_and_rest(end, now)

@@ -31,7 +31,7 @@ class Homing(RunPhase):
         return False
 
     def _path_home(self) -> Path:
-        arm = self.run.parts.arm
+        arm = self.run.arm
         velocity = [HOMING_SHARE * joint.velocity for joint in arm.joints]
         acceleration = [HOMING_SHARE * joint.acceleration for joint in arm.joints]
         return path_within(self.run.q, arm.home, velocity, acceleration)

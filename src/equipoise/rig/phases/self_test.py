@@ -98,12 +98,12 @@ class SelfTesting(RunPhase):
         if not self._asked:
             self._pivot.append((time, run.flange.pose(tuple(q)).x))
         if self._records_move:
-            self._measured.append((time, *run.parts.arm.without_held(q)))
+            self._measured.append((time, *run.arm.without_held(q)))
 
     def note_sent(self, time: float, q: Sequence[float]) -> None:
         """Record the move."""
         if self._records_move:
-            self._sent.append((time, *self.run.parts.arm.without_held(q)))
+            self._sent.append((time, *self.run.arm.without_held(q)))
 
     @property
     def _records_move(self) -> bool:
@@ -143,7 +143,7 @@ class SelfTesting(RunPhase):
                 resting=run.encoder.zero or 0.0,
                 delay=0.0,
             )
-            carried = tuple(each.actuator for each in run.parts.alternatives)
+            carried = tuple(each.actuator for each in run.alternatives)
             motion = motion_rows(self._sent), motion_rows(self._measured)
             run.job = partial(judge_swing, test, carried, *motion)
         if self._asked and run.result is not None:
@@ -165,7 +165,7 @@ class SelfTesting(RunPhase):
             self._judged = result
             if residuals:
                 self._chosen = int(np.argmin(residuals))
-                carried = [each.actuator for each in run.parts.alternatives]
+                carried = [each.actuator for each in run.alternatives]
                 run.notify("actuator", describe_choice(residuals, carried))
             self._go_home()
         else:
@@ -190,7 +190,7 @@ class SelfTesting(RunPhase):
             return run.still()
         run.encoder.zero = (run.encoder.zero or 0.0) + judged.zero / run.response.params.resolution
         if self._chosen is not None:
-            run.assume(run.parts.alternatives[self._chosen])
-        plan = run.parts.excitation
-        run.go(Lifting(run) if plan is None else Exciting(run, plan))
+            run.assume(run.alternatives[self._chosen])
+        identify = run.request.identify
+        run.go(Lifting(run) if identify is None else Exciting(run, identify))
         return run.still()
