@@ -16,7 +16,7 @@ from equipoise.learning.episodes import (
     new_training_state,
     train_episodes,
 )
-from equipoise.learning.target import compare_policies, measure_policy, train_to_target
+from equipoise.learning.target import measure_policy, train_to_target
 from equipoise.learning.train import check_task, train, training_config
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
@@ -208,14 +208,6 @@ def test_the_test_of_a_policy_is_its_evaluation_with_other_seeds(pendulum, learn
     causes = Counter(TRIAL_OUTCOMES[code] for code in trials.cause.tolist())
     assert test.causes == causes
     assert test.survived == causes["lasted"]
-
-
-def test_compared_policies_run_the_same_trials_in_the_given_order(learners):
-    results = compare_policies(learners, seed=99)
-    assert [each.episodes for each in results] == [60, 60, 60]
-    backwards = compare_policies(learners[::-1], seed=99, workers=2)
-    # The first policy gives the model, which all learners share.
-    assert results == backwards[::-1]
 
 
 def test_the_recipe_paper_selects_nothing(pendulum):
