@@ -117,7 +117,7 @@ def test_delay_lags_and_shaping_law_are_found_together_and_a_steady_load_moves_n
     [("kst", 0.016), ("unshaped", 0.03)],
 )
 def test_a_slow_servo_is_found_with_or_without_the_shaping_law(law, cycle):
-    actuator = identified(recorded(law=law, cycle=cycle))
+    actuator = identified(recorded(law=law, cycle=cycle, duration=6.0))
     assert actuator.kind == law
     assert holds(actuator.cycle, cycle)
     assert holds(actuator.delay, 0.010 + WAITING)
