@@ -29,6 +29,7 @@ TRAINED = {
     "paper": ("paper",),
     "robust": ("robust",),
     "sarsa": ("robust", "learning.learner=sarsa"),
+    "watkins": ("robust", "learning.learner=watkins"),
     "double_q": ("robust", "learning.learner=double_q"),
     "fine": ("fine",),
 }

@@ -12,7 +12,7 @@ from tests.control.test_bound_policy import KINDS, folder
 
 __all__ = ["folder"]
 
-pytestmark = pytest.mark.compiled_only
+pytestmark = [pytest.mark.full, pytest.mark.compiled_only]
 FEW = resolve(overrides=["evaluation.trials=2", "evaluation.duration=0.5"])
 
 

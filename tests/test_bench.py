@@ -27,6 +27,8 @@ from equipoise.worlds.plant import (
     new_batch_state,
 )
 
+pytestmark = pytest.mark.full
+
 PENDULUM = PendulumParameters(w2=70.2, k=7.16, c=0.1)
 NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
 QUIET = resolve(overrides=["plant.position_error_sigma=0.0", "plant.orientation_error_sigma=0.0"])

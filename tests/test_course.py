@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.full
+
 jupytext = pytest.importorskip("jupytext", reason="jupytext is not installed (extra course)")
 nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed (extra course)")
 

@@ -14,6 +14,8 @@ from equipoise.control.grid import mirrored_box
 from equipoise.model.worlds import TwinSettings, read_world
 from equipoise.worlds.twin.servo_model import equivalent_actuator
 
+pytestmark = pytest.mark.full
+
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 SHORT = (
     *("--set", "learning.episodes=40", "--set", "learning.episode_duration=1"),

@@ -81,6 +81,7 @@ def same(progress, other):
         ("paper", ["learning.episode_duration=0.6"]),
         ("robust", ["learning.learner=sarsa", "learning.episode_duration=0.4"]),
         ("paper", ["learning.learner=sarsa", "learning.reward=alive"]),
+        ("robust", ["learning.learner=watkins", "learning.episode_duration=0.4"]),
         ("robust", ["learning.learner=double_q", "learning.episode_duration=0.4"]),
         (
             "paper",
@@ -161,7 +162,7 @@ def test_one_update_is_equation_1():
     Q[7, 3] = -0.5
     Q[20] = -0.25
     constants = params(alpha_initial=0.1, alpha_decay=0.0, mirrored=False)
-    after = Transition(7, 3, 0.0, 0.9, 20, -1, False, False, 0.0, 0.0)
+    after = Transition(7, 3, 0.0, 0.9, 20, -1, False, False, 0.0, 0.0, 0)
     q_learning.update(given, after, constants)
     # (1 - 0.1) (-0.5) + 0.1 (0 + 0.9 (-0.25)) by hand.
     assert Q[7, 3] == pytest.approx(-0.4725, rel=1e-15)

@@ -21,7 +21,7 @@ from equipoise.testing import WorldConformance
 from equipoise.worlds import Recorder, predicted, run_trial, setup_of, simulate
 from tests.coppeliasim_server import PARAMETERS, RUNNING, STOPPED, CoppeliaSimServer
 
-pytestmark = pytest.mark.compiled_only
+pytestmark = [pytest.mark.full, pytest.mark.compiled_only]
 
 POLICY = shipped_policy()
 REAL = os.environ.get("EQUIPOISE_COPPELIASIM")

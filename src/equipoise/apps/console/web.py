@@ -19,6 +19,7 @@ import atexit
 import hmac
 import logging
 import os
+import re
 import secrets
 import socket
 from collections.abc import Callable, Generator, Mapping
@@ -52,6 +53,13 @@ HEADERS: Final = {
 Actions = Mapping[str, Callable[[], str]]
 """Functions by their addresses, such as `/stop`, for scripts of the page. They are called in the
 server's thread, do not block, and return a text for the script."""
+
+ICON: Final = (
+    b"<link rel='icon' href=\"data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg' "
+    b"viewBox='0 0 32 32'%3E%3Cpath d='M4 28h24M16 28 23 6' stroke='%230072B2' stroke-width='4' "
+    b"stroke-linecap='round'/%3E%3Ccircle cx='23' cy='6' r='4' fill='%23D55E00'/%3E%3C/svg%3E\" />"
+)
+"""Icon of the pages: a pendulum on its track."""
 
 
 class Gate:
@@ -131,7 +139,9 @@ class Gate:
         with suppress(KeyError):
             del request.headers["Accept-Encoding"]  # viser then sends plain text
         response = serve(request)
-        response.body = response.body.replace(b"</body>", self._overlay + b"</body>")
+        body = re.sub(rb"<title>.*?</title>", b"<title>Equipoise</title>", response.body, count=1)
+        body = re.sub(rb'<link\s+rel="icon".*?/>', ICON, body, count=1, flags=re.DOTALL)
+        response.body = body.replace(b"</body>", self._overlay + b"</body>")
         del response.headers["Content-Length"]
         response.headers["Content-Length"] = str(len(response.body))
         return response
