@@ -73,7 +73,6 @@ falls = Transition(
     ended=True,
     epsilon=0.0,
     chance=0.0,
-    lane=0,
 )
 stands = falls._replace(reward=0.0, failed=False, ended=False)
 for transition in (falls, stands, stands, falls, stands):

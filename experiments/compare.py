@@ -29,7 +29,6 @@ TRAINED = {
     "paper": ("paper",),
     "robust": ("robust",),
     "sarsa": ("robust", "learning.learner=sarsa"),
-    "watkins": ("robust", "learning.learner=watkins"),
     "double_q": ("robust", "learning.learner=double_q"),
     "fine": ("fine",),
 }

@@ -42,7 +42,6 @@ TAKEN_BACK = {
     "gamma = 0.97": ("robust", [LAST, "learning.gamma=0.97"]),
     "5,000 episodes": ("robust", [LAST, "learning.episodes=5000"]),
     "double Q-learning": ("robust", [LAST, "learning.learner=double_q"]),
-    "Watkins's Q(0.7)": ("robust", [LAST, "learning.learner=watkins"]),
     "an update in each step": ("robust", [LAST, "learning.hold_action=false"]),
     "constant alpha = 0.1": (
         "robust",

@@ -23,6 +23,7 @@ from equipoise.executors import available_cores
 from equipoise.model.random import MAP
 from equipoise.worlds import setup_of, simulate
 from equipoise.worlds.evaluation import exact_interval
+from equipoise.worlds.plant import DomainRandomization
 
 PLANES = {
     "flange at rest in the middle": (2, 3),
@@ -100,15 +101,8 @@ def slice_of(
     states = in_plane(chosen, axes)
     simulation = simulate(world, setup, seed=0, stream=MAP)
     trials = simulation.draw(len(chosen))
-    ones, zeros = np.ones(len(chosen)), np.zeros(len(chosen))
-    trials = trials._replace(
-        start=states,
-        inertia_factor=ones,
-        friction_factor=ones,
-        lag_factor=ones,
-        delay=zeros,
-        zero=zeros,
-    )
+    nominal = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
+    trials = trials._replace(start=states, variation=np.tile(nominal, (len(chosen), 1)))
     rows, workers = range(len(chosen)), available_cores()
     simulation.run(policy, trials, rows, duration=duration, workers=workers)
     inside = is_inside(after_delay, fall(params, states)[:, axes])

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import os
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -219,18 +218,3 @@ def test_a_disk_that_fails_leaves_what_was_there_and_nothing_else(tmp_path, monk
         GAUGE.save(path, command="test")
     assert [file.name for file in tmp_path.iterdir()] == ["gauge.json"]
     assert path.read_text() == "before"
-
-
-def test_writers_at_the_same_time_leave_one_whole_file(tmp_path):
-    path = tmp_path / "gauge.json"
-    gauges = [Gauge(label=str(i), row=tuple(float(j * i) for j in range(2000))) for i in range(4)]
-    GAUGE.save(path, command="test")
-
-    def write(gauge):
-        for _ in range(10):
-            gauge.save(path, command="test")
-            assert Gauge.load(path) in gauges
-
-    with ThreadPoolExecutor(4) as pool:
-        list(pool.map(write, gauges))
-    assert list(tmp_path.iterdir()) == [path]

@@ -11,10 +11,7 @@ from benchmarks.bench import (
     OURS,
     TRIALS,
     TWIN,
-    YARDSTICK,
-    Contestant,
     PinocchioLoop,
-    race,
 )
 
 from equipoise import paper
@@ -33,55 +30,6 @@ from equipoise.worlds.plant import (
 PENDULUM = PendulumParameters(w2=70.2, k=7.16, c=0.1)
 NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
 QUIET = resolve(overrides=["plant.position_error_sigma=0.0", "plant.orientation_error_sigma=0.0"])
-
-
-class Bench:
-    """Contestants whose work takes as long as it is told, by a clock that only work moves."""
-
-    def __init__(self):
-        self.now = 0.0
-        self.calls = []
-
-    def clock(self):
-        return self.now
-
-    def contestant(self, name, steps, seconds, package="one"):
-        left = iter(seconds)
-
-        def work():
-            self.calls.append(name)
-            self.now += next(left)
-            return steps
-
-        return Contestant(name, package, lambda: work)
-
-
-def absent(name):
-    def prepare():
-        raise ModuleNotFoundError("No module named 'rocket'")
-
-    return Contestant(name, "rocket", prepare)
-
-
-def test_the_rounds_alternate_and_the_first_work_is_not_timed():
-    bench = Bench()
-    ours = bench.contestant(OURS, 600, [50.0, 1.0, 2.0, 3.0])
-    peer = bench.contestant(YARDSTICK, 10, [70.0, 1.0, 1.0, 5.0])
-    result = race([ours, peer], 3, clock=bench.clock)
-    assert bench.calls == [OURS, YARDSTICK] * 4
-    assert result.steps_per_second == {OURS: 300.0, YARDSTICK: 10.0}
-    assert (result.rates[OURS].slowest, result.rates[OURS].fastest) == (200.0, 600.0)
-    assert (result.rates[YARDSTICK].slowest, result.rates[YARDSTICK].fastest) == (2.0, 10.0)
-    assert result.ratios == {OURS: 30.0}
-    assert result.real_time == {OURS: pytest.approx(3.0)}
-
-
-def test_a_peer_that_is_not_installed_is_named_with_what_installs_it():
-    bench = Bench()
-    result = race([bench.contestant(OURS, 1, [1.0] * 3), absent("peer")], 2, clock=bench.clock)
-    assert list(result.rates) == [OURS]
-    assert result.ratios == {}
-    assert "python -m pip install rocket" in result.missing["peer"]
 
 
 @pytest.mark.parametrize("size", [7, 14])

@@ -85,12 +85,7 @@ def test_the_page_runs_as_it_is_printed(capsys):
     assert told["median_s"] > 1.0
 
 
-def test_it_is_a_world_of_python_policies_and_of_environments():
-    changes = {"trials": 2, "duration": 0.3}
-    trials = POLICY.settings.evaluation.model_copy(update=changes)
-    settings = POLICY.settings.model_copy(update={"evaluation": trials})
-    found = evaluate(POLICY, settings, world="own_world:Windy", with_baselines=False, workers=2)
-    assert found.results.survival == (0.3, 0.3)
+def test_it_is_a_world_of_environments():
     env = gym.make("equipoise/Balance-v0", world="own_world:Windy")
     first = env.reset(seed=3)[0], env.step(np.array([0.5]))[0]
     again = env.reset(seed=3)[0], env.step(np.array([0.5]))[0]

@@ -66,24 +66,6 @@ def test_a_table_in_the_environment_gives_the_trial_of_evaluate_bit_for_bit(worl
         assert info["outcome"] == results.outcomes[i]
 
 
-@pytest.mark.parametrize("world", ["model", "twin:nominal"])
-def test_equal_seeds_give_equal_bits_and_episodes_differ(world):
-    def episodes(seed):
-        env = make(world)
-        bits = []
-        for k in range(2):
-            observation, _ = env.reset(seed=seed if k == 0 else None)
-            bits.append(observation.tobytes())
-            for _ in range(5):
-                bits.append(env.step(np.array([0.5]))[0].tobytes())
-        return bits
-
-    first = episodes(7)
-    assert episodes(7) == first
-    assert not set(first) & set(episodes(8))
-    assert len(set(first)) == len(first)
-
-
 def test_a_time_limit_truncates_and_a_failure_terminates():
     env = make("ideal", duration=0.05)
     env.reset(seed=0)

@@ -4,17 +4,13 @@ import json
 import runpy
 import sys
 from importlib.util import find_spec
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import equipoise as eq
-from equipoise import paper
-from equipoise.control.baselines import baselines
-from equipoise.control.grid import box_index, make_grid, mirrored_box
-from equipoise.control.policy import act
+from equipoise.control.grid import mirrored_box
 from equipoise.model.worlds import TwinSettings, read_world
 from equipoise.worlds.twin.servo_model import equivalent_actuator
 
@@ -98,48 +94,6 @@ def test_the_values_solve_bellmans_equation_and_are_symmetric():
 # Table search
 
 
-def test_the_first_table_is_the_snapped_lqr_at_the_centre_of_each_box(pendulum):
-    searched, settings, parameters = (
-        module("table_search"),
-        eq.resolve().boxes,
-        pendulum.parameters(),
-    )
-    table, boxes = searched["lqr_table"](settings, parameters), make_grid(settings, parameters.k)
-    snapped, seen = baselines(parameters, paper.STEP)["LQR, snapped"], set()
-
-    def middles(ends, outer):
-        return [(a + b) / 2 for a, b in pairwise([-outer, *ends, outer])]
-
-    rates, speeds = settings.phi_dot_deg, settings.x_dot
-    for phi in np.radians(middles(settings.phi_deg, 11.0)):
-        for phi_dot in np.radians(middles(rates, 1.5 * rates[-1])):
-            for ahead in middles(settings.x, 0.22):
-                for x_dot in middles(speeds, 1.5 * speeds[-1]):
-                    drift = x_dot + phi_dot / parameters.k
-                    state = ahead - settings.look_ahead * drift, x_dot, phi, phi_dot
-                    box = box_index(*state, boxes)
-                    seen.add(box)
-                    assert table[box] == act(snapped, *state, 0.0)
-    assert seen == set(range(settings.count))
-    assert table.tolist() == (-table[::-1]).tolist()
-
-
-@pytest.mark.compiled_only
-def test_the_search_does_not_return_a_worse_table_than_a_start():
-    searched, policy = module("table_search"), eq.shipped_policy()
-    selection = {"round_trials": 24, "rounds": 3, "duration": 4.0}
-    short = policy.settings.selection.model_copy(update=selection)
-    policy = policy.model_copy(
-        update={"settings": policy.settings.model_copy(update={"selection": short})}
-    )
-    bad = np.full(270, -2.0)
-    bad[135:] = 2.0
-    found = searched["search_table"](policy, [bad, policy.u_of_box], generations=2, tables=8)
-    again = searched["search_table"](policy, [bad, policy.u_of_box], generations=2, tables=8)
-    assert found.digest == again.digest
-    assert eq.evaluate(found, with_baselines=False).results.summary().rate > 0.9
-
-
 # Gap
 
 
@@ -167,14 +121,6 @@ def test_the_expected_actuator_moves_with_the_twin():
 
 
 # Map
-
-
-def test_a_point_is_inside_a_polygon_as_far_as_its_edge():
-    inside = module("map")["is_inside"]
-    angles = np.linspace(-np.pi, np.pi, 25)[:-1]
-    edge = np.column_stack((3.0 * np.cos(angles), 40.0 * np.sin(angles)))
-    assert inside(edge, 0.999 * edge).all()
-    assert not inside(edge, 1.001 * edge).any()
 
 
 # Networks

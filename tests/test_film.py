@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from equipoise import film, paper
+from equipoise import film
 from equipoise.errors import InputError, MissingExtraError, OutsideError
 from equipoise.film import RigRenderer, build_scene, camera_axes, write_film
 from equipoise.logs.motion import Motion
@@ -75,22 +75,6 @@ def test_the_pendulum_is_seen_where_the_arm_carries_it(renderer, x, phi):
     # The rod ends in half a ball, which stands above the point.
     assert rows.min() == pytest.approx(row - 2.0, abs=2.5)
     assert np.mean(columns[rows < rows.min() + 4]) == pytest.approx(column, abs=2.0)
-
-
-@pytest.mark.parametrize(("width", "height"), [(320, 240), (200, 400)])
-@pytest.mark.parametrize("arm", [ARM, iiwa(14)], ids=lambda arm: arm.name)
-def test_all_that_moves_stays_in_the_picture_and_fills_it(renderer, arm, width, height):
-    drawing = RigRenderer(arm, width, height)
-    left, right = (drawing.draw(at(x, arm), x) for x in (-paper.X_LIMIT, paper.X_LIMIT))
-    drawing.close()
-    table = (left[..., 0] > left[..., 2] + 15.0) & (right[..., 0] > right[..., 2] + 15.0)
-    moves = np.any(np.abs(left.astype(int) - right) > 60, axis=2) & ~table  # without shadows
-    rows, columns = np.nonzero(moves)
-    assert 0 < rows.min() < rows.max() < height - 1
-    assert 0 < columns.min() < columns.max() < width - 1
-    places = np.array([pixel(point, arm, width, height) for point in build_scene(arm).posts])
-    assert np.all((places > 0.0) & (places < (width, height)))
-    assert max(np.ptp(columns) / width, np.ptp(rows) / height) > 0.4
 
 
 def test_a_missing_opengl_is_one_error_with_its_remedy(monkeypatch, run, tmp_path):

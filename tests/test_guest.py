@@ -101,18 +101,6 @@ def test_the_page_shows_this_package_whose_robot_balances_over_its_own_wires(run
     assert equipoise(run, *explain)["cause"] == "lasted"
 
 
-@pytest.mark.slow
-def test_its_addresses_are_checked_and_its_robot_is_missed(run, tmp_path):
-    ran = run("-m", "equipoise", "deploy", "--robot", "guest://nowhere", code=2)
-    assert "expected guest://HOST:4000" in ran.stderr
-    ran = run("-m", "equipoise", "deploy", "--robot", "other://x", code=2)
-    assert "guest:, kst:, twin:" in ran.stderr
-    ran = run(
-        "-m", "equipoise", "rig", "doctor", "--robot", "guest://127.0.0.1:1", "--seconds", 1, code=1
-    )
-    assert "no connection to guest://127.0.0.1:1" in ran.stdout
-
-
 def test_its_learner_reward_and_policy_need_no_more_than_their_names(run, tmp_path):
     trained = ("--learner", "guest.learner:learner", "--reward", "guest.reward:middle")
     budget = ("--episodes", 300, "--target", 0, "--out", "policy.json")

@@ -25,15 +25,3 @@ def test_no_module_imports_another_in_a_circle_inside_functions_included():
     graph = grimp.build_graph("equipoise", exclude_type_checking_imports=True, cache_dir=None)
     assert len(graph.modules) > 100
     assert circles(graph) == set()
-
-
-def test_a_circle_inside_functions_would_be_seen(tmp_path, monkeypatch):
-    package = tmp_path / "circling"
-    package.mkdir()
-    (package / "__init__.py").write_text("")
-    (package / "first.py").write_text("import circling.second\n")
-    (package / "second.py").write_text("def late():\n    from circling import first\n")
-    (package / "third.py").write_text("import circling.first\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    graph = grimp.build_graph("circling", cache_dir=None)
-    assert circles(graph) == {frozenset({"circling.first", "circling.second"})}

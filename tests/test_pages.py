@@ -1,6 +1,5 @@
 """Commands and Python of every page: all are valid, all that need no other machine are run."""
 
-import ast
 import os
 import re
 import shlex
@@ -34,7 +33,6 @@ OTHERS = {
 }
 """Commands of other programs, whose options nothing here checks."""
 PYTHON_HOMES = {
-    "docs/how-to/bring-a-policy.md": "tests/test_bring_a_policy.py",
     "docs/how-to/bring-an-arm.md": "tests/test_bring_an_arm.py",
     "docs/how-to/bring-a-robot.md": "tests/test_guest.py",
     "docs/how-to/bring-a-world.md": "tests/test_bring_a_world.py",
@@ -80,22 +78,25 @@ def test_each_python_block_of_a_page_is_run_somewhere(page):
 WRITES = {
     "docs/how-to/change-the-reward.md": {"alive.json": "alive", "gentle.json": "own_reward:gentle"},
     "docs/how-to/bring-a-learner.md": {"sarsa.json": "sarsa", "own.json": "own_learner:learner"},
+    "docs/how-to/bring-a-policy.md": {},
 }
 
 
 @pytest.mark.compiled_only
 @pytest.mark.parametrize("page", WRITES)
-def test_a_page_runs_as_it_is_printed(page, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
+def test_a_page_runs_as_it_is_printed(page, folder, monkeypatch):
+    if "network.onnx" in (ROOT / page).read_text():
+        pytest.importorskip("onnxruntime", reason="ONNX Runtime is not installed (extra onnx)")
+    monkeypatch.chdir(folder)
+    monkeypatch.syspath_prepend(folder)
     for language, text in blocks(page, "python", "sh"):
         if language == "python":
-            write(text, tmp_path)
+            write(text, folder)
         else:
             for _, *words in commands(text):
                 assert main(words) == 0
     for file, said in WRITES[page].items():
-        learning = TabularPolicy.load(tmp_path / file).settings.learning
+        learning = TabularPolicy.load(folder / file).settings.learning
         assert said in learning.learner + learning.reward
 
 
@@ -124,18 +125,6 @@ def test_the_page_on_the_python_interface_has_every_public_name():
     page = (ROOT / "docs" / "reference" / "api.md").read_text()
     names = set(equipoise.__all__) - {"__version__"}
     assert names == set(re.findall(r"auto(?:class|function):: equipoise\.(\w+)$", page, re.M))
-
-
-def test_each_page_is_in_the_contents_of_the_site():
-    body = ast.parse((ROOT / "docs" / "conf.py").read_text()).body
-    (contents,) = [
-        node.value
-        for node in body
-        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "CONTENTS"
-    ]
-    listed = set(re.findall(r"[/<'](\w[\w/-]*)(?=>|')", ast.unparse(contents)))
-    listed = {f"{page}.md" for page in listed} | {"docs/index.md", "docs/decisions/README.md"}
-    assert {page for page in PAGES if not page.startswith("docs/decisions/")} <= listed
 
 
 # The commands themselves.
@@ -257,11 +246,3 @@ def forced(line):
         words = words[2:]
     known = "force" in parse(words)
     return re.sub(r"( &&| \|\||$)", r" --force\1", first, count=1) if known else first
-
-
-def test_the_files_of_the_first_hour_are_short():
-    page = (ROOT / "docs" / "index.md").read_text()
-    walk = re.findall(r"^\d+\. .*\(\.\./(.*)\):", page, re.MULTILINE)
-    assert len(walk) == 10
-    for path in walk:
-        assert len((ROOT / path).read_text().splitlines()) < 250, path

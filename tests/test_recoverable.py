@@ -1,19 +1,15 @@
 """experiments/recoverable.py against closed forms, SciPy's integrator and brute force."""
 
 from itertools import combinations_with_replacement
-from math import degrees, exp, inf
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from equipoise.artefacts import Estimate
-from equipoise.control.control_step import horizon
-from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import GRAVITY
-from equipoise.worlds.reachability import diverging_angle, fall_rate
 from tests.test_experiments import module
 
 SET = module("recoverable")
@@ -27,20 +23,6 @@ def params(w2=70.2, c=0.15, **more):
     fields = {"linearised": more.pop("linearised", False), "coulomb": more.pop("coulomb", 0.0)}
     pendulum = PendulumParameters(w2, w2 / GRAVITY, c, **fields)
     return RecoveryParams(pendulum, more.pop("delay", 0.0), **more)
-
-
-def late(seconds):
-    return shipped_actuator().model_copy(update={"delay": Estimate.around(seconds, 0.0, "assumed")})
-
-
-@pytest.mark.parametrize(("w2", "c"), PENDULUMS)
-def test_the_diverging_angle_is_the_left_eigenvector_of_the_unstable_root(w2, c):
-    pendulum = PendulumParameters(w2, w2 / GRAVITY, c)
-    values, vectors = np.linalg.eig(np.array([[0.0, 1.0], [w2, -c]]).T)
-    unstable = int(np.argmax(values))
-    assert fall_rate(pendulum) == pytest.approx(values[unstable], rel=1e-12)
-    left = vectors[:, unstable] / vectors[0, unstable]
-    assert diverging_angle(0.3, 2.0, pendulum) == pytest.approx(left @ (0.3, 2.0), rel=1e-12)
 
 
 @pytest.mark.parametrize(("w2", "c"), PENDULUMS)
@@ -104,47 +86,3 @@ def test_the_delay_of_a_lag_is_the_sum_of_transport_and_lag():
     expected = 0.03 + np.log1p(rate * 0.02) / rate - 0.0025
     assert response_delay(iiwa(7), actuator, rate) == pytest.approx(expected, abs=0.001)
     assert response_delay(iiwa(7), IDEAL_ACTUATOR, rate) == 0.0
-
-
-def test_the_delay_at_full_acceleration_is_below_the_prediction_horizon():
-    arm, actuator = iiwa(7), shipped_actuator()
-    delay = response_delay(arm, actuator, 8.3)
-    assert actuator.delay.value < delay < horizon(arm, actuator, 0.0)
-
-
-def test_no_command_acts_on_the_fall_earlier_than_constant_full_acceleration():
-    """The response to random commands, by a servo of one joint in plain Python."""
-    rate, u_max, generator = 8.3, 2.0, np.random.default_rng(3)
-    switches = np.sort(generator.uniform(0.0, 0.3, (300, 3)), axis=1)
-    switches[0] = inf
-    levels = generator.uniform(-u_max, u_max, (300, 4))
-    levels[::2] = u_max * np.sign(levels[::2])
-    levels[0] = u_max
-    x = v = q = dq = target = effect = np.zeros(300)
-    lever, interval, late_cycles, sent = 1.684, 5, 10, []
-    for cycle in range(600):
-        if cycle % interval == 0:
-            for _ in range(interval):
-                part = np.sum((cycle * 1e-3) >= switches, axis=1)
-                u = levels[np.arange(300), part] if cycle < 300 else u_max
-                x, v = x + 1e-3 * v + 0.5e-6 * u, v + 1e-3 * u
-            sent.append(x)
-        if cycle >= late_cycles:
-            target = sent[(cycle - late_cycles) // interval]
-        e = lever * target - q
-        wanted = 70.0 * np.sign(e) * (1.0 - np.exp(-((e / 0.0525) ** 2)))
-        dq = dq + (wanted - dq) * (1.0 - exp(-1e-3 / 0.008))
-        q = q + 1e-3 * dq
-        effect = effect + 1e-3 * rate * np.exp(-rate * 1e-3 * (cycle + 0.5)) * dq / lever
-    assert np.argmax(effect) == 0
-    # The last part is that of constant acceleration at the final velocity.
-    whole = effect[0] + exp(-rate * 0.6) * (dq[0] / lever + u_max / rate)
-    delay = -np.log(rate * whole / u_max) / rate
-    assert delay == pytest.approx(response_delay(iiwa(7), shipped_actuator(), rate), abs=0.003)
-
-
-def test_a_speed_limit_lowers_the_limit():
-    given, direction = params(), np.array([0.0, 0.0, 1.0, 0.0])
-    slow = largest_start(given._replace(speed_limit=0.23), direction)
-    assert slow < 0.9 * largest_start(given, direction)
-    assert degrees(slow) > 1.0

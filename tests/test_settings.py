@@ -45,16 +45,6 @@ def test_a_file_wins_over_a_recipe_over_the_defaults_and_a_single_setting_over_a
     assert resolve("paper", toml(tmp_path, "")) == resolve("paper")
 
 
-def test_other_settings_stay_as_they_were(tmp_path):
-    before = Settings().model_dump()
-    file = toml(tmp_path, "[clik]\nK_p = 100\n[learning]\nmirrored = true\n")
-    got = resolve("paper", file, ["plant.linearised=false"])
-    for name in set(NAMES) - {"clik.K_p", "learning.mirrored", "plant.linearised"}:
-        assert value(got, name) == value(resolve("paper"), name), name
-    assert (got.clik.K_p, got.learning.mirrored, got.plant.linearised) == (100.0, True, False)
-    assert Settings().model_dump() == before
-
-
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_a_recipe_names_settings_that_exist(recipe):
     assert set(RECIPES[recipe]) <= set(NAMES)

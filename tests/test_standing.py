@@ -44,14 +44,11 @@ def test_a_short_training_stands_most_of_the_time(pendulum):
 
 @pytest.mark.slow
 @pytest.mark.compiled_only
-def test_every_seed_stands_a_minute(pendulum):
-    assert_they_stand(list(summaries(pendulum, resolve(), range(10))))
-
-
-@pytest.mark.slow
-@pytest.mark.compiled_only
-def test_every_seed_stands_a_minute_with_a_recorded_pendulum(recordings):
-    pendulum = identify(read_swing(recordings / "free_swing_arm_55s.csv"))
+@pytest.mark.parametrize("recorded", [False, True])
+def test_every_seed_stands_a_minute(request, pendulum, recorded):
+    if recorded:
+        folder = request.getfixturevalue("recordings")
+        pendulum = identify(read_swing(folder / "free_swing_arm_55s.csv"))
     assert_they_stand(list(summaries(pendulum, resolve(), range(10))))
 
 

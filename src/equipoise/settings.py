@@ -184,7 +184,7 @@ class LearningSettings(Value):
     """Learning rule and episodes."""
 
     learner: Name = "q_learning"
-    """Learning rule: the paper's `q_learning`, equation (1); `sarsa`, `watkins`, `double_q`, or
+    """Learning rule: the paper's `q_learning`, equation (1); `sarsa`, `double_q`, or
     MODULE:NAME of a custom one."""
     reward: Name = "paper"
     """Reward of a step: `paper`, which only a failure costs; `alive`, or MODULE:NAME of a custom

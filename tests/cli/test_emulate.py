@@ -1,62 +1,23 @@
 """`equipoise rig emulate` as a program of its own: what stands on its port and its terminal."""
 
-import contextlib
 import itertools
 import json
 import os
 import re
 import select
-import signal
 import socket
-import subprocess
 import sys
 import time
 
 import pytest
 
 from equipoise.robots.encoder.codec import Banner, Decoder, Flags
-
-LONGEST = 60.0  # a first start compiles [s]
+from tests.program import program
 
 pytestmark = [
     pytest.mark.compiled_only,
     pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals"),
 ]
-
-
-class Emulator:
-    def __init__(self, *options):
-        command = ["-m", "equipoise", "rig", "emulate", "--port", "0", "--json", *options]
-        self.process = subprocess.Popen(
-            [sys.executable, *command],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            bufsize=1,
-        )
-        assert select.select([self.process.stdout], [], [], LONGEST)[0]
-        self.ready = json.loads(self.process.stdout.readline())
-        self.port = int(self.ready["robot"].rpartition(":")[2])
-        self.terminal = self.ready["encoder"].removeprefix("serial://")
-
-    def connect(self):
-        return socket.create_connection(("127.0.0.1", self.port), timeout=5.0)
-
-    def end(self):
-        self.process.send_signal(signal.SIGINT)
-        return self.process.wait(10.0)
-
-
-@contextlib.contextmanager
-def emulator(*options):
-    emulator = Emulator(*options)
-    try:
-        yield emulator
-    finally:
-        emulator.process.kill()
-        emulator.process.wait()
-        emulator.process.stdin.close()
-        emulator.process.stdout.close()
 
 
 def ask(connection, command):
@@ -82,16 +43,20 @@ def readings(terminal, seconds):
 
 def test_robot_and_board_answer_and_ctrl_c_ends_it_well(tmp_path):
     link = tmp_path / "encoder"
-    with emulator("--encoder-link", str(link)) as it:
-        with it.connect() as robot:
+    options = ("--port", "0", "--encoder-link", str(link), "--json")
+    with program("rig", "emulate", *options) as it:
+        ready = json.loads(it.find(r"\{.*\}")[0])
+        port = int(ready["robot"].rpartition(":")[2])
+        with socket.create_connection(("127.0.0.1", port), timeout=5.0) as robot:
             answer = ask(robot, b"getJointsPositions\n")
             assert re.fullmatch(r"(-?[0-9.E-]+_){7}\n", answer)
             # It stands beside home, whose first joint is at a quarter of a turn.
             assert float(answer.split("_")[0]) == pytest.approx(1.571 - 0.105, abs=0.01)
             assert ask(robot, b"startDirectServoJoints\n") == "done\n"
-            assert it.terminal == str(link)
+            assert ready["encoder"] == f"serial://{link}"
             it.process.stdin.write("press\nnonsense\n")
-            lines = readings(it.terminal, 1.0)
+            it.process.stdin.flush()
+            lines = readings(link, 1.0)
         assert len(lines) > 500
         assert any(line.flags & Flags.DOWN for line in lines)
         steps = {b.t_us - a.t_us for a, b in itertools.pairwise(lines)}

@@ -97,8 +97,8 @@ def test_an_excitation_becomes_an_actuator(equipoise, tmp_path):
     assert Actuator.load(tmp_path / "actuator.json").delay.value == found["delay"]["value"]
 
 
-def test_refine_trains_on_where_the_model_moved(equipoise, quick_settings, tmp_path):
-    policy = shipped_policy().model_copy(update={"settings": quick_settings})
+def test_refine_writes_what_moved(equipoise, tmp_path):
+    policy = shipped_policy()
     twin = TwinSettings(inertia_sigma=0.0, friction_sigma=0.0)
     run = simulate_run(shipped_policy(), world=World("twin:steady", twin), seed=2, duration=12.0)
     run.save(tmp_path / "run.mcap", command="test")
@@ -110,15 +110,11 @@ def test_refine_trains_on_where_the_model_moved(equipoise, quick_settings, tmp_p
     actuators = (Actuator.assumed("kst", delay=0.010, lag=0.008),)
     changes = {"pendulum": pendulum, "actuators": actuators}
     policy.model_copy(update=changes).save(tmp_path / "policy.json", command="test")
-    ran = equipoise("refine", "policy.json", "run.mcap", "--episodes=40", "--workers=1", "--json")
+    ran = equipoise("refine", "policy.json", "run.mcap", "--json")
     assert ran.code == 0, ran
-    assert ran.json["kept"] in ("old", "new")
-    refined = Pendulum.load(tmp_path / "refined-pendulum.json")
+    assert (ran.json["pendulum"], ran.json.get("actuator")) == ("refined.json", None)
+    refined = Pendulum.load(tmp_path / "refined.json")
     assert refined.w2.value == pytest.approx(run.conditions.pendulum.w2, rel=0.01)
-    assert TabularPolicy.load(tmp_path / "refined.json").pendulum == refined
-    ran = equipoise("refine", "policy.json", "run.mcap", "--no-train", "--out=no.json")
-    assert (ran.code, (tmp_path / "no.json").exists()) == (0, False)
-    assert "w2" in ran.out
 
 
 @pytest.mark.slow

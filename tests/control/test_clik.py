@@ -5,29 +5,13 @@ import pytest
 
 from equipoise.control.clik import (
     ClikParameters,
-    pose_error,
     solve,
 )
-from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST
+from equipoise.model.arms.compiler import FRAME_SIZE
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
-from equipoise.model.pendulum import PendulumParameters
-from equipoise.settings import Settings
-from equipoise.worlds.plant import (
-    PHI,
-    PHI_DOT,
-    TRACKED,
-    DomainRandomization,
-    make_loop_params,
-    new_batch_state,
-    reset,
-    step,
-)
 
-PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
-NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
 ARMS = pytest.mark.parametrize("size", [7, 14])
-SETTINGS = Settings()
 
 
 def column(values, lane):
@@ -81,79 +65,3 @@ def test_near_a_singularity_the_inverse_is_damped_least_squares_and_says_so():
     # 1e-5: where J J^T is singular to rounding, w is known to the root of the rounding only.
     np.testing.assert_allclose(y[::BATCH_SIZE], expected, rtol=1e-5, atol=1e-8)
     assert np.all(np.isfinite(y))
-
-
-def run_actions(size, h, held=0.01, duration=15.0, seed=5):
-    """Hold random actions for 10 ms each, inside the track, without noise; return the errors.
-
-    The pendulum is held at upright by hand: it plays no part here.
-    """
-    arm = iiwa(size)
-    plant = make_loop_params(arm, SETTINGS, h, PENDULUM)._replace(
-        position_noise=0.0, orientation_noise=0.0
-    )
-    block = new_batch_state()
-    reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0), 0)
-    rng = np.random.default_rng(seed)
-    acceleration, position = [], []
-    x, x_dot = 0.0, 0.0
-    for _ in range(round(duration / held)):
-        # A spring keeps the random actions on the track.
-        options = np.array([-2.0, -1.5, -1.0, -0.5, 0.5, 1.0, 1.5, 2.0])
-        wanted = rng.normal(0.0, 1.5) - 20.0 * x - 4.0 * x_dot
-        u = options[np.argmin(np.abs(options - wanted))]
-        for _ in range(round(held / h)):
-            block.controller.u[0] = u
-            block.state[PHI * BATCH_SIZE] = block.state[PHI_DOT * BATCH_SIZE] = 0.0
-            step(plant, block, 1)
-            assert block.cause[0] == 0
-            acceleration.append(block.state[TRACKED * BATCH_SIZE] - u)
-            position.append(
-                block.controller.frame[: 3 * BATCH_SIZE : BATCH_SIZE]
-                - block.controller.reference[: 3 * BATCH_SIZE : BATCH_SIZE]
-            )
-        x += x_dot * held + 0.5 * u * held**2
-        x_dot += u * held
-        assert abs(x) < 0.22
-    assert np.ptp(acceleration) > 0.0
-    return np.sqrt(np.mean(np.square(acceleration))), np.max(np.linalg.norm(position, axis=1))
-
-
-@ARMS
-def test_clik_tracks_the_commanded_acceleration(size):
-    rms, deviation = run_actions(size, 0.01)
-    assert rms < 0.005  # m/s^2; accelerations are 0.5 to 2
-    assert deviation < 1e-4  # m
-
-
-@ARMS
-def test_a_disturbance_of_the_pose_decays_as_the_sampled_gains_say(size):
-    arm = iiwa(size)
-    h = 0.01
-    plant = make_loop_params(arm, SETTINGS, h, PENDULUM)._replace(
-        position_noise=0.0, orientation_noise=0.0
-    )
-    block = new_batch_state()
-    reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0), 0)
-    # Move the *reference* by 5 mm and 1 degree: the arm is off it by as much.
-    block.controller.reference[(POSITION + 2) * BATCH_SIZE] += 0.005
-    c, s = np.cos(np.radians(1.0)), np.sin(np.radians(1.0))
-    R = block.controller.reference[ROTATION * BATCH_SIZE : TWIST * BATCH_SIZE : BATCH_SIZE].reshape(
-        3, 3
-    )
-    turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ R
-    block.controller.reference[ROTATION * BATCH_SIZE : TWIST * BATCH_SIZE : BATCH_SIZE] = (
-        turned.ravel()
-    )
-    # The sampled double integrator under u = K_p e + K_d e_dot, error and its rate.
-    A = np.array([[1.0 - 400.0 * h**2 / 2.0, h - 40.0 * h**2 / 2.0], [-400.0 * h, 1.0 - 40.0 * h]])
-    expected = np.array([1.0, 0.0])
-    for _ in range(40):
-        block.state[PHI * BATCH_SIZE] = block.state[PHI_DOT * BATCH_SIZE] = 0.0
-        step(plant, block, 1)
-        expected = A @ expected
-        e = np.array(pose_error(block.controller.frame, block.controller.reference, 0))
-        # 2 % of the disturbance: the arm's curvature over a step is not in the linear theory.
-        np.testing.assert_allclose(e[2] / 0.005, expected[0], atol=0.02)
-        np.testing.assert_allclose(e[5] / s, expected[0], atol=0.02)
-    assert abs(e[2]) < 5e-5

@@ -20,11 +20,6 @@ from tests.reference import intervals as printed
 
 BOXES = make_grid(BoxSettings(look_ahead=0.0), 1.0)
 CENTRE = {"phi": 0.01, "phi_dot": 0.0, "x": 0.0, "x_dot": 0.0}
-INNER_EDGES = [
-    (axis, interval.low * unit)
-    for axis, (intervals, unit) in printed.AXES.items()
-    for interval in intervals[1:]
-]
 VALUES = {
     axis: [
         value

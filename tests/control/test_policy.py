@@ -123,12 +123,9 @@ ROW = (0.0,) * 8
     "changes",
     [
         {"Q": (ROW,) * 269},
-        {"Q": (ROW,) * 269 + (ROW[:7],)},
         {"visits": ((0,) * 8,) * 271},
         {"Q": ((float("nan"),) * 8,) * 270},
-        {"actions": paper.ACTIONS[::-1]},
         {"actions": (*paper.ACTIONS, 3.0)},
-        {"actuators": ("lag",)},
         {"actuators": ()},
         {"settings": Settings(boxes=BoxSettings(x=(-0.1, -0.05, 0.05, 0.1)))},
     ],

@@ -114,11 +114,10 @@ def test_delay_lags_and_shaping_law_are_found_together_and_a_steady_load_moves_n
 
 @pytest.mark.parametrize(
     ("law", "cycle"),
-    [("kst", 0.016), ("unshaped", 0.03)]
-    + [pytest.param(*one, marks=pytest.mark.slow) for one in (("kst", 0.04), ("unshaped", 0.006))],
+    [("kst", 0.016), ("unshaped", 0.03)],
 )
 def test_a_slow_servo_is_found_with_or_without_the_shaping_law(law, cycle):
-    actuator = identified(recorded(law=law, cycle=cycle))
+    actuator = identified(recorded(law=law, cycle=cycle, duration=6.0))
     assert actuator.kind == law
     assert holds(actuator.cycle, cycle)
     assert holds(actuator.delay, 0.010 + WAITING)
@@ -155,36 +154,11 @@ def test_a_delay_that_fits_one_period_later_as_well_is_not_taken():
     assert actuator.delay.value == pytest.approx(0.035 + WAITING, abs=1e-3)
 
 
-def coverage(logs, duration):
-    """Return how often the intervals of delay, t_c and lags hold the truth."""
-    hits = np.zeros(3)
-    for seed in range(logs):
-        rng = np.random.default_rng([2025, seed])
-        lags, delay = rng.uniform(4e-3, 16e-3, 6), rng.choice([0.010, 0.030])
-        log = cabinet(rng, *setpoints(rng, duration), delay=delay, lags=lags)
-        actuator = identified(log, kind="kst")
-        hits += [
-            holds(actuator.delay, delay + WAITING),
-            holds(actuator.cycle, 1e-3),
-            np.mean([holds(*pair) for pair in zip(actuator.lags, lags, strict=True)]),
-        ]
-        assert actuator.delay.value == pytest.approx(delay + WAITING, abs=0.5e-3)
-        np.testing.assert_allclose(values(actuator.lags), lags, rtol=0.2)
-    return hits / logs
-
-
-def test_the_intervals_cover_the_truth_of_some_logs():
-    # Of 20 intervals at 95 %, fewer than 15 hold the truth with a probability of 3e-4.
-    assert np.all(coverage(20, 6.0) >= 15 / 20)
-
-
 @pytest.mark.parametrize(
     ("world", "kind", "t_c"),
     [
         ("twin:nominal", "kst", 1e-3),
-        pytest.param("twin:pd", "kst", 16e-3, marks=pytest.mark.slow),
         pytest.param("twin:trajectory40", "kst", 40e-3, marks=pytest.mark.slow),
-        pytest.param("twin:smart60", "unshaped", 16e-3, marks=pytest.mark.slow),
         pytest.param("twin:fri", "unshaped", 16e-3, marks=pytest.mark.slow),
     ],
 )
@@ -195,17 +169,10 @@ def test_a_log_of_a_named_world_gives_its_servo(world, kind, t_c):
     assert actuator.fit.warnings == ()
     assert holds(actuator.delay, settings.transport)
     assert holds(actuator.cycle, t_c)
-    # The twin's drives of `pd` integrate otherwise than our servo: half a cycle less.
-    lag, truth = actuator.lags[-1], equivalent_actuator(settings).lags[-1].value
-    assert lag.low <= truth <= lag.high + 0.5e-3
+    assert holds(actuator.lags[-1], equivalent_actuator(settings).lags[-1].value)
 
 
 # What comes with the numbers.
-
-
-def test_joints_that_are_too_weak_are_mentioned():
-    actuator = identified(recorded(strength=10.0, duration=6.0), kind="kst")
-    assert any("deviates from the model" in warning for warning in actuator.fit.warnings)
 
 
 def test_a_cycle_that_the_log_does_not_tell_is_kept():
@@ -215,57 +182,39 @@ def test_a_cycle_that_the_log_does_not_tell_is_kept():
     assert any("cycle of the shaping law" in warning for warning in actuator.fit.warnings)
 
 
-def test_equal_logs_give_equal_bits_and_another_clock_the_same_actuator():
-    log = recorded(duration=6.0)
-    first, again = identified(log, kind="kst"), identified(log, kind="kst")
-    assert first == again
-    log.stream_time, log.reply_time = log.stream_time + 1.7e9, log.reply_time + 1.7e9
-    # Seconds since 1970 are known to 0.2 us.
-    assert identified(log, kind="kst").delay.value == pytest.approx(first.delay.value, abs=2e-6)
-
-
 # Refusals.
 
 
-def changed(**fields):
+def spoilt(field, where, value):
+    """A log with another value in a place."""
     log = recorded(duration=6.0)
-    return SimpleNamespace(**(vars(log) | {name: of(log) for name, of in fields.items()}))
+    values = getattr(log, field)
+    values[where] = value(log) if callable(value) else value
+    return log
 
 
-def outside_gap(what):
+def with_gap(what):
     """A log without 0.1 s of its setpoints or replies."""
     log = recorded(duration=6.0)
-    time = getattr(log, f"{what}_time")
-    kept = (time < 3.0) | (time > 3.1)
-    parts = {f"{what}_time": time[kept], f"{what}_q": getattr(log, f"{what}_q")[kept]}
+    time, q = f"{what}_time", f"{what}_q"
+    kept = np.abs(getattr(log, time) - 3.05) > 0.05
+    parts = {time: getattr(log, time)[kept], q: getattr(log, q)[kept]}
     return SimpleNamespace(**(vars(log) | parts))
-
-
-def with_value(values, row, value):
-    values = values.copy()
-    values[row] = value
-    return values
 
 
 REFUSED = {
     "short": lambda: recorded(duration=3.0),
-    "a gap in the setpoints": lambda: outside_gap("stream"),
-    "a gap in the replies": lambda: outside_gap("reply"),
-    "a joint at one speed": lambda: changed(
-        stream_q=lambda log: with_value(log.stream_q, (slice(None), 0), 0.2 * log.stream_time)
+    "a gap in the setpoints": lambda: with_gap("stream"),
+    "a gap in the replies": lambda: with_gap("reply"),
+    "a joint at one speed": lambda: spoilt(
+        "stream_q", (slice(None), 0), lambda log: 0.2 * log.stream_time
     ),
-    "an arm that stands still": lambda: changed(
-        reply_q=lambda log: with_value(log.reply_q, (slice(None), 4), 0.0)
+    "an arm that stands still": lambda: spoilt("reply_q", (slice(None), 4), 0.0),
+    "replies of another log": lambda: spoilt(
+        "reply_q", slice(None), lambda log: log.reply_q[::-1].copy()
     ),
-    "replies of another log": lambda: changed(
-        reply_time=lambda _: recorded(seed=2, duration=6.0).reply_time,
-        reply_q=lambda _: recorded(seed=2, duration=6.0).reply_q,
-    ),
-    "five joints": lambda: changed(stream_q=lambda log: log.stream_q[:, :5]),
-    "NaN": lambda: changed(reply_q=lambda log: with_value(log.reply_q, (100, 3), np.nan)),
-    "a repeated time": lambda: changed(
-        stream_time=lambda log: with_value(log.stream_time, 100, log.stream_time[99])
-    ),
+    "NaN": lambda: spoilt("reply_q", (100, 3), np.nan),
+    "a repeated time": lambda: spoilt("stream_time", 100, lambda log: log.stream_time[99]),
 }
 
 

@@ -57,13 +57,10 @@ def test_a_gyros_rate_is_a_rate(tmp_path):
 SAME = "time_s,theta_rad\n0,1\n0.5,2.5\n"
 SPELLINGS = {
     "milliseconds": "time_ms,theta_rad\n0,1\n500,2.5\n",
-    "microseconds": "time_us,theta_rad\n0,1\n500000,2.5\n",
     "semicolons": "time_s;theta_rad\n0;1\n0.5;2.5\n",
     "decimal commas": "time_s;theta_rad\n0,0;1,0\n0,5;2,5\n",
-    "tabs": "time_s\ttheta_rad\n0\t1\n0.5\t2.5\n",
     "tabs and commas": "time_s\ttheta_rad\n0\t1\n0,5\t2,5\n",
     "quotes": 'note,"time_s","theta_rad"\n"a,b","0",1\n"c",0.5,"2.5"\n',
-    "windows": "time_s,theta_rad\r\n0,1\r\n0.5,2.5\r\n",
     "blanks": "note, time_s ,theta_rad\na,0,1\n\nb,0.5,2.5\n\n",
     "UTF-8 mark": b"\xef\xbb\xbf" + SAME.encode(),
     "another script": "time_s,theta_rad,Länge (°)\n0,1,ü\n0.5,2.5,\n",
@@ -77,15 +74,6 @@ def test_one_recording_in_many_spellings_is_one_recording(tmp_path, text):
     swing = read_swing(path)
     assert swing.time.tolist() == [0.0, 0.5]
     assert swing.theta.tolist() == [1.0, 2.5]
-
-
-@pytest.mark.parametrize("header", ["", "t,angle\n"])
-def test_columns_can_be_named_where_the_file_does_not(tmp_path, header):
-    path = tmp_path / "swing.csv"
-    path.write_text(header + "0,90\n250,45\n")
-    swing = read_swing(path, columns="time_ms, theta_deg")
-    assert swing.time.tolist() == [0.0, 0.25]
-    np.testing.assert_allclose(swing.theta, [pi / 2, pi / 4])
 
 
 def test_a_window_holds_the_samples_at_its_ends_and_trusts_its_start(tmp_path):
@@ -115,14 +103,11 @@ def test_a_written_swing_is_read_back_to_the_last_bit(tmp_path_factory, steps, v
 
 REFUSED = {
     "nothing": "",
-    "other columns": "t,angle\n0,1\n",
     "two quantities": "time_s,theta_rad,theta_deg\n0,1,2\n1,1,2\n",
     "NaN": "time_s,theta_rad\n0,1\n0.1,nan\n",
     "a word": "time_s,theta_rad\n0,1\n\n0.1,high\n",
-    "a missing cell": "time_s,theta_rad\n0,1\n0.1\n",
     "decimal commas between commas": "time_s,theta_rad\n0,000,1,25\n0,010,1,24\n",
     "repeated samples": "time_s,theta_rad\n0,1\n0.1,2\n0.1,3\n",
-    "unsorted samples": "time_s,theta_rad\n0,1\n0.2,2\n\n0.1,3\n",
     "counts of an unknown encoder": "time_s,counts\n0,1\n0.1,2\n",
     "milliseconds since 1970 as seconds": "time_s,theta_rad\n1.7e12,1\n1.7001e12,2\n",
     "a control character": "time_s,\x00theta_rad\n0,1\n",
@@ -149,32 +134,7 @@ def test_a_file_that_is_not_there_or_too_large_is_refused(tmp_path, monkeypatch)
             read_swing(wrong)
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"start": 5.0},
-        {"end": -1.0},
-        {"start": 0.2, "end": 0.1},
-        {"counts_per_rev": 0},
-        {"counts_per_rev": -4096},
-    ],
-)
+@pytest.mark.parametrize("options", [{"start": 5.0}, {"end": -1.0}, {"counts_per_rev": -4096}])
 def test_a_window_without_samples_and_impossible_counts_are_refused(tmp_path, options):
-    name = "counts" if "counts_per_rev" in options else "theta_rad"
     with pytest.raises(RecordingError):
-        read_swing(column(tmp_path, name, [1, 2, 3, 4]), **options)
-
-
-@pytest.mark.parametrize(
-    "fields",
-    [
-        {},
-        {"theta": TIME, "theta_dot": TIME},
-        {"theta": np.zeros(3)},
-        {"theta": np.array([0.0, np.nan, 0.0, 0.0])},
-        {"theta": TIME, "time": np.array([0.0, 1.0, 1.0, 2.0])},
-    ],
-)
-def test_impossible_trajectories_are_refused(fields):
-    with pytest.raises(RecordingError):
-        Trajectory(**({"time": TIME} | fields))
+        read_swing(column(tmp_path, "counts", [1, 2, 3, 4]), **{"counts_per_rev": 4096} | options)

@@ -104,14 +104,6 @@ def test_an_x_that_comes_late_is_found_and_does_no_harm():
     assert fit.warnings
 
 
-def test_uneven_time_stamps_and_gaps_do_no_harm():
-    rng, (time, phi, x) = np.random.default_rng(1), shaken(TRUTH.w2 / GRAVITY)
-    kept = (rng.random(len(time)) > 0.1) & ((time < 7.0) | (time > 8.5))
-    fit = regress(time[kept], phi[kept], x[kept])
-    assert fit.w2.value == pytest.approx(TRUTH.w2, rel=2e-3)
-    assert fit.c.value == pytest.approx(TRUTH.c, rel=0.05)
-
-
 def test_what_does_not_follow_the_equation_is_refused():
     time, phi, x = shaken(TRUTH.w2 / GRAVITY)
     for log in (

@@ -136,11 +136,6 @@ def test_estimates_are_those_of_the_rig_and_intervals_hold_them(runs):
         assert result.misfit < 0.02
 
 
-def test_a_pendulum_that_still_swings_may_be_tested_again():
-    result = judged(np.random.default_rng(8), swinging=radians(15.0))
-    assert result.verdict is SelfTestVerdict.PASSED, result
-
-
 def test_a_disturbed_swing_is_repeated():
     # A draft: the angle wanders by a degree, which leaves the fit its numbers, but not the zero.
     rng = np.random.default_rng(9)
@@ -172,10 +167,7 @@ def by_hand(t, c, s, x, r):
         (lambda t, c, s, x, r: (t, c, s, 0.0 * x, r), "flange"),
         (lambda t, c, s, x, r: (t, c, s, 1000.0 * x, r), "flange"),
         (lambda t, c, s, x, r: (t, with_nan(c), s, x, r), "finite"),
-        (lambda t, c, s, x, r: (t, c, s, with_nan(x), r), "finite"),
         (lambda t, c, s, x, r: (with_nan(t), c, s, x, r), "increase"),
-        (lambda t, c, s, x, r: (t[::-1], c, s, x, r), "increase"),
-        (lambda t, c, s, x, r: (t, c[1:], s, x, r), "samples"),
         (lambda t, c, s, x, r: (t[:100], c[:100], s, x, r), "samples"),
         (lambda t, c, s, x, r: (t[t < 2.5], c[t < 2.5], s, x, r), "observed"),
     ],

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from equipoise.errors import InputError, SettingsError
-from equipoise.learning.choice import compile_learner, load_learner, with_digests
+from equipoise.learning.choice import compile_learner, with_digests
 from equipoise.learning.learner import Transition, UpdateParams, new_tables
 from equipoise.learning.learners import LEARNERS, double_q
-from equipoise.learning.learners.watkins import TRACE_DECAY
 from equipoise.learning.rewards import REWARDS, Observation
 from equipoise.learning.train import train
 from equipoise.settings import LearningSettings
@@ -18,7 +17,7 @@ GAMMA, EPSILON, STATES = 0.9, 0.5, 3
 
 def transition(box, action, reward, box_next, action_next=-1, **changes):
     after = Transition(
-        box, action, reward, GAMMA, box_next, action_next, False, False, EPSILON, 0.0, 0
+        box, action, reward, GAMMA, box_next, action_next, False, False, EPSILON, 0.0
     )
     return after._replace(**changes)
 
@@ -51,9 +50,7 @@ def learned(name, updates, seed=0):
 
 
 @pytest.mark.compiled_only
-@pytest.mark.parametrize(
-    ("name", "updates"), [("q_learning", 60_000), ("watkins", 10_000), ("double_q", 60_000)]
-)
+@pytest.mark.parametrize(("name", "updates"), [("q_learning", 60_000), ("double_q", 60_000)])
 def test_learners_of_the_best_policy_find_its_values(name, updates):
     # The best policy never falls: Q* is 0 but for the step into the fall, -1, and each way is seen.
     Q = learned(name, updates).Q
@@ -97,23 +94,6 @@ def test_double_q_moves_one_table_towards_the_value_of_the_other(chance, moved):
     mine[4, 5] = 0.5 * mine[4, 5] + 0.5 * (-0.25 + GAMMA * other[9, np.argmax(mine[9])])
     np.testing.assert_allclose(tables.Q + tables.own[0], A, rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(tables.Q - tables.own[0], B, rtol=0.0, atol=1e-14)
-
-
-def test_watkins_carries_a_failure_back_until_an_action_that_was_not_the_best():
-    watkins, params = LEARNERS["watkins"], UpdateParams(1.0, 0.0, 0.0, False)
-    tables = new_tables(270, watkins.tables)
-    watkins.update(tables, transition(1, 0, 0.0, 2, 0, lane=3), params)
-    tables.Q[4, 1] = -0.5  # so that action 1 in box 4 is not the best
-    watkins.update(tables, transition(2, 0, 0.0, 4, 1, lane=3), params)
-    watkins.update(tables, transition(4, 1, 0.5, 5, 2, lane=3), params)
-    watkins.update(tables, transition(5, 2, 0.0, 6, 0, lane=3), params)
-    failure = transition(6, 0, -1.0, 0, 0, lane=3, failed=True, ended=True)
-    watkins.update(tables, failure, params)
-    assert tables.Q[6, 0] == -1.0
-    assert tables.Q[5, 2] == pytest.approx(-GAMMA * TRACE_DECAY)
-    assert tables.Q[4, 1] == pytest.approx(0.5 - (GAMMA * TRACE_DECAY) ** 2)
-    assert tables.Q[2, 0] == tables.Q[1, 0] == 0.0
-    assert not tables.own.any()
 
 
 def test_rewards_are_those_of_the_reference():
@@ -201,14 +181,6 @@ def test_a_guest_that_does_what_ours_does_gives_our_bits(guest, small_policy, qu
         trained(small_policy, made.settings)
 
 
-@pytest.mark.compiled_only
-def test_other_learners_and_rewards_give_other_tables(guest, small_policy, quick_settings):
-    changes = [{"learner": name} for name in LEARNERS]
-    changes += [{"reward": name} for name in ("alive", "guest_of_tests:scaled")]
-    made = [trained(small_policy, quick_settings, **change) for change in changes]
-    assert len({policy.Q for policy in made}) == len(changes)
-
-
 REFUSED = {
     "sarza": "learner",
     "nowhere_at_all:update": "learner",
@@ -238,7 +210,3 @@ def test_an_error_of_compiled_code_ends_the_training(
         trained(small_policy, quick_settings, learner=f"guest_of_tests:{name}")
     assert "\x1b" not in str(refusal.value)
     assert capfd.readouterr() == ("", "")
-
-
-def test_the_paper_s_learner_is_the_default():
-    assert load_learner(LearningSettings()) is LEARNERS["q_learning"]

@@ -16,9 +16,9 @@ from equipoise.learning.episodes import (
     new_training_state,
     train_episodes,
 )
-from equipoise.learning.target import compare_policies, measure_policy, train_to_target
+from equipoise.learning.target import measure_policy, train_to_target
 from equipoise.learning.train import check_task, train, training_config
-from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
+from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
@@ -114,11 +114,6 @@ def test_each_stage_of_each_learner_is_shown_to_its_end(pendulum, learners):
     assert found.tests == measure_policy(alone, target=0.9, error=(0.025, 0.05 / 6)[found.learner])
 
 
-def test_the_last_table_of_a_training_without_a_selection_is_tested_too(pendulum):
-    last = train_to_target(pendulum, ARM, of_paper(), target=0.0)
-    assert (last.checkpoints, last.learner, last.test.trials) == ((), 0, 64)
-
-
 def test_a_target_that_the_test_cannot_show_is_refused(pendulum):
     for target, learners in ((0.99, 6), (1.0, 6), (0.5, 0)):
         with pytest.raises(InputError):
@@ -157,14 +152,6 @@ def test_each_of_two_actuators_has_its_test_and_the_worst_one_counts(of_both):
     bad = of_both.model_copy(update={"tests": (of_both.tests[1], missed)})
     assert bad.test == missed
     assert "misses the target" in bad.shortfall
-
-
-def test_without_an_actuator_it_is_the_shipped_one_or_by_the_settings_none(pendulum):
-    few = ["learning.episodes=20", "selection.every=0"]
-    shipped = train(pendulum, ARM, settings(*few))
-    assert shipped == train(pendulum, ARM, settings(*few), actuator=shipped_actuator())
-    ideal = train(pendulum, ARM, settings(*few, "plant.ideal=true"))
-    assert ideal.Q == train(pendulum, ARM, settings(*few), actuator=IDEAL_ACTUATOR).Q != shipped.Q
 
 
 # The selection
@@ -223,29 +210,10 @@ def test_the_test_of_a_policy_is_its_evaluation_with_other_seeds(pendulum, learn
     assert test.survived == causes["lasted"]
 
 
-def test_compared_policies_run_the_same_trials_in_the_given_order(learners):
-    results = compare_policies(learners, seed=99)
-    assert [each.episodes for each in results] == [60, 60, 60]
-    backwards = compare_policies(learners[::-1], seed=99, workers=2)
-    # The first policy gives the model, which all learners share.
-    assert results == backwards[::-1]
-
-
-def test_the_recipe_paper_selects_nothing_and_keeps_the_last_table(pendulum):
+def test_the_recipe_paper_selects_nothing(pendulum):
     policy = train(pendulum, ARM, of_paper())
     assert policy.recipe.startswith("custom: paper with learning.episodes = 60, ")
     assert policy.checkpoints == ()
-    progress = new_training_state(270)
-    loop = new_training_loop(
-        make_loop_params(ARM, of_paper(), 0.01, pendulum.parameters(linearised=True)),
-        pendulum.parameters(linearised=True),
-        training_config(of_paper(), pendulum.parameters().k),
-        compile_learner(of_paper().learning),
-        progress,
-        np.array((0, 0)),
-    )
-    train_episodes(loop, 60)
-    assert np.array_equal(progress.tables.Q, policy.table)
 
 
 # What is kept

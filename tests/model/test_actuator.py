@@ -180,28 +180,6 @@ def test_a_log_is_simulated_as_the_servo_moves(kind, lag):
     np.testing.assert_allclose(found[1:], expected, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", [KST, UNSHAPED, LAG, IDEAL])
-@pytest.mark.parametrize("spread", [0.0, 1e-3])
-def test_the_simulation_depends_smoothly_on_the_delay(kind, spread):
-    time, stream = sine()
-    replies = np.arange(0.1, 0.55, 0.005)
-    start = 0.1 * (1.0 - np.cos(6.0 * (replies - 0.03)))
-    delays = np.arange(0.0100, 0.0140, 1e-5)
-    path = np.stack(
-        [
-            tracked(time, stream, replies, start, kind, delay=delay, spread=spread)
-            for delay in delays
-        ]
-    )
-    # No jump: a step of 10 us moves each joint by no more than 10 us of its top speed, 0.6 rad/s,
-    # in bursts of five times that where setpoints come at once.
-    assert np.max(np.abs(np.diff(path, axis=0))) < 5.0 * 0.6 * 1e-5
-    # A later effect is a later motion.
-    later = (path[-1] - path[0])[20:]
-    speed = np.gradient(path[0], replies)[20:]
-    assert float(later @ speed) < 0.0
-
-
 def test_a_push_holds_a_joint_off_its_setpoint_by_the_error_that_balances_it():
     time = np.arange(0.0, 2.0, 0.005)
     replies = np.arange(0.0, 1.9, 0.005)

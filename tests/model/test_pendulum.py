@@ -66,17 +66,6 @@ def test_swing_equals_an_adaptive_integrator_at_uneven_times_and_across_gaps(fri
     np.testing.assert_allclose(found[1], expected[1], rtol=0.0, atol=3e-5)
 
 
-def test_a_small_swing_is_the_damped_cosine_of_the_textbook():
-    c, time = 0.6, np.linspace(0.0, 4.0, 1001)
-    theta, _ = swung(time, 1e-4, 0.0, 0.002, PendulumParameters(W2, K, c))
-    w_d = sqrt(W2 - c**2 / 4.0)
-    expected = (
-        1e-4 * np.exp(-c * time / 2.0) * (np.cos(w_d * time) + c / (2 * w_d) * np.sin(w_d * time))
-    )
-    # sin(theta) = theta to 1e-13 at this amplitude.
-    np.testing.assert_allclose(theta, expected, atol=1e-10)
-
-
 @pytest.mark.parametrize("amplitude", [0.1, 1.0, 2.0, 3.0])
 def test_a_large_swing_has_the_period_of_the_elliptic_integral(amplitude):
     period = 4.0 * ellipk(sin(amplitude / 2.0) ** 2) / sqrt(W2)
@@ -152,9 +141,3 @@ def test_the_papers_period_belongs_to_the_papers_pendulum():
     assert parameters == (W2, W2 / pendulum.g, 0.15, 0.0, 0.0, False)
     assert pendulum.parameters(linearised=True).linearised
     assert parameters.k == pytest.approx(W2 / 9.80665)
-
-
-def test_a_pendulum_survives_its_file(tmp_path):
-    pendulum = Pendulum.assumed(W2, 0.15)
-    pendulum.save(tmp_path / "pendulum.json", command="test")
-    assert Pendulum.load(tmp_path / "pendulum.json") == pendulum

@@ -91,7 +91,6 @@ class Episode:
         self.cell = self.place()
         self.action, self.held, self.gained, self.coin = -1, 0, 0.0, 0.0
         self.discount = 1.0  # gamma to the number of steps held, a product as it grows
-        self.traces = {}
 
     def observation(self):
         """Return what the policy sees."""
@@ -116,8 +115,6 @@ class Episode:
         self.tick += 1
         return self.block.cause[0] != TRUNCATED
 
-
-TRACE_DECAY = 0.7
 
 REWARDS = {
     "paper": lambda failed: -1.0 * failed,
@@ -163,20 +160,10 @@ def train(plant, pendulum, settings, until, seed, learner, reward=None):
             i, j, k, m = cell
             table[5 - i, 4 - j, 2 - k, 2 - m][7 - action] = table[cell][action]
 
-    def learn(episode, cell, action, coin, failed, ended):
+    def learn(episode, cell, action, coin, failed):
         """Apply the learner's rule; the episode is in its next cell, with its next action."""
         R, discount, after = episode.gained, episode.discount, episode.cell
-        if s.learner == "watkins":
-            best = 0.0 if failed else max(Q[after])
-            delta = (R if failed else R + discount * best) - Q[cell][action]
-            episode.traces[cell, action] = 1.0
-            on = not ended and Q[after][episode.action] == best
-            for pair in sorted(episode.traces):
-                Q[pair[0]][pair[1]] += alpha(*pair) * episode.traces[pair] * delta
-                mirror(Q, *pair)
-                episode.traces[pair] *= discount * TRACE_DECAY
-            episode.traces = {p: e for p, e in episode.traces.items() if on and e >= 1e-3}
-        elif s.learner == "double_q":
+        if s.learner == "double_q":
             sign = 1.0 if coin < 0.5 else -1.0
             target = R
             if not failed:
@@ -197,7 +184,7 @@ def train(plant, pendulum, settings, until, seed, learner, reward=None):
         visits[cell][action] += 1
         mirror(visits, cell, action)
 
-    ahead = s.learner in ("sarsa", "watkins")
+    ahead = s.learner == "sarsa"
 
     running = [begin() for _ in range(min(SIDE_BY_SIDE, s.episodes))]
     while ended < until:
@@ -220,7 +207,7 @@ def train(plant, pendulum, settings, until, seed, learner, reward=None):
                 continue
             if ahead and not failed[n]:
                 episode.action = int(choose(episode))
-            learn(episode, cell, action, coin, failed[n], over)
+            learn(episode, cell, action, coin, failed[n])
             episode.held, episode.gained, episode.discount = 0, 0.0, 1.0
             if not over:
                 continue

@@ -25,7 +25,7 @@ from equipoise.worlds.plant import (
     scaled,
     step,
 )
-from tests.reference.closed_loop import Joints, Loop, runge_kutta
+from tests.reference.closed_loop import Joints, Loop
 from tests.worlds.recorded import on_the_plant, record
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
@@ -105,21 +105,6 @@ def test_a_run_obeys_kinematics_and_the_pendulum_equation(size):
             np.testing.assert_allclose(run.state[i + 2][:2], [flange, after.twist[0]], atol=1e-9)
 
 
-@pytest.mark.parametrize("start", [(0.15, -0.3, 0.1, -0.5), (-0.1, 0.2, 0.05, 0.4)])
-@pytest.mark.parametrize("u", [0.5, 2.0])
-def test_the_plant_is_mirror_symmetric(start, u):
-    plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM)
-    block = new_batch_state()
-    reset(plant, block, PENDULUM, NOMINAL, start, 0)
-    reset(plant, block, PENDULUM, NOMINAL, tuple(-value for value in start), 1)
-    for _ in range(10):
-        block.controller.u[:2] = u, -u
-        step(plant, block, 2)
-    rows = block.state.reshape(-1, BATCH_SIZE)
-    # 1e-9: the two postures are not images of each other to the bit.
-    np.testing.assert_allclose(rows[:, 0], -rows[:, 1], atol=1e-9)
-
-
 @pytest.mark.parametrize("row", range(4))
 def test_a_joint_beyond_any_of_its_limits_is_reported(row):
     plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM)
@@ -145,7 +130,6 @@ def test_a_singular_home_is_refused():
 FINE = f"plant.counts_per_rev={2**40}"
 GAINS = np.array(lqr_gains(PENDULUM, 0.01))
 KST = Actuator.assumed("kst", delay=0.010, lag=0.008)
-LAG = Actuator.assumed("lag", delay=0.0135, lag=0.015)
 
 
 def differing(kind, delay, *lags):
@@ -159,12 +143,6 @@ def differing(kind, delay, *lags):
     ("actuator", "variation", "overrides"),
     [
         (KST, DomainRandomization(1.03, 1.3, 0.003, 1.2, 0.005), []),
-        (LAG, DomainRandomization(1.03, 1.2, 0.0025, 1.1, 0.004), ["controller.predict=false"]),
-        (
-            Actuator.assumed("kst", delay=0.0271, lag=0.004, cycle=0.0012),
-            DomainRandomization(1.02, 1.2, 0.0039, 0.8, 0.003),
-            ["controller.margin=0.002"],
-        ),
         (
             differing("lag", 0.006, 0.03, 0.02, 0.025, 0.015, 0.02, 0.03),
             DomainRandomization(0.98, 1.0, -0.006, 1.0, 0.0),
@@ -237,20 +215,14 @@ def test_a_wrong_zero_does_not_decide_about_a_failure():
     assert block.cause[0] == TRUNCATED
 
 
-@pytest.mark.parametrize(
-    ("pendulum", "of_angle", "of_rate"),
-    # In a tick the angle is off as by a rate of half a degree per second; the observer's is one
-    # of 0.6. With dry friction the plant itself goes by the millisecond.
-    [(PENDULUM, np.radians(0.6), np.radians(0.05)), (PENDULUM._replace(coulomb=1.0), 1e-9, 1e-9)],
-)
-def test_the_pendulum_behind_an_actuator_feels_the_pivot_as_it_moves(pendulum, of_angle, of_rate):
+def test_behind_an_actuator_a_pendulum_with_dry_friction_feels_the_pivot_as_it_moves():
     """Each tick again, millisecond by millisecond: the setpoints make the velocity a ripple."""
-    arm, actuator = iiwa(14), Actuator.assumed("kst", delay=0.010, lag=0.008)
-    plant = make_loop_params(arm, SETTINGS, 0.01, PENDULUM, actuator)
+    arm, pendulum = iiwa(14), PENDULUM._replace(coulomb=1.0)
+    plant = make_loop_params(arm, SETTINGS, 0.01, PENDULUM, KST)
     block = new_batch_state()
     reset(plant, block, pendulum, NOMINAL, (0.0, 0.0, 0.03, 0.0), 0)
-    joints, rng = Joints(actuator, 1.0, arm.home_free), np.random.default_rng(0)
-    setpoints, v, errors = [arm.home_free] * 2, 0.0, []
+    joints, rng = Joints(KST, 1.0, arm.home_free), np.random.default_rng(0)
+    setpoints, v = [arm.home_free] * 2, 0.0
     for _ in range(150):
         before = block.state[: 4 * BATCH_SIZE : BATCH_SIZE].copy()
         block.controller.noise[:] = rng.standard_normal(6 * BATCH_SIZE)
@@ -267,11 +239,7 @@ def test_the_pendulum_behind_an_actuator_feels_the_pivot_as_it_moves(pendulum, o
         for ms in range(10):
             joints.millisecond(in_force[ms // 5])
             v_before, v = v, pivot_velocity(arm, arm.kinematics(joints.q, joints.dq))
-            u = (v - v_before) / 1e-3
-            advance = pendulum_step if pendulum.coulomb else runge_kutta
-            phi, phi_dot = advance(phi, phi_dot, u, 1e-3, pendulum)
-        errors.append(block.state[2 * BATCH_SIZE : 4 * BATCH_SIZE : BATCH_SIZE] - (phi, phi_dot))
+            phi, phi_dot = pendulum_step(phi, phi_dot, (v - v_before) / 1e-3, 1e-3, pendulum)
+        found = block.state[2 * BATCH_SIZE : 4 * BATCH_SIZE : BATCH_SIZE]
+        assert found == pytest.approx((phi, phi_dot), abs=1e-9)
     np.testing.assert_allclose(joints.q, block.q[::BATCH_SIZE], atol=1e-12)
-    angle, rate = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert angle / 0.01 < of_angle
-    assert rate < of_rate

@@ -7,17 +7,9 @@ import pytest
 from scipy import stats
 
 from equipoise import paper
-from equipoise.control.baselines import lqr_gains
-from equipoise.control.grid import (
-    make_grid,
-)
 from equipoise.control.policy import (
-    LINEAR,
     RANDOM,
-    SNAPPED,
-    KernelPolicy,
     PolicyKernel,
-    table_kernel,
 )
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
@@ -25,13 +17,12 @@ from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
-from equipoise.settings import BoxSettings, resolve
+from equipoise.settings import resolve
 from equipoise.worlds.ideal import run_trials
 from equipoise.worlds.plant import (
     X_DOT,
     DomainRandomization,
     X,
-    draw_noise,
     make_loop_params,
     new_batch_state,
     reset,
@@ -39,13 +30,13 @@ from equipoise.worlds.plant import (
     step,
 )
 from equipoise.worlds.trials import draw_trials
-from tests.worlds.recorded import on_the_plant, record, run_all
+from tests.worlds.recorded import on_the_plant, run_all
 
 ARM = iiwa(14)
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
 SETTINGS = resolve()
 NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
-CONDITIONS = ("start", "inertia_factor", "friction_factor", "delay", "lag_factor", "zero")
+CONDITIONS = ("start", "variation")
 STREAMS = (SELECTION, TARGET_TEST, TEST)
 
 
@@ -61,19 +52,6 @@ def any_plant(request):
     return make_loop_params(ARM, SETTINGS, paper.STEP, PENDULUM, actuator)
 
 
-@pytest.fixture(scope="module")
-def kernels():
-    """One policy of each kind."""
-    rng = np.random.default_rng(0)
-    gains = lqr_gains(PENDULUM, paper.STEP)
-    return {
-        "table": table_kernel(rng.choice(paper.ACTIONS, 270), make_grid(BoxSettings(), 1.0)),
-        "linear": PolicyKernel(LINEAR, gains=gains),
-        "snapped": PolicyKernel(SNAPPED, gains=gains),
-        "random": PolicyKernel(RANDOM),
-    }
-
-
 def drawn(count=100, seed=0, stream=TEST, spread=1.0, settings=SETTINGS):
     return draw_trials(count, settings, seed, stream, spread)
 
@@ -81,11 +59,6 @@ def drawn(count=100, seed=0, stream=TEST, spread=1.0, settings=SETTINGS):
 def outcome(trials):
     """Return the bits of what came of trials."""
     return [column.tobytes() for column in (trials.steps, trials.cause, trials.sum_x2)]
-
-
-def run(plant, policy, count=100, workers=1, duration=1.0, seed=0, pendulum=PENDULUM):
-    simulation = on_the_plant(plant, ARM, pendulum, SETTINGS, seed)
-    return run_all(simulation, policy, simulation.draw(count), duration, workers)
 
 
 # What is drawn
@@ -112,16 +85,17 @@ def test_conditions_have_their_distributions(spread):
     phi, phi_dot = trials.start[:, 2:].T
     assert np.array_equal(np.sign(phi), np.sign(phi_dot))
     assert stats.binomtest(int(np.sum(phi > 0)), 5000).pvalue > 1e-5
-    inertia = stats.norm.cdf((trials.inertia_factor - 1.0) / (spread * 0.02))
-    friction = stats.norm.cdf((trials.friction_factor - 1.0) / (spread * 0.2))
+    varied = DomainRandomization(*trials.variation.T)
+    inertia = stats.norm.cdf((varied.inertia_factor - 1.0) / (spread * 0.02))
+    friction = stats.norm.cdf((varied.friction_factor - 1.0) / (spread * 0.2))
     columns = (
         (np.abs(phi), radians(1.5), radians(2.5)),
         (np.abs(phi_dot), radians(8.0), radians(18.0)),
         (inertia, 0.0, 1.0),
         (friction, 0.0, 1.0),
-        (trials.delay, -0.003 * spread, 0.003 * spread),
-        (trials.lag_factor, 1.0 - 0.3 * spread, 1.0 + 0.3 * spread),
-        (trials.zero, -0.004 * spread, 0.004 * spread),
+        (varied.delay, -0.003 * spread, 0.003 * spread),
+        (varied.lag_factor, 1.0 - 0.3 * spread, 1.0 + 0.3 * spread),
+        (varied.zero, -0.004 * spread, 0.004 * spread),
     )
     for values, low, high in columns:
         assert uniform_p(values, low, high) > 1e-5
@@ -150,31 +124,13 @@ def test_factors_on_inertia_divide_everything_and_factors_on_friction_only_c():
     assert (extreme.w2, extreme.c) == (pytest.approx(700.0), 0.0)
 
 
-# Noise
-
-
-def noise(tick, index, learner=0, stream=TEST, seed=0, lanes=BATCH_SIZE):
-    out = np.full(6 * BATCH_SIZE, np.nan)
-    draw_noise(out, seed, np.array(tick), np.array(index), learner, stream, lanes)
-    return out.reshape(6, BATCH_SIZE)
-
-
-def test_noise_belongs_to_the_trial_and_its_step_not_to_the_lane():
-    tick, index = np.arange(100, 100 + BATCH_SIZE), np.arange(7, 7 + BATCH_SIZE)
-    together = noise(tick, index)
-    for n in range(BATCH_SIZE):
-        alone = noise(np.full(BATCH_SIZE, tick[n]), np.full(BATCH_SIZE, index[n]), lanes=1)
-        assert alone[:, 0].tobytes() == together[:, n].tobytes()
-        assert np.all(np.isnan(alone[:, 1:]))
-
-
 # Lanes, pieces and workers
 
 
-def test_a_trial_gives_the_same_bits_alone_as_in_company(any_plant, kernels):
+def test_a_trial_gives_the_same_bits_alone_as_in_company(any_plant):
     together = drawn(40)
     longest = 60
-    arguments = (any_plant, new_batch_state(), kernels["random"], PENDULUM)
+    arguments = (any_plant, new_batch_state(), PolicyKernel(RANDOM), PENDULUM)
     run_trials(*arguments, together, np.arange(40), longest, 5, TEST)
     alone = drawn(40)
     for i in range(40):
@@ -188,24 +144,12 @@ def test_a_trial_gives_the_same_bits_alone_as_in_company(any_plant, kernels):
     assert outcome(backwards) == outcome(together)
 
 
-@pytest.mark.parametrize("kind", ["table", "linear", "snapped"])
-def test_a_recorded_trial_is_the_trial_itself(any_plant, kernels, kind):
-    trials = run(any_plant, kernels[kind], 12, duration=0.8)
-    simulation = on_the_plant(any_plant, ARM, PENDULUM, SETTINGS)
-    for i in range(12):
-        policy = KernelPolicy(kernels[kind])
-        result, rows = record(simulation, policy, trials.trial(i), 0.8)
-        assert result == (trials.steps[i], trials.cause[i], trials.sum_x2[i])
-        assert len(rows.u) == trials.steps[i]
-
-
 @pytest.mark.parametrize("count", [1, 17, 65])
-def test_every_trial_is_run_once_and_told_of(plant, kernels, count):
+def test_every_trial_is_run_once_and_told_of(plant, count):
     finished = []
     simulation = on_the_plant(plant, ARM, PENDULUM, SETTINGS)
-    trials = run_all(
-        simulation, kernels["table"], simulation.draw(count), 0.1, done=finished.extend
-    )
+    drawn_trials = simulation.draw(count)
+    trials = run_all(simulation, PolicyKernel(RANDOM), drawn_trials, 0.1, done=finished.extend)
     assert sorted(finished) == list(range(count))
     assert np.all(trials.steps > 0)
 

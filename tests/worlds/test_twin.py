@@ -62,9 +62,7 @@ def run(policy, trials=TRIALS, duration=2.0, workers=1, seed=1, world=WORLD):
     """Return steps, cause and sum of x^2 of some trials."""
     drawn = draw_trials(len(trials), Settings(), 0, TEST, 1.0)
     for row, trial in enumerate(trials):
-        drawn.number[row], drawn.start[row] = trial.number, trial.start
-        drawn.inertia_factor[row] = trial.variation.inertia_factor
-        drawn.friction_factor[row] = trial.variation.friction_factor
+        drawn.number[row], drawn.start[row], drawn.variation[row] = trial
     run_all(twins(world, seed), policy, drawn, duration, workers)
     return list(zip(drawn.steps, drawn.cause, drawn.sum_x2, strict=True))
 
@@ -87,12 +85,6 @@ def test_outcomes_depend_on_seed_and_number_alone():
         assert run(policy, seed=2) != alone
     renumbered = [trial._replace(number=trial.number + 10) for trial in TRIALS]
     assert run(chance, trials=renumbered) != run(chance)
-
-
-def test_a_trial_from_python_is_the_compiled_trial():
-    for world in (WORLD, GUARDED):
-        for trial, compiled in zip(TRIALS, run(LQR, world=world), strict=True):
-            assert run_trial(twins(world).loop(), KernelPolicy(LQR), trial, 2.0) == compiled
 
 
 SERVOS = {

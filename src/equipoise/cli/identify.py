@@ -22,8 +22,6 @@ class Swing(Options):
     """Encoder counts per revolution, after x4."""
     from_upright: bool = False
     """The recorded angle is zero when upright."""
-    columns: str | None = None
-    """Names of all columns in order, e.g. time_s,theta_deg."""
 
 
 class Model(Options):

@@ -108,7 +108,6 @@ def read_swing(
     from_upright: bool = False,
     start: float | None = None,
     end: float | None = None,
-    columns: str | None = None,
 ) -> Trajectory:
     """Read a recorded swing from a CSV file.
 
@@ -118,8 +117,6 @@ def read_swing(
         from_upright: The angle in the file is phi, zero when upright, instead of theta.
         start: Begin of the used part [s]; the pendulum is assumed to swing freely from there.
         end: End of the used part [s].
-        columns: Names of the columns in their order, separated by commas, for a file with no header
-            or another one; e.g. "time_s,theta_deg".
 
     Returns:
         The swing, as an angle from hanging or its rate.
@@ -130,7 +127,7 @@ def read_swing(
     """
     path = Path(path)
     data = read_bytes(path, MAX_RECORDING_SIZE, "a recording", RecordingError)
-    time_name, quantity, table = _read_table(path, data, columns)
+    time_name, quantity, table = _read_table(path, data)
     units = {"theta_deg": radians(1.0)}
     if quantity == "counts":
         if counts_per_rev is None or counts_per_rev <= 0:
@@ -173,7 +170,7 @@ def read_swing(
     )
 
 
-def _read_table(path: Path, data: bytes, columns: str | None) -> tuple[str, str, Array]:
+def _read_table(path: Path, data: bytes) -> tuple[str, str, Array]:
     """Return the names of the columns of time and motion, and their numbers, shape (n, 2)."""
     try:
         text = data.decode("utf-8-sig")
@@ -185,15 +182,14 @@ def _read_table(path: Path, data: bytes, columns: str | None) -> tuple[str, str,
     separator = max(",;\t", key=first.count) if ";" in first or "\t" in first else ","
     if separator != ",":
         text, first = text.replace(",", "."), first.replace(",", ".")
-    cells = [cell.strip().strip('"') for cell in first.split(separator)]
-    names = [name.strip() for name in columns.split(",")] if columns else cells
+    names = [cell.strip().strip('"') for cell in first.split(separator)]
     chosen = [next((name for name in names if name in kinds), "") for kinds in (TIMES, QUANTITIES)]
     known = [name for name in names if name in TIMES or name in QUANTITIES]
     if "" in chosen or len(known) != 2:
         raise RecordingError(
             f"{path} has the columns {shortened(', '.join(names), 80)!r}, expected one of "
             f"{', '.join(TIMES)} and one of {', '.join(QUANTITIES)}, separated by a comma, a "
-            "semicolon or a tab; name the columns in the first line, or with --columns"
+            "semicolon or a tab; name the columns in the first line"
         )
     try:
         below = text.partition("\n")[2].partition("\n")[0].count(separator) + 1
@@ -204,7 +200,7 @@ def _read_table(path: Path, data: bytes, columns: str | None) -> tuple[str, str,
             table = np.loadtxt(
                 io.StringIO(text),
                 delimiter=separator,
-                skiprows=0 if columns and _is_number(cells[0]) else 1,
+                skiprows=1,
                 usecols=[names.index(name) for name in chosen],
                 comments=None,
                 quotechar='"',
@@ -219,14 +215,6 @@ def _read_table(path: Path, data: bytes, columns: str | None) -> tuple[str, str,
     if not len(table):
         raise RecordingError(f"{path} holds no samples; record a swing of a few periods")
     return chosen[0], chosen[1], table
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def _smallest_step(values: Array) -> float:

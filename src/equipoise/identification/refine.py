@@ -1,4 +1,4 @@
-"""Refinement of a policy's model from the log of a run, and retraining of its table.
+"""Refinement of a policy's model from the log of a run.
 
 This is the future work of Safeea & Neto: from the robot back to the simulation. A log holds the
 setpoints of the joints, their measured angles, and the encoder's counts. From these are identified
@@ -9,36 +9,29 @@ setpoints of the joints, their measured angles, and the encoder's counts. From t
    others keep their lags.
 
 A parameter has moved if it differs beyond both 95 % intervals, corrected for the number of
-parameters, and beyond the range of the training. Training continues with the new values from the
-old table and its visits. The better of old and new table on the new model is kept, by trials that
-selected neither.
+parameters, and beyond the range of the training.
 """
 
 from collections.abc import Mapping
-from typing import Final, Literal, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.artefacts import Estimate
-from equipoise.control.policy import Checkpoint, TabularPolicy
+from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError, RecordingError
-from equipoise.executors import Show, running
 from equipoise.identification.actuator import LEAST_SPEED, identify_actuator, speed_ranges
 from equipoise.identification.regression import ClosedLoopFit, regress
-from equipoise.learning.target import TARGET, compare_policies, measure_policy
-from equipoise.learning.train import train
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.encoder import theta_from_counts
 from equipoise.model.pendulum import Pendulum
-from equipoise.settings import PlantSettings, Settings
+from equipoise.settings import PlantSettings
 
 Array = npt.NDArray[np.float64]
 
-COMPARISON_SEED: Final = 1 << 32
-"""Offset of the seed for the trials that compare old and new table, beyond all training seeds."""
 NORMAL: Final = 1.96
 """Half width of a 95 % interval in standard deviations [-]."""
 
@@ -69,19 +62,6 @@ class RefinementFindings(NamedTuple):
     """The policy's actuator, with all identified parameters if any of them moved."""
     warnings: tuple[str, ...]
     """Limitations of the log, each with advice."""
-
-
-class Refinement(NamedTuple):
-    """A policy for the refined model."""
-
-    policy: TabularPolicy
-    """The better policy."""
-    kept: Literal["old", "new"]
-    """Origin of its table."""
-    old: Checkpoint
-    """Score of the old table on the model."""
-    new: Checkpoint
-    """Score of the new table in the same trials."""
 
 
 def inspect(policy: TabularPolicy, log: RunLog) -> RefinementFindings:
@@ -133,61 +113,6 @@ def inspect(policy: TabularPolicy, log: RunLog) -> RefinementFindings:
         actuator = actuator.model_copy(update=new)
     moved = moves | responded
     return RefinementFindings(fit, response, moved, pendulum, actuator, tuple(warnings))
-
-
-def retrain(
-    policy: TabularPolicy,
-    pendulum: Pendulum,
-    actuator: Actuator,
-    *,
-    episodes: int = 2000,
-    seed: int = 0,
-    workers: int = 1,
-    show: Show = lambda *_: None,
-) -> Refinement:
-    """Continue a policy's training on another model, and keep the better of old and new table.
-
-    The table that is kept is tested on the new model, for the target of the policy.
-
-    Args:
-        policy: The policy with the initial table and visits.
-        pendulum: The pendulum.
-        actuator: The actuator.
-        episodes: Number of episodes.
-        seed: Master seed.
-        workers: Number of threads; the result does not depend on it.
-        show: Called with the progress of the stages `train`, `select`, `compare` and `test`.
-    """
-    new = train(
-        pendulum,
-        policy.arm,
-        settings_of_retraining(policy.settings, episodes),
-        actuator=actuator,
-        seed=seed,
-        init_policy=policy,
-        workers=workers,
-        show=show,
-    )
-    old = policy.model_copy(update={"pendulum": pendulum, "actuators": (actuator,)})
-    seed_of_trials, comparing = seed + COMPARISON_SEED, running("compare", show)
-    of_old, of_new = compare_policies(
-        [old, new], seed=seed_of_trials, workers=workers, running=comparing
-    )
-    kept, better = ("new", new) if of_new.score > of_old.score else ("old", old)
-    if kept == "old":
-        better = better.model_copy(update={"checkpoints": (of_old,)})
-    target = TARGET if policy.test is None else policy.test.target
-    testing = running("test", show)
-    tests = measure_policy(better, target=target, workers=workers, running=testing)
-    return Refinement(better.model_copy(update={"tests": tests}), kept, of_old, of_new)
-
-
-def settings_of_retraining(settings: Settings, episodes: int) -> Settings:
-    """Return the settings of a retraining, from those of the training."""
-    learning = settings.learning
-    # The table knows most of what it needs: a fifth of the exploration.
-    changes = {"episodes": episodes, "epsilon_initial": 0.2 * learning.epsilon_initial}
-    return settings.model_copy(update={"learning": learning.model_copy(update=changes)})
 
 
 def read_motion(log: RunLog, arm: Arm) -> ModelMotion:

@@ -36,9 +36,6 @@ from equipoise.learning.rewards import REWARDS
 from equipoise.settings import LearningSettings
 from equipoise.user_code import format_error, guest_code, load_object, source_digest
 
-DIGEST_LENGTH: Final = 16
-"""Number of hexadecimal digits of a guest's digest in a name."""
-
 
 def with_digests(settings: LearningSettings) -> LearningSettings:
     """Return settings in which the name of a guest's learner or reward carries its digest.
@@ -55,7 +52,7 @@ def with_digests(settings: LearningSettings) -> LearningSettings:
         bare, _, recorded = name.partition("@")
         with guest_code(bare):
             source = item.update if isinstance(item, Learner) else item
-            digest = source_digest(source)[:DIGEST_LENGTH]
+            digest = source_digest(source)[:16]
         if recorded and recorded != digest:
             raise InputError(
                 f"the source of {bare} has changed: its digest is {digest}, expected {recorded}; "

@@ -297,7 +297,7 @@ def train_episodes(loop: Any, until: int) -> None:
     plant, pendulum, config, learner = loop.plant, loop.pendulum, loop.config, loop.learner
     training, key = loop.training, loop.key
     block, episode, tick = training.batch, training.episode, training.tick
-    box, action, chance, gained, discount, epsilon, place = training.decisions
+    box, action, chance, gained, discount, epsilon = training.decisions
     totals, noise = training.totals, block.controller.noise
     seed, number = key[0], key[1]
     # New arrays, so that the compiler knows that nothing else points to them.
@@ -323,7 +323,7 @@ def train_episodes(loop: Any, until: int) -> None:
             else:
                 lanes -= 1
                 copy_lane(block, lanes, n)
-                episode[n], place[n], tick[n] = episode[lanes], place[lanes], tick[lanes]
+                episode[n], tick[n] = episode[lanes], tick[lanes]
                 box[n], action[n], discount[n] = box[lanes], action[lanes], discount[lanes]
                 gained[n], chance[n], epsilon[n] = gained[lanes], chance[lanes], epsilon[lanes]
     totals[IN_USE] = lanes

@@ -62,8 +62,6 @@ class Transition(NamedTuple):
     """Probability of a random action in this episode."""
     chance: float
     """Uniform random number in [0, 1) of this decision, for the learner's own use."""
-    lane: int
-    """Place of the episode among those that run side by side, 0 to 15; constant over an episode."""
 
 
 class UpdateParams(NamedTuple):
@@ -186,8 +184,6 @@ class Decisions(NamedTuple):
     """gamma to the number of steps since the decision."""
     epsilon: Array
     """Probability of a random action in the episode."""
-    place: IntArray
-    """Index among the running episodes, constant over an episode."""
 
 
 class Draws(NamedTuple):
@@ -287,7 +283,7 @@ def learn_with(
             decisions.chance,
             decisions.gained,
         )
-        discount, epsilon, place = decisions.discount, decisions.epsilon, decisions.place
+        discount, epsilon = decisions.discount, decisions.epsilon
         box_next, outcome = results.box_next, results.outcome
         explore, choice, chance_next = draws.explore, draws.choice, draws.chance
         for n in range(lanes - 1, -1, -1):
@@ -308,7 +304,6 @@ def learn_with(
                 outcome[n] != DECIDED,
                 epsilon[n],
                 chance[n],
-                place[n],
             )
             update(tables, transition, params)
             box[n], action[n], chance[n] = box_next[n], action_next, chance_next[n]
@@ -370,7 +365,6 @@ def new_decisions() -> Decisions:
         gained=np.zeros(BATCH_SIZE),
         discount=np.ones(BATCH_SIZE),
         epsilon=np.zeros(BATCH_SIZE),
-        place=np.arange(BATCH_SIZE),
     )
 
 

@@ -1,16 +1,14 @@
 """Training of learners until a policy meets a target in trials that did not select it."""
 
-from collections.abc import Sequence
 from typing import Final
 
-from equipoise.control.policy import Checkpoint, TabularPolicy, TargetTest
+from equipoise.control.policy import TabularPolicy, TargetTest
 from equipoise.errors import InputError
 from equipoise.executors import Show, running
 from equipoise.learning.select import (
     ERROR,
     Running,
     measure_share,
-    race,
     trial_simulations,
     trials_to_meet,
 )
@@ -132,24 +130,3 @@ def measure_policy(
         )
         for simulation in trial_simulations(setup, seed=policy.seed, stream=TARGET_TEST)
     )
-
-
-def compare_policies(
-    policies: Sequence[TabularPolicy],
-    *,
-    seed: int = 0,
-    workers: int = 1,
-    running: Running = lambda _, __: None,
-) -> list[Checkpoint]:
-    """Race policies on the model of the first one; return their results, in the given order.
-
-    Args:
-        policies: At least one.
-        seed: Master seed of the trials; choose one that trained none of the policies.
-        workers: Number of threads of the trials; the result does not depend on it.
-        running: Called as trials finish.
-    """
-    setup = setup_of(policies[0], MODEL)
-    candidates = [(policy.episodes, policy.u_of_box) for policy in policies]
-    found = race(setup, candidates, seed=seed, workers=workers, running=running)
-    return [result for _, result in sorted(found)]

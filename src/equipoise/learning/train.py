@@ -70,7 +70,6 @@ def train(
     world: str = MODEL,
     seed: int = 0,
     learner: int = 0,
-    init_policy: TabularPolicy | None = None,
     workers: int = 1,
     show: Show = lambda *_: None,
 ) -> TabularPolicy:
@@ -92,7 +91,6 @@ def train(
             CoppeliaSim, one episode after the other. Selection and test run on the plant.
         seed: Master seed.
         learner: Index of the learner, each with its own random numbers.
-        init_policy: Policy with the initial table and visits; by default zeros.
         workers: Number of threads of the trials; the result does not depend on it.
         show: Called with the progress of the stages `train` and `select`.
 
@@ -109,7 +107,7 @@ def train(
     settings = settings.model_copy(update={"learning": with_digests(settings.learning)})
     rule, episodes = settings.selection, settings.learning.episodes
     setup = Setup(pendulum, arm, settings, actuators, paper.STEP)
-    training = _Training(setup, world, seed, learner, init_policy)
+    training = _Training(setup, world, seed, learner)
     averaged, found = np.zeros_like(training.tables.Q), dict[bytes, tuple[int, Array]]()
     every = rule.every or max(1, episodes // 200)  # points of a curve without candidates
     curve: list[LearningPoint] = []
@@ -226,9 +224,7 @@ def actuators_in(world: str, settings: Settings, given: Actuators) -> tuple[Actu
 class _Training:
     """Episodes of one learner behind each actuator, which share its tables."""
 
-    def __init__(
-        self, setup: Setup, world: str, seed: int, learner: int, init_policy: TabularPolicy | None
-    ) -> None:
+    def __init__(self, setup: Setup, world: str, seed: int, learner: int) -> None:
         settings = setup.settings
         self._learning = settings.learning
         plants = trial_simulations(setup, seed=seed, stream=TRAINING_NOISE)
@@ -236,13 +232,6 @@ class _Training:
         kernel = compile_learner(settings.learning)
         first = new_training_state(settings.boxes.count, load_learner(settings.learning).tables)
         self.tables = first.tables
-        if init_policy is not None:
-            if init_policy.settings.boxes != settings.boxes:
-                raise InputError(
-                    "the policy to go on from has other boxes than the settings; train with its "
-                    "boxes"
-                )
-            self.tables.Q[:], self.tables.visits[:] = init_policy.table, init_policy.visits
         others = (new_training_state(0)._replace(tables=first.tables) for _ in plants[1:])
         self._states: list[TrainingState] = [first, *others]
         self._loops: list[Any] = []

@@ -35,21 +35,22 @@ def _array(items: Any) -> dict[str, Any]:
 
 
 _INTEGER, _NUMBER, _TEXT = ({"type": kind} for kind in ("integer", "number", "string"))
-_STAMP: Final = {"title": "time", **_object(sec=_INTEGER, nsec=_INTEGER)}
 _TRANSFORM: Final = {
     "title": "foxglove.FrameTransform",
     **_object(
-        timestamp=_STAMP,
+        timestamp={"title": "time", **_object(sec=_INTEGER, nsec=_INTEGER)},
         parent_frame_id=_TEXT,
         child_frame_id=_TEXT,
         translation=_object(**dict.fromkeys("xyz", _NUMBER)),
         rotation=_object(**dict.fromkeys("xyzw", _NUMBER)),
     ),
 }
-_TRANSFORMS: Final = {"title": "foxglove.FrameTransforms", **_object(transforms=_array(_TRANSFORM))}
 SCHEMAS: Final[Mapping[str, tuple[str, dict[str, Any]]]] = {
     "/robot_description": ("std_msgs/String", _object(data=_TEXT)),
-    "/tf": ("foxglove.FrameTransforms", _TRANSFORMS),
+    "/tf": (
+        "foxglove.FrameTransforms",
+        {"title": "foxglove.FrameTransforms", **_object(transforms=_array(_TRANSFORM))},
+    ),
 }
 """Name and content of the schema of each topic."""
 

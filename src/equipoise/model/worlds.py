@@ -43,8 +43,6 @@ LWR_ROTORS: Final = (3.19, 3.05, 1.98, 2.05, 0.787, 0.391, 0.394)
 """Reflected rotor inertias of the KUKA LWR, A1 to A7 [kg m^2], the predecessor of the iiwa. Jubien,
 Gautier and Janot identified them on that arm from motor and joint torques (IFAC Proceedings 47(3),
 2014, pp. 8391-8396)."""
-LIGHT_ROTOR: Final = 0.02
-"""Rotor inertia of `light-rotors` [kg m^2]: a fifth of a small motor (1e-5 kg m^2) behind 1:100."""
 
 
 class TwinSettings(Value):
@@ -175,7 +173,8 @@ WORLDS: Final[Mapping[str, Mapping[str, Any]]] = {
         "inertia_sigma": 0.04,
         "friction_sigma": 0.4,
     },
-    "light-rotors": {"rotor_inertia": (LIGHT_ROTOR,)},
+    # [kg m^2]: a fifth of a small motor (1e-5 kg m^2) behind 1:100.
+    "light-rotors": {"rotor_inertia": (0.02,)},
     "bare": {"rotor_inertia": (0.0,)},
     "pd": {"inner": "pd"},
     "trajectory40": {"inner": "trajectory40"},

@@ -25,9 +25,6 @@ from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
 from equipoise.worlds import Trials, setup_of, simulate
 
-CONFIDENCE = 0.95
-"""Confidence of all reported intervals [-]."""
-
 Done = Callable[[int], None]
 """Callback; receives the number of trials that have just finished."""
 
@@ -60,7 +57,7 @@ def exact_interval(count: int, of: int) -> tuple[float, float]:
         count: Number of successes.
         of: Number of trials, at least one.
     """
-    low, high = binomtest(count, of).proportion_ci(CONFIDENCE, method="exact")
+    low, high = binomtest(count, of).proportion_ci(0.95, method="exact")
     return float(low), float(high)
 
 

@@ -165,13 +165,8 @@ def place_trial(
 ) -> None:
     """Place the trial of a row in lane `n`."""
     x, x_dot, phi, phi_dot = trials.start[row]
-    variation = DomainRandomization(
-        trials.inertia_factor[row],
-        trials.friction_factor[row],
-        trials.delay[row],
-        trials.lag_factor[row],
-        trials.zero[row],
-    )
+    inertia, friction, delay, lag, zero = trials.variation[row]
+    variation = DomainRandomization(inertia, friction, delay, lag, zero)
     reset(plant, batch, pendulum, variation, (x, x_dot, phi, phi_dot), n)
 
 

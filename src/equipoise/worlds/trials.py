@@ -33,16 +33,8 @@ class Trials(NamedTuple):
     """Number of each trial, shape (n,)."""
     start: Array
     """x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the release, shape (n, 4)."""
-    inertia_factor: Array
-    """Factor on I, shape (n,)."""
-    friction_factor: Array
-    """Factor on b, shape (n,)."""
-    delay: Array
-    """Addition to the transport delay [s], shape (n,)."""
-    lag_factor: Array
-    """Factor on the lags of the joints, shape (n,)."""
-    zero: Array
-    """Encoder zero offset in phi [rad], shape (n,)."""
+    variation: Array
+    """Fields of `DomainRandomization`, shape (n, 5)."""
     table: IntArray
     """Index of the table among those of the policy, shape (n,); for several tables."""
     steps: IntArray
@@ -55,8 +47,7 @@ class Trials(NamedTuple):
     def trial(self, row: int) -> Trial:
         """Return the conditions in one row."""
         x, x_dot, phi, phi_dot = self.start[row].tolist()
-        factors = (self.inertia_factor, self.friction_factor, self.delay, self.lag_factor)
-        variation = DomainRandomization(*(float(of[row]) for of in (*factors, self.zero)))
+        variation = DomainRandomization(*self.variation[row].tolist())
         return Trial(int(self.number[row]), (x, x_dot, phi, phi_dot), variation)
 
     def of_tables(self, tables: Sequence[int]) -> "Trials":
@@ -95,14 +86,17 @@ def draw_trials(
     start = np.zeros((count, 4))
     start[:, 2] = sign * (e.phi_low + (e.phi_high - e.phi_low) * draws[:, 1])
     start[:, 3] = sign * (e.phi_dot_low + (e.phi_dot_high - e.phi_dot_low) * draws[:, 2])
+    variation = [  # the fields of `DomainRandomization`
+        1.0 + spread * plant.inertia_sigma * ndtri(draws[:, 3]),
+        1.0 + spread * plant.friction_sigma * ndtri(draws[:, 4]),
+        plant.delay_spread * rig[:, 0],
+        1.0 + plant.lag_spread * rig[:, 1],
+        plant.zero_error * rig[:, 2],
+    ]
     return Trials(
         number=np.arange(first, first + count),
         start=start,
-        inertia_factor=1.0 + spread * plant.inertia_sigma * ndtri(draws[:, 3]),
-        friction_factor=1.0 + spread * plant.friction_sigma * ndtri(draws[:, 4]),
-        delay=plant.delay_spread * rig[:, 0],
-        lag_factor=1.0 + plant.lag_spread * rig[:, 1],
-        zero=plant.zero_error * rig[:, 2],
+        variation=np.column_stack(variation),
         table=np.zeros(count, np.int64),
         steps=np.zeros(count, np.int64),
         cause=np.zeros(count, np.int64),

@@ -1,19 +1,15 @@
-"""A real browser, and programs of Equipoise beside it, for the tests of the pages."""
+"""A real browser for the tests of the pages."""
 
 import contextlib
 import os
 import re
 import shutil
-import signal
-import subprocess
-import sys
-import threading
-import time
 
 import pytest
 
+from tests.program import wait_until
+
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
-LONGEST = 90.0  # a first start compiles [s]
 
 needs_browser = pytest.mark.skipif(
     not (CHROMIUM and DRIVER), reason="Chromium and its driver are not installed"
@@ -60,27 +56,13 @@ def shown(page, css):
     )
 
 
-def press_now(page, label):
-    """Press a button, if there is one that can be pressed; return whether there is."""
-    return page.execute_script(
-        "const b = [...document.querySelectorAll('button')].find(e => e.checkVisibility() && "
-        "!e.disabled && e.innerText.trim().startsWith(arguments[0])); b?.click(); return !!b",
-        label,
-    )
-
-
 def press(page, label):
     """Press a button as soon as it can be pressed."""
-    wait_until(lambda: press_now(page, label), f"a button {label!r}")
-
-
-def wait_until(condition, what, limit=LONGEST):
-    """Wait until a condition holds, and return its value."""
-    end = time.monotonic() + limit
-    while not (value := condition()):
-        assert time.monotonic() < end, f"no {what} within {limit:g} s"
-        time.sleep(0.05)
-    return value
+    script = (
+        "const b = [...document.querySelectorAll('button')].find(e => e.checkVisibility() && "
+        "!e.disabled && e.innerText.trim().startsWith(arguments[0])); b?.click(); return !!b"
+    )
+    wait_until(lambda: page.execute_script(script, label), f"a button {label!r}")
 
 
 def requests(page):
@@ -90,52 +72,3 @@ def requests(page):
         if '"Network.requestWillBeSent"' in entry["message"]:
             found += re.findall(r'"request":\{.*?"url":"([^"]*)"', entry["message"])
     return found
-
-
-class Program:
-    """A program of Equipoise, and the lines that it prints."""
-
-    def __init__(self, *words):
-        self.process = subprocess.Popen(
-            [sys.executable, "-u", "-m", "equipoise", *words],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            env=os.environ | {"COLUMNS": "400"},
-        )
-        self.lines = []
-        threading.Thread(target=self._read, daemon=True).start()
-
-    def _read(self):
-        for line in self.process.stdout:
-            self.lines.append(line.rstrip())
-
-    def find(self, pattern, limit=LONGEST):
-        """Wait for a line with a pattern, and return the match."""
-
-        def found():
-            matches = (re.search(pattern, line) for line in list(self.lines))
-            match = next(filter(None, matches), None)
-            assert match or self.process.poll() is None, "\n".join(self.lines)
-            return match
-
-        return wait_until(found, f"line with {pattern}", limit)
-
-    def end(self):
-        self.process.send_signal(signal.SIGINT)
-        return self.process.wait(20.0)
-
-
-@contextlib.contextmanager
-def program(*words):
-    started = Program(*words)
-    try:
-        yield started
-    finally:
-        started.process.terminate()
-        try:
-            started.process.wait(10.0)
-        except subprocess.TimeoutExpired:
-            started.process.kill()
-        started.process.stdin.close()

@@ -16,7 +16,8 @@ from equipoise.outcomes import Phase
 from equipoise.rig.interfaces import OperatorMessage
 from equipoise.rig.processes import OperatorProxy
 from equipoise.rig.run_controller import PHASES
-from tests.apps.console.browser import browser, needs_browser, press, requests, shown, wait_until
+from tests.apps.console.browser import browser, needs_browser, press, requests, shown
+from tests.program import wait_until
 
 pytestmark = needs_browser
 

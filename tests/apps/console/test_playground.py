@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from equipoise.apps.console.play import PlayPage
-from equipoise.apps.console.playground import FALL, SCENES, Playground, Scene
+from equipoise.apps.console.playground import FALL, SCENES, Playground
 
 pytestmark = pytest.mark.compiled_only
 
@@ -40,22 +40,6 @@ def test_a_delay_without_prediction_falls_and_with_it_stands():
     assert playground._tick * playground.h < 2.0  # and it begins again
     playground.set(SCENES["why-it-falls"]._replace(predict=True))
     assert not played(playground, 30.0).fallen
-
-
-def test_the_sliders_are_the_rig():
-    playground = Playground(Scene(zero=radians(1.5), friction=1.0, delay=0.02))
-    assert playground._loop.zero == pytest.approx(radians(1.5))
-    assert playground._loop.pendulum.coulomb == pytest.approx(1.0)
-
-
-def test_the_boxes_light_up_where_the_policy_is():
-    playground = Playground(SCENES["balance"])
-    played(playground, 3.0)
-    assert playground.used[playground.box] == 1.0
-    assert 3 <= np.count_nonzero(playground.used > 0.1) < 200
-    playground.set(SCENES["lqr"])
-    assert played(playground, 1.0).box == -1
-    assert not playground.used.any()
 
 
 def test_the_page_pushes_and_changes_the_rig(monkeypatch):

@@ -1,6 +1,5 @@
 """The replay: its time line and events, its page without a browser, and in one."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,6 @@ from equipoise.logs.motion import Motion
 from equipoise.outcomes import Phase
 from equipoise.rig.explanation import explain
 from equipoise.rig.run_controller import PHASES
-from tests.apps.console.browser import browser, needs_browser, press, program, shown, wait_until
 from tests.logs.made_up import balanced_on_a_rig, changed_table, conditions
 
 viser = pytest.importorskip("viser", reason="viser is not installed (extra console)")
@@ -96,27 +94,3 @@ def test_the_events_are_phases_warnings_and_the_causes_that_explain_names():
     state = np.resize([PHASES.index(Phase.LIFTING), PHASES.index(Phase.BALANCING)], 901)
     many = changed_table(RUN, "tick", state=state)
     assert len(marks_of(many, Motion.of(many))) == MAX_MARKS
-
-
-def time_of(tab):
-    """The position in the card of the state [s]."""
-    (text,) = shown(tab, "#equipoise-state") or ("t = nan s",)
-    return float(text.replace("−", "-").partition("t = ")[2].partition(" s")[0])
-
-
-@needs_browser
-@pytest.mark.slow
-def test_a_run_is_played_in_the_browser(tmp_path):
-    RUN.save(tmp_path / "run.mcap", command="test")
-    with (
-        program("log", "show", str(tmp_path / "run.mcap"), "--json") as replay,
-        browser() as tab,
-    ):
-        tab.get(json.loads(replay.find(r"\{.*\}")[0])["replay"])
-        wait_until(lambda: shown(tab, "#equipoise-state"), "replay")
-        assert time_of(tab) == -2.0
-        press(tab, "Play")
-        wait_until(lambda: time_of(tab) == 3.0, "end of the run")
-        press(tab, "−1 tick")
-        wait_until(lambda: time_of(tab) < 3.0, "step of a tick")
-        assert replay.end() == 0

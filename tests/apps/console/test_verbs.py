@@ -5,7 +5,9 @@ from urllib.request import HTTPCookieProcessor, Request, build_opener
 
 import pytest
 
-from tests.apps.console.browser import program
+from tests.program import program
+
+pytest.importorskip("viser", reason="viser is not installed (extra console)")
 
 pytestmark = pytest.mark.compiled_only
 

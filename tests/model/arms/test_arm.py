@@ -7,7 +7,7 @@ import pytest
 
 from equipoise.errors import ArmError
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.chain import links, rotation_from_rpy, rpy_from_rotation
+from equipoise.model.arms.chain import rotation_from_rpy, rpy_from_rotation
 from equipoise.model.arms.iiwa import iiwa
 
 
@@ -25,16 +25,11 @@ def changed_joint(**fields):
     ("build", "says"),
     [
         (lambda: changed(held_joint=None), "7 free joints, expected six; hold one"),
-        (lambda: changed(held_joint=8), "held joint is 8; give a number from 1 to 7"),
-        (lambda: changed(joints=iiwa(7).joints[:5], home=(0.0,) * 5), "4 free joints"),
         (lambda: changed(home=(0.0,) * 6), "home has 6 angles; give one for each of 7 joints"),
         (lambda: changed(home=(0, 0, 0, -2.5, 0, 0, 0)), r"joint 4 \(A4\) at -2.5 rad"),
-        (lambda: changed(home=(0, 0, 0.1, -1, 0, 0, 0)), "joint 3 at 0.1 rad, but it is held at 0"),
-        (lambda: changed(home=(math.nan, 0, 0, -1, 0, 0, 0)), "finite number"),
         (lambda: changed(colour="orange"), "colour: there is no such field"),
         (lambda: changed(name='a"""; import os'), "name"),
         (lambda: changed_joint(lower=1.0, upper=1.0), "the lower must be below the upper"),
-        (lambda: changed_joint(velocity=0.0), "velocity: Input should be greater than 0, got 0"),
         (lambda: changed_joint(axis=(0.0, 0.0, 0.0)), "axis 0 0 0; give a direction"),
         (
             lambda: changed_joint(xyz=(0.0, 0.0, math.inf)),
@@ -46,10 +41,6 @@ def test_an_impossible_arm_is_refused_with_one_sentence(build, says):
     with pytest.raises(ArmError, match=says) as refusal:
         build()
     assert "\n" not in str(refusal.value)
-
-
-def test_an_arm_survives_json():
-    assert Arm.model_validate_json(iiwa(14).model_dump_json()) == iiwa(14)
 
 
 def test_the_digest_sees_geometry_and_limits_but_not_names_masses_home_and_pivot():
@@ -83,11 +74,3 @@ def test_the_held_joint_is_put_in_and_taken_out():
 def test_roll_pitch_and_yaw_come_back_as_the_same_rotation(roll, pitch, yaw):
     R = rotation_from_rpy((roll, pitch, yaw))
     assert rotation_from_rpy(rpy_from_rotation(R)) == pytest.approx(R, abs=1e-14)
-
-
-def test_an_axis_beside_z_by_the_smallest_number_is_z():
-    joints = iiwa(7).joints
-    beside = joints[0].model_copy(update={"axis": (0.0, 5e-324, 1.0)})
-    arm = iiwa(7).model_copy(update={"joints": (beside, *joints[1:])})
-    for ours, theirs in zip(links(arm), links(iiwa(7)), strict=True):
-        assert np.array_equal(ours.rotation, theirs.rotation)

@@ -15,8 +15,6 @@ SPEEDS = {
     14: (1.484, 1.484, 1.745, 1.309, 2.269, 2.356, 2.356),
 }
 TORQUES = {7: (176, 176, 110, 110, 110, 40, 40), 14: (320, 320, 176, 176, 110, 40, 40)}
-# Height of the flange at zero: the sum of the lengths.
-UPRIGHT = {7: 1.266, 14: 1.306}
 
 TRACK = np.linspace(-X_LIMIT, X_LIMIT, 23)
 

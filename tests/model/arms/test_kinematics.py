@@ -7,9 +7,6 @@ below any error of a formula.
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from equipoise.jit import kernel
 from equipoise.model.arms.compiler import BIAS, FRAME_SIZE, JACOBIAN, POSITION, ROTATION, TWIST
@@ -84,29 +81,6 @@ def test_python_and_compiled_kinematics_agree(case):
     for q_i, dq_i, frame in zip(q[:20], dq[:20], frames[:20], strict=True):
         parts = arm.kinematics(q_i, dq_i)
         assert frame == pytest.approx(np.concatenate([p.ravel() for p in parts]), abs=1e-13)
-
-
-@pytest.mark.parametrize("name", ARMS)
-@settings(deadline=None, max_examples=20)  # the first example may compile
-@given(data=st.data())
-def test_twist_and_bias_are_the_rates_of_pose_and_twist(name, data):
-    arm, _ = ARMS[name]
-    vectors = arrays(np.float64, 6, elements=st.floats(-2.0, 2.0, width=32))
-    q, dq = data.draw(vectors), data.draw(vectors)
-    now = arm.kinematics(q, dq)
-    # Central differences of fourth order: the step of 1e-3 leaves an error of about 1e-10.
-    h = 1e-3
-    weights = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
-    there = {k: arm.kinematics(q + k * h * dq, dq) for k in weights}
-
-    def rate(of):
-        return sum(w * of(there[k]) for k, w in weights.items()) / h
-
-    spin = rate(lambda flange: flange.rotation) @ now.rotation.T  # the matrix of w x
-    assert rate(lambda flange: flange.position) == pytest.approx(now.twist[:3], abs=1e-6)
-    assert np.array([spin[2, 1], spin[0, 2], spin[1, 0]]) == pytest.approx(now.twist[3:], abs=1e-6)
-    assert rate(lambda flange: flange.twist) == pytest.approx(now.bias, abs=1e-6)
-    assert now.rotation.T @ now.rotation == pytest.approx(np.eye(3), abs=1e-12)
 
 
 def test_the_wrist_centre_is_where_the_last_three_joints_leave_a_point():

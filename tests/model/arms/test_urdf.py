@@ -78,11 +78,8 @@ LIMIT_OF_PAN = '<limit lower="-3.1" upper="3.1" velocity="2.5" effort="150"/>'
         ("robot", "model"),
         ('type="continuous"', 'type="prismatic"'),
         (LIMIT_OF_PAN, ""),
-        (LIMIT_OF_PAN, LIMIT_OF_PAN.replace('lower="-3.1" ', "")),
         ('lower="-3.1"', 'lower="wide"'),
-        ('lower="-3.1"', 'lower="nan"'),
         ('upper="3.1"', 'upper="-4"'),
-        ('axis xyz="0 2 0"', 'axis xyz="0 2"'),
         ('axis xyz="0 2 0"', 'axis xyz="0 0 0"'),
         ('<parent link="wrist_2"/>', ""),
         ('"lift" type="continuous"', '"lift" type="fixed"'),
@@ -107,14 +104,6 @@ def test_two_ends_are_a_question(edited):
     assert read_urdf(path, tip="flange", home=ELBOW_HOME) == read_urdf(ELBOW, home=ELBOW_HOME)
     with pytest.raises(ArmError, match="flange, camera"):
         read_urdf(path, tip="hand", home=ELBOW_HOME)
-
-
-def test_seven_joints_need_one_to_hold(tmp_path):
-    path = tmp_path / "iiwa.urdf"
-    path.write_text(iiwa_urdf(7))
-    for held in (None, 9):
-        with pytest.raises(ArmError):
-            read_urdf(path, held=held)
 
 
 def test_unreadable_files_are_refused(tmp_path):

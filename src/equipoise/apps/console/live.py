@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from equipoise.apps.console.scene import PLOTS, RigPage, card, messages_list, shown
+from equipoise.apps.console.scene import PERIOD, PLOTS, SPAN, RigPage, card, messages_list, shown
 from equipoise.apps.console.watch import RunWatch
 from equipoise.apps.console.web import serving
 from equipoise.apps.style import BLUE, GREEN, GREY, INK, ORANGE, VERMILION
@@ -31,10 +31,6 @@ from equipoise.rig.processes import HEARTBEAT_TIMEOUT
 if TYPE_CHECKING:
     import viser
 
-PERIOD: Final = 0.04
-"""Time between two pictures, and between two searches for a run [s]."""
-SPAN: Final = 10.0
-"""Time shown in the plots [s]."""
 COLOURS: Final = {
     **{Phase.BALANCING: GREEN, Phase.ARMED: GREEN, Phase.STOPPING: VERMILION},
     **{"fault": VERMILION, "stopping": VERMILION, "warning": "#8a5a00"},

@@ -7,23 +7,18 @@ from math import pi, radians, remainder
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise.apps.console.playground import SCENES, Playground, Scene
 from equipoise.apps.console.scene import RigPage
 from equipoise.apps.console.web import LOOPBACK, serving
 from equipoise.apps.style import GREEN, VERMILION
 from equipoise.control.policy import TaskPolicy
-from equipoise.paper import U_MAX
-from equipoise.settings import BoxSettings
 
 if TYPE_CHECKING:
     import viser
 
 PICTURE: Final = 4
 """Number of ticks between two pictures."""
-SLOW: Final = 12
-"""Number of pictures between two texts, and two pictures of the boxes."""
 PUSH: Final = radians(15.0)
 """Change of the pendulum's rate by a button [rad/s]."""
 SLIDERS: Final = {
@@ -75,12 +70,6 @@ class PlayPage:
             control.on_update(
                 lambda event: self._changed() if event.client_id is not None else None
             )
-        with gui.add_folder("The table: 270 boxes", order=51):
-            self._boxes = gui.add_image(self._picture(-1), format="png")
-            gui.add_markdown(
-                "Angle to the right, its rate upwards; the nine groups are place and speed of the "
-                "flange. Orange pushes right, blue left; bright boxes were used just now."
-            )
 
     def _changed(self) -> None:
         """Set the scene of the controls up."""
@@ -124,31 +113,9 @@ class PlayPage:
             for _ in range(PICTURE):
                 twin.advance()
             self._page.show(twin.q, remainder(twin.phi, 2.0 * pi), twin.u)
-            if picture % SLOW == 0:
+            if picture % 12 == 0:  # texts change twice a second
                 name, colour = ("fallen", VERMILION) if twin.fallen else ("standing", GREEN)
                 self._page.describe(name, colour, (twin.scene.about, *twin.sentences()))
-                self._boxes.image = self._picture(twin.box)
-
-    def _picture(self, current: int) -> npt.NDArray[np.uint8]:
-        """Return the boxes as a picture, shape (height, width, 3); empty without a table."""
-        shape, cell_size, gap = BoxSettings().shape, 14, 8  # [px]
-        n_phi, n_rate, n_x, n_speed = shape
-        wide, high = n_phi * cell_size + gap, n_rate * cell_size + gap
-        picture = np.full((n_speed * high + gap, n_x * wide + gap, 3), 255, np.uint8)
-        pushes, used = self.playground.u_of_box, self.playground.used
-        for box, (phi, rate, x, speed) in enumerate(np.ndindex(*shape)):
-            if pushes is None:
-                break
-            left = gap + x * wide + phi * cell_size
-            top = gap + (n_speed - 1 - speed) * high + (n_rate - 1 - rate) * cell_size
-            full = np.array((213, 94, 0) if pushes[box] > 0.0 else (0, 114, 178), np.float64)
-            ink = abs(float(pushes[box])) / U_MAX * (0.15 + 0.85 * float(used[box]))
-            cell = picture[top : top + cell_size - 1, left : left + cell_size - 1]
-            if box == current:
-                cell[:] = 0
-                cell = cell[2:-2, 2:-2]
-            cell[:] = (255.0 + ink * (full - 255.0)).astype(np.uint8)
-        return picture
 
 
 def play(

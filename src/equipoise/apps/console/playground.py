@@ -13,13 +13,12 @@ import numpy.typing as npt
 from equipoise.artefacts import Estimate
 from equipoise.control.bound_policy import load_policy
 from equipoise.control.control_step import horizon
-from equipoise.control.grid import TRUNCATED, box_indices, make_grid
-from equipoise.control.policy import TabularPolicy, TaskPolicy, shipped_policy
+from equipoise.control.grid import TRUNCATED
+from equipoise.control.policy import TaskPolicy, shipped_policy
 from equipoise.model.random import DEPLOYMENT
 from equipoise.model.worlds import World, read_world
 from equipoise.outcomes import TRIAL_OUTCOMES
-from equipoise.paper import PHI_LIMIT_DEG, U_MAX, X_LIMIT
-from equipoise.settings import BoxSettings
+from equipoise.paper import U_MAX
 from equipoise.worlds import predicted, setup_of
 from equipoise.worlds.twin.world import TwinSimulation
 
@@ -81,8 +80,8 @@ SCENES: Final = {
 class Playground:
     """A twin that balances tick by tick, under a scene that may change at any time.
 
-    `advance` updates joints `q` [rad], shape (joints,), angle `phi` from upright [rad], commanded
-    acceleration `u` [m/s^2], and `box`, that of the table with the policy's input, -1 for none.
+    `advance` updates joints `q` [rad], shape (joints,), angle `phi` from upright [rad], and
+    commanded acceleration `u` [m/s^2].
     """
 
     def __init__(self, scene: Scene, yours: TaskPolicy | None = None) -> None:
@@ -119,13 +118,6 @@ class Playground:
         """Factor by which a lean grows within the latency [-]."""
         self._simulation = TwinSimulation(twin, setup, seed=0, stream=DEPLOYMENT)
         self._loop = self._simulation.loop()
-        self._boxes = make_grid(BoxSettings(), parameters.k)
-        self.u_of_box = None
-        if isinstance(policy, TabularPolicy) and policy.settings.boxes == BoxSettings():
-            self.u_of_box = policy.u_of_box.reshape(-1)
-        """Command of each box [m/s^2], shape (270,); None without a table of the usual boxes."""
-        self.used = np.zeros(BoxSettings().count)
-        """Recent use of each box, 0 to 1, shape (270,)."""
         self.begin()
 
     def begin(self) -> None:
@@ -156,14 +148,9 @@ class Playground:
         if cause != TRUNCATED and not self.fallen:
             self.fallen, self._fell = TRIAL_OUTCOMES[cause], self._tick
         x, _, self.phi, _ = loop.state().tolist()
-        self.q, self.box = loop.joints(), -1
-        self.used *= exp(-self.h / 2.0)  # a used box fades within some seconds
+        self.q = loop.joints()
         if not self.fallen:
             self._recent.append((x, self.phi))
-            inside = abs(degrees(seen[2])) < PHI_LIMIT_DEG and abs(seen[0]) < X_LIMIT
-            if self.u_of_box is not None and inside:
-                self.box = int(box_indices(seen[None, :], self._boxes)[0])
-                self.used[self.box] = 1.0
 
     def sentences(self) -> tuple[str, str]:
         """Return how long it has stood and how far it moved, and what the latency does."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from equipoise.apps.console.scene import RigPage
+from equipoise.apps.console.scene import PERIOD, SPAN, RigPage
 from equipoise.apps.console.web import serving
 from equipoise.apps.style import BLUE, typeset
 from equipoise.logs.motion import Motion
@@ -22,12 +22,8 @@ from equipoise.rig.explanation import explain
 if TYPE_CHECKING:
     import viser
 
-PERIOD: Final = 0.04
-"""Time between two pictures [s]."""
 SPEEDS: Final = {"0.1×": 0.1, "0.25×": 0.25, "0.5×": 0.5, "1×": 1.0, "2×": 2.0, "4×": 4.0}
 """Speeds of a replay, by their labels [-]."""
-SPAN: Final = 10.0
-"""Time shown in the plots, up to the position [s]."""
 MAX_MARKS: Final = 60
 """Maximum number of events; causes come first."""
 

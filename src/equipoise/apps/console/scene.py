@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
+PERIOD: Final = 0.04
+"""Time between two pictures [s]."""
+SPAN: Final = 10.0
+"""Time shown in the plots [s]."""
 NAME: Final = "/rig"
 """Name of the rig in the tree of the scene."""
 PLOTS: Final = (

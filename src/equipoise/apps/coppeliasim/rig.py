@@ -8,7 +8,7 @@ import time
 import weakref
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,8 +20,6 @@ from equipoise.errors import InputError, OutsideError
 from equipoise.model.arms.arm import Arm
 
 Array = npt.NDArray[np.float64]
-STOP_TIME: Final = 10.0
-"""Longest time for CoppeliaSim to stop a simulation [s]."""
 
 _open: dict[str, Any] = {}
 """End of the rig of each address in this process: a new one ends it first."""
@@ -125,14 +123,14 @@ class CoppeliaRig:
 
 def stop(sim: Connection) -> None:
     """Stop the simulation, if it runs; CoppeliaSim then restores its initial state."""
-    stopped, until = sim.constant("simulation_stopped"), time.monotonic() + STOP_TIME
+    stopped, until = sim.constant("simulation_stopped"), time.monotonic() + 10.0
     if sim.call("getSimulationState") == stopped:
         return
     sim.call("stopSimulation")
     while sim.call("getSimulationState") != stopped:
         if time.monotonic() > until:
             raise OutsideError(
-                f"the CoppeliaSim at {sim.address} did not stop within {STOP_TIME:g} s; stop it"
+                f"the CoppeliaSim at {sim.address} did not stop within 10 s; stop it"
             )
         time.sleep(0.005)
 

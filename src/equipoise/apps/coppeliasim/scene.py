@@ -19,8 +19,6 @@ from equipoise.model.arms.scene import SIZES, sizes_for
 
 ALIAS: Final = "equipoise"
 """Alias of the base of the arm: the root of everything that is built."""
-TILE: Final = (0.3, 0.3, 0.02)
-"""Sizes of the base [m]."""
 
 
 class Scene(NamedTuple):
@@ -46,7 +44,8 @@ def build_scene(sim: Connection, arm: Arm) -> Scene:
     """
     remove_scene(sim)
     hand = 2.0 * sizes_for(arm).hand
-    parent = _shape(sim, ALIAS, "cuboid", TILE, _at((0.0, 0.0, -0.5 * TILE[2])), -1)
+    tile = (0.3, 0.3, 0.02)  # [m]
+    parent = _shape(sim, ALIAS, "cuboid", tile, _at((0.0, 0.0, -0.5 * tile[2])), -1)
     frame, joints = np.eye(4), list[int]()
     steps = [*(joint.xyz for joint in arm.joints[1:]), arm.flange_xyz]
     for number, (joint, step) in enumerate(zip(arm.joints, steps, strict=True), 1):
