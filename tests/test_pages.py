@@ -141,7 +141,7 @@ ELSEWHERE = {
 }
 """Commands that are not run here, and why."""
 SERVERS = re.compile(r"equipoise (?:play|console|log show|rig emulate)")
-"""Commands that serve until Ctrl-C: tests/console and tests/cli/test_emulate.py run them."""
+"""Commands that serve until Ctrl-C: tests/apps/console and tests/cli run them."""
 RUN = (
     "README.md",
     "docs/index.md",

@@ -1,4 +1,4 @@
-"""The replay: its time line and events, its page without a browser, and in one."""
+"""The replay: its time line and events, and its page without a browser."""
 
 from dataclasses import replace
 
