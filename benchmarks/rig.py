@@ -38,9 +38,8 @@ import numpy as np
 
 from equipoise.logs.run_log import RunLog
 
-sys.path.insert(0, str(Path(__file__).parents[1]))  # for the answers in tests/faults
-from tests.faults.real_time import ANSWERS
-
+ANSWERS = ((re.compile(r"Type (\w+)\."), None), (re.compile(r"y or n"), "y"))
+"""Pattern of each prompt, and its answer; None if the first group of the match is the answer."""
 STALL = "the host stalled"
 ATTEMPTS = 4
 """Starts of a run that is compared, where the link is refused before anything moves."""

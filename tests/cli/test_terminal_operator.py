@@ -117,7 +117,7 @@ def test_what_was_mistyped_can_be_taken_back(seat):
     with single_keys():
         console.notify(OperatorMessage("checklist", "Type estop.", ("estop",)))
         terminal.shows()
-        terminal.type("\x7festpo\x7f\b")
+        terminal.type("\x7festpo\x7f\x7f")
         assert console.read_input() == []
         assert terminal.shows() == "estpo\b \b\b \b"
         terminal.type("op\n")

@@ -1,7 +1,7 @@
 """Table of the faults in virtual time: injection, trigger, and the required end of the run.
 
 The whole of `equipoise deploy` runs on an emulated rig with one fault (`harness`). Faults of files
-and of the date are in `files`, those of ports and processes in `real_time`.
+and of the date are in `files`.
 """
 
 from collections.abc import Callable, Sequence

@@ -8,7 +8,6 @@ from equipoise.outcomes import Outcome
 from equipoise.rig.config import RigSettings
 from equipoise.safety.rules import POSITION_MARGIN
 from tests.faults.files import FILES
-from tests.faults.real_time import REAL_TIME
 from tests.faults.table import TABLE
 from tests.faults.verdicts import Sent, check_limits, check_stop, problems_of
 
@@ -38,13 +37,6 @@ def test_a_fault_ends_as_it_should(name):
 @pytest.mark.parametrize("name", [name for name in FAULTS if name not in QUICK])
 def test_each_other_fault_ends_as_it_should(name):
     assert problems_of(FAULTS[name]) == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", REAL_TIME)
-def test_each_fault_in_real_time_ends_as_it_should(name):
-    did, problems = REAL_TIME[name]()
-    assert problems == [], did
 
 
 def test_a_fault_that_ends_otherwise_is_found():

@@ -1,5 +1,7 @@
 """The path of a robot that sets the pace lies within what the guard checks of its setpoints."""
 
+from collections import deque
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,10 +9,54 @@ from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
 from equipoise.errors import LinkError
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.rig.clocks import VirtualClock
+from equipoise.rig.interfaces import Request
 from equipoise.rig.paced import MARGIN, PacedStream
-from tests.rig.paced import paced_robot
 
 T = 0.005
+HOME = np.array(iiwa(7).home)
+UNANSWERED = 3
+
+
+class Paced:
+    """A robot that asks every few milliseconds, and gives up where nobody answers."""
+
+    joints = 7
+
+    def __init__(self, clock, period_ms):
+        self.clock, self.period_ms = clock, period_ms
+        self.streams, self.waiting, self.answers = False, deque(), []
+        clock.attach(self.advance)
+
+    def advance(self, now):
+        if self.streams and round(1e3 * now) % self.period_ms == 0:
+            self.waiting.append(Request(now, tuple(HOME), None))
+
+    def connect(self):
+        pass
+
+    def measured(self):
+        return HOME
+
+    def start(self):
+        self.streams = True
+
+    def request(self, until):
+        while not self.waiting and self.clock.now() < until - 5e-4:
+            self.clock.wait_until(self.clock.now() + 1e-3)
+        if len(self.waiting) > UNANSWERED:
+            raise LinkError(f"{len(self.waiting)} requests without an answer")
+        return self.waiting[0] if self.waiting else None
+
+    def answer(self, q):
+        self.waiting.popleft()
+        self.answers.append((self.clock.now(), q))
+
+
+def paced_robot(period_ms):
+    clock = VirtualClock()
+    return Paced(clock, period_ms), clock
 
 
 def streamed(setpoints, period_ms=1, late=lambda k: 0.0):
@@ -22,7 +68,7 @@ def streamed(setpoints, period_ms=1, late=lambda k: 0.0):
     home, began = stream.measured()[0], clock.now()
     for k, q in enumerate(setpoints):
         stream.wait_until(began + T * k + late(k))
-        stream.send([home + q, *robot.q[1:]])
+        stream.send([home + q, *HOME[1:]])
     stream.wait_until(began + T * len(setpoints) + 0.1)
     answers = [(t - began, q[0] - home) for t, q in robot.answers if t > began - 1e-9]
     return np.array(answers).T
@@ -84,9 +130,9 @@ def test_a_caller_that_is_too_fast_and_a_robot_that_gives_up_are_links_that_are_
     stream.connect()
     stream.start()
     for _ in range(8):
-        stream.send(robot.q)
+        stream.send(HOME)
     with pytest.raises(LinkError, match="8 setpoints wait"):
-        stream.send(robot.q)
+        stream.send(HOME)
     clock.wait_until(clock.now() + 0.01)  # nobody answers meanwhile
     with pytest.raises(LinkError, match="without an answer"):
         stream.wait_until(clock.now() + 0.01)

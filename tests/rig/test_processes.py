@@ -1,8 +1,8 @@
 """Parent, loop and writer as processes of their own, in real time, around an arm that is made up.
 
 The loop's process runs the real loop, guard and signals; in place of the course stands a heart that
-moves one joint to and fro until a word comes. The whole course over ports and a terminal is in
-`tests/faults/real_time.py`.
+moves one joint to and fro until a word comes. A whole run over ports and a terminal is in
+`tests/apps/console/test_run.py`.
 """
 
 import multiprocessing

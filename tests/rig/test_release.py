@@ -257,9 +257,9 @@ class Hold(NamedTuple):
     """Error of the encoder's zero [deg]."""
 
 
-def hold(rng, duration=None, drift=1.0):
+def hold(rng):
     """Return a hand that holds the pendulum about upright, a tone or a band of noise in it."""
-    duration = rng.uniform(2.0, 20.0) if duration is None else duration
+    duration = rng.uniform(2.0, 20.0)
     n = round(duration * RATE)
     time = np.arange(n) / RATE + rng.uniform(-5e-5, 5e-5, n)
     rms = rng.uniform(0.05, 0.3)
@@ -270,7 +270,7 @@ def hold(rng, duration=None, drift=1.0):
         tremor = np.sin(2 * np.pi * (np.outer(time, tones) + phases)).sum(1) * sqrt(2 / 24)
     tones, phases, sizes = rng.uniform(0.05, 0.4, 3), rng.random(3), rng.uniform(0.2, 1.0, 3)
     slow = np.sin(2 * np.pi * (np.outer(time, tones) + phases)) @ sizes / sizes.sum()
-    phi = drift * rng.uniform(0.3, 1.0) * slow + rms * tremor
+    phi = rng.uniform(0.3, 1.0) * slow + rms * tremor
     return Hold(time, phi, rng.uniform(-0.1, 0.1))
 
 
@@ -293,10 +293,3 @@ def starts(held):
 def test_no_hold_is_taken_for_a_release(holds):
     rng = np.random.default_rng(41)
     assert not any(starts(hold(rng)) for _ in range(holds))
-
-
-@pytest.mark.compiled_only
-@pytest.mark.parametrize("holds", [4, pytest.param(1000, marks=pytest.mark.slow)])
-def test_a_hand_that_drifts_half_as_far_again_seldom_is(holds):
-    rng = np.random.default_rng(42)
-    assert sum(starts(hold(rng, drift=1.5)) for _ in range(holds)) <= 0.02 * holds

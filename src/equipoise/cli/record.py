@@ -42,7 +42,6 @@ def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
     driver = guest_code(f"the driver of {recording.encoder}")
     with output.busy("connecting") as rename, driver, closing(sensor):
         sensor.connect()
-        output.tell(sensor.description)
         swing, missing = record_swing(
             sensor,
             clock,

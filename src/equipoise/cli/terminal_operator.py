@@ -1,7 +1,6 @@
 """Operator at a terminal: events are printed as lines, answers are typed, any key stops a run."""
 
 import os
-import re
 import select
 import sys
 from collections.abc import Generator
@@ -26,8 +25,6 @@ STYLES: Final = {
     "warning": "yellow",
     **{f"finding {status}": style for status, style in VERDICT_STYLES.items()},
 }
-SEQUENCE: Final = re.compile("\x1b(?:\\[[0-?]*[ -/]*[@-~]|O[ -~]|[ -~])?")
-"""Escape sequence of a key without a character."""
 
 
 class TerminalOperator:
@@ -53,6 +50,8 @@ class TerminalOperator:
             self._live = False
         if event.name != "word":
             self._answers = tuple(event.answers)
+            if self._stopped is None:
+                _edit_lines(bool(self._answers))
         text = printable(event.text.replace("\a", ""))
         if "\a" in event.text and self._output.stream.isatty():
             self._output.stream.write("\a")
@@ -84,36 +83,29 @@ class TerminalOperator:
             return []
         if not self._answers and sys.stdin.isatty():
             return [came if came.isprintable() else "a key"]
-        return self._lines(SEQUENCE.sub("", came.replace("\r", "\n")))
-
-    def _lines(self, came: str) -> list[str]:
-        """Return the completed lines; edit and echo the line as a terminal would."""
-        lines: list[str] = []
-        shown = ""
-        for key in came:
-            if key in "\b\x7f":  # on different keyboards
-                shown += "\b \b" if self._typed else ""
-                self._typed = self._typed[:-1]
-            elif key == "\n":
-                shown += key
-                lines.append(self._typed)
-                self._typed = ""
-            elif key.isprintable():
-                shown += key
-                self._typed += key
-        if sys.stdin.isatty():
-            self._output.stream.write(shown)
-            self._output.stream.flush()
+        *lines, self._typed = (self._typed + came).split("\n")
         return lines
 
     def live(self, phase: str, phi: float) -> None:
-        """Show the angle, on a terminal."""
-        if not self._output.stream.isatty() or self._typed:
+        """Show the angle, on a terminal where no line is typed."""
+        if not self._output.stream.isatty() or self._answers:
             return
         angle = "" if isnan(phi) else f"  phi {degrees(phi):+8.2f} deg"
         self._output.stream.write(f"\r  {phase:<12}{angle}   ")
         self._output.stream.flush()
         self._live = True
+
+
+def _edit_lines(edits: bool) -> None:
+    """Let a terminal show and edit a line until Enter, or deliver each key at once."""
+    import termios
+
+    with suppress(termios.error, OSError, ValueError):  # no terminal, or a closed one
+        modes = termios.tcgetattr(sys.stdin)
+        modes[3] &= ~(termios.ICANON | termios.ECHO)
+        if edits:
+            modes[3] |= termios.ICANON | termios.ECHO
+        termios.tcsetattr(sys.stdin, termios.TCSANOW, modes)
 
 
 @contextmanager

@@ -148,11 +148,6 @@ class AngleSensor(Protocol):
     """An incremental encoder on the pendulum's spindle, with a button."""
 
     @property
-    def description(self) -> str:
-        """Name of the device and its properties, for the user."""
-        ...
-
-    @property
     def rejected(self) -> int:
         """Number of damaged or inconsistent readings that were dropped since connecting."""
         ...

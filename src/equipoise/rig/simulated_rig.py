@@ -107,11 +107,6 @@ class SimulatedRig:
         return float(self.twin.kernel.bodies.qvel[self.joints])
 
     @property
-    def q(self) -> Array:
-        """True positions of all joints [rad], shape (joints,)."""
-        return self.twin.kernel.bodies.qpos[: self.joints].copy()
-
-    @property
     def theta(self) -> float:
         """Angle that an encoder measures: from hanging, relative to the flange [rad]."""
         return pi - self.phi + self._slip

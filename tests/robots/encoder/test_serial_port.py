@@ -9,7 +9,7 @@ from math import pi
 
 import pytest
 
-from equipoise.errors import InputError, LinkError
+from equipoise.errors import LinkError
 from equipoise.rig.clocks import SystemClock
 from equipoise.robots.emulation import Terminal
 from equipoise.robots.encoder.board import Board
@@ -79,21 +79,6 @@ def test_an_unplugged_device_is_an_error():
     for call in (transport.read, lambda: transport.write(b"?\n")):
         with pytest.raises(LinkError, match="is gone"):
             call()
-
-
-@pytest.mark.parametrize(
-    "uri",
-    [
-        "/dev/ttyACM0",
-        "serial://",
-        "usb:///dev/ttyACM0",
-        "serial://COM3/dev",
-        "serial:///dev/x?baud=0",
-    ],
-)
-def test_what_is_no_address_is_refused(uri):
-    with pytest.raises(InputError):
-        open_serial(uri)
 
 
 def test_a_terminal_that_is_not_read_loses_whole_lines():

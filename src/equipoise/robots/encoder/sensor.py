@@ -87,14 +87,6 @@ class LineEncoder:
         return counts
 
     @property
-    def description(self) -> str:
-        """Name and properties of the board."""
-        if self._banner is None:
-            return self._name
-        name, firmware, counts, rate = self._banner
-        return f"{name} {firmware}: {counts} counts per revolution, {rate} per second"
-
-    @property
     def rejected(self) -> int:
         """Number of damaged and inconsistent lines since connecting."""
         return self._decoder.rejected + self._dropped
