@@ -40,6 +40,8 @@ from equipoise.logs.run_log import RunLog
 
 ANSWERS = ((re.compile(r"Type (\w+)\."), None), (re.compile(r"y or n"), "y"))
 """Pattern of each prompt, and its answer; None if the first group of the match is the answer."""
+HAND = (("button", "press"), ("Lift the pendulum", "lift"), ("Armed", "release"))
+"""Prompts, and the words that make the emulated hand follow them."""
 STALL = "the host stalled"
 ATTEMPTS = 4
 """Starts of a run that is compared, where the link is refused before anything moves."""
@@ -101,6 +103,7 @@ def _run(given: argparse.Namespace, number: int, console: bool) -> dict[str, obj
                 *(*EQUIPOISE, "rig", "emulate", "--world", given.world, "--seed", str(number)),
                 *("--port", str(given.port), "--encoder-link", str(link)),
             ],
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -113,7 +116,7 @@ def _run(given: argparse.Namespace, number: int, console: bool) -> dict[str, obj
                 time.sleep(0.1)
             before = sum(STALL in line for line in said)
             with _witness(Path(folder) / "gaps") as gaps:
-                outcome = _deploy(given, link, log, console)
+                outcome = _deploy(given, link, log, console, rig)
             outcome["stalls"] = sum(STALL in line for line in said) - before
         finally:
             rig.send_signal(signal.SIGINT)
@@ -219,8 +222,14 @@ finally:
 WATCHERS = {"client": _receive, "browser": _open_in_a_browser}
 
 
-def _deploy(given: argparse.Namespace, link: Path, log: Path, console: bool) -> dict[str, object]:
-    """Run once, typing the answers; return what came of it."""
+def _deploy(
+    given: argparse.Namespace,
+    link: Path,
+    log: Path,
+    console: bool,
+    rig: "subprocess.Popen[str]",
+) -> dict[str, object]:
+    """Run once, typing the answers and moving the emulated hand; return what came of it."""
     process = subprocess.Popen(
         [
             *(*EQUIPOISE, "deploy", *([given.policy] if given.policy else [])),
@@ -253,6 +262,10 @@ def _deploy(given: argparse.Namespace, link: Path, log: Path, console: bool) -> 
             if asked := pattern.search(line):
                 process.stdin.write((answer or asked.group(1)) + "\n")
                 process.stdin.flush()
+        for prompt, act in HAND:
+            if prompt in line and rig.stdin is not None:
+                rig.stdin.write(act + "\n")
+                rig.stdin.flush()
     code = process.wait()
     reader.join()
     for watcher in watchers:

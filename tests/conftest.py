@@ -7,11 +7,13 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+from equipoise.executors import available_cores
 from equipoise.learning.train import train
 from equipoise.model.actuator import IDEAL_ACTUATOR
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.physics_engine import mujoco
+from equipoise.reproduction.warm_up import is_warm, warm_up
 from equipoise.settings import resolve
 
 mujoco()  # before a test imports MuJoCo, which chooses its OpenGL then
@@ -19,6 +21,13 @@ mujoco()  # before a test imports MuJoCo, which chooses its OpenGL then
 # The first call of a kernel compiles it, which takes seconds: no single example has a deadline.
 hypothesis.settings.register_profile("equipoise", deadline=None, max_examples=50)
 hypothesis.settings.load_profile("equipoise")
+
+
+def pytest_configure(config):
+    """Compile the kernels before several workers start, which would compile the same ones."""
+    several = getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput")
+    if several and not is_warm():
+        warm_up(available_cores())
 
 
 @pytest.fixture(autouse=True)

@@ -100,7 +100,7 @@ def _edit_lines(edits: bool) -> None:
     """Let a terminal show and edit a line until Enter, or deliver each key at once."""
     import termios
 
-    with suppress(termios.error, OSError, ValueError):  # no terminal, or a closed one
+    with suppress(termios.error, OSError, ValueError, TypeError):  # no terminal, closed, or None
         modes = termios.tcgetattr(sys.stdin)
         modes[3] &= ~(termios.ICANON | termios.ECHO)
         if edits:

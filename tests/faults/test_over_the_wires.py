@@ -1,0 +1,39 @@
+"""A run over a real port and a pseudo-terminal, in real time, as the first pages show it."""
+
+import re
+
+import pytest
+
+from equipoise.logs.run_log import RunLog
+from equipoise.outcomes import Outcome
+from tests.program import LONGEST, program, wait_until
+
+ANSWERS = ((r"Type (\w+)\.", r"\1"), ("y or n", "y"))
+"""Prompts of the run, and what an operator types there."""
+HAND = (("button", "press"), ("Lift the pendulum", "lift"), ("Armed", "release"))
+"""Prompts of the run, and what a hand does at the emulated rig."""
+
+
+@pytest.mark.full
+@pytest.mark.compiled_only
+def test_a_policy_balances_over_the_wires_of_the_emulated_rig(tmp_path):
+    log = tmp_path / "run.mcap"
+    with program("rig", "emulate", "--port", "0", "--seed", "3") as rig:
+        robot, encoder = (rig.find(rf"{name} +(\S+://\S+)")[1] for name in ("robot", "encoder"))
+        words = ("--robot", robot, "--encoder", encoder, "--duration", "3", "--out", str(log))
+        with program("deploy", *words) as run:
+            read = 0
+
+            def over():
+                nonlocal read
+                while read < len(run.lines):
+                    for prompts, other in ((ANSWERS, run), (HAND, rig)):
+                        for pattern, word in prompts:
+                            if asked := re.search(pattern, run.lines[read]):
+                                other.process.stdin.write(asked.expand(word) + "\n")
+                                other.process.stdin.flush()
+                    read += 1
+                return run.process.poll() is not None
+
+            wait_until(over, "end of the run", 2.0 * LONGEST)
+    assert RunLog.load(log).end.outcome is Outcome.LASTED, "\n".join(run.lines)
