@@ -2,6 +2,7 @@
 
 import os
 import signal
+from importlib.util import find_spec
 from pathlib import Path
 
 import hypothesis
@@ -21,6 +22,9 @@ mujoco()  # before a test imports MuJoCo, which chooses its OpenGL then
 # The first call of a kernel compiles it, which takes seconds: no single example has a deadline.
 hypothesis.settings.register_profile("equipoise", deadline=None, max_examples=50)
 hypothesis.settings.load_profile("equipoise")
+
+
+collect_ignore = [] if find_spec("cbor") else ["coppeliasim_server.py"]
 
 
 def pytest_configure(config):

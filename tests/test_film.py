@@ -105,6 +105,7 @@ def test_a_webp_is_the_part_in_real_time_with_its_numbers(run, tmp_path, monkeyp
 
 
 @pytest.mark.usefixtures("renderer")
+@pytest.mark.full
 def test_an_mp4_has_the_frames_of_its_part_and_a_failed_one_leaves_no_file(
     run, tmp_path, monkeypatch
 ):

@@ -12,7 +12,7 @@ import pytest
 
 GUEST = Path(__file__).parent / "guest"
 
-pytestmark = pytest.mark.compiled_only
+pytestmark = [pytest.mark.full, pytest.mark.compiled_only]
 
 
 @pytest.fixture(scope="module")

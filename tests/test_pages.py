@@ -83,7 +83,13 @@ WRITES = {
 
 
 @pytest.mark.compiled_only
-@pytest.mark.parametrize("page", WRITES)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=pytest.mark.full if page.endswith("policy.md") else ())
+        for page in WRITES
+    ],
+)
 def test_a_page_runs_as_it_is_printed(page, folder, monkeypatch):
     if "network.onnx" in (ROOT / page).read_text():
         pytest.importorskip("onnxruntime", reason="ONNX Runtime is not installed (extra onnx)")

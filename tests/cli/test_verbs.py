@@ -125,6 +125,7 @@ def test_reproduce_writes_a_report(equipoise, tmp_path):
     assert (tmp_path / ran.json["report"]).read_text().startswith("<!doctype html>")
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("verb", ["play", "log show run.mcap"])
 def test_pages_are_served_until_a_signal(equipoise, monkeypatch, tmp_path, verb):
     pytest.importorskip("viser", reason="viser is not installed (extra console)")

@@ -96,7 +96,7 @@ KINDS = [
     "guest:lqr",
     "guest:Counting",
     "guest:instance",
-    pytest.param("lqr.onnx", marks=needs_onnx),
+    pytest.param("lqr.onnx", marks=[needs_onnx, pytest.mark.full]),
 ]
 
 
@@ -169,6 +169,7 @@ def test_a_table_is_refused_for_another_task_and_other_policies_take_it(folder):
 # Networks
 
 
+@pytest.mark.full
 @needs_onnx
 @pytest.mark.parametrize(
     ("batch", "element", "tolerance"), [(1, DOUBLE, 1e-12), ("batch", FLOAT, 1e-5)]
@@ -185,6 +186,7 @@ def test_a_linear_network_commands_what_the_same_law_in_python_does(
         assert policy.act(observation) == pytest.approx(law.act(observation), abs=tolerance)
 
 
+@pytest.mark.full
 @needs_onnx
 @pytest.mark.parametrize(
     "network",

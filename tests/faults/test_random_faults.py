@@ -11,7 +11,7 @@ from tests.faults.verdicts import check_run
 
 pytestmark = pytest.mark.compiled_only
 
-QUICK, ALL = range(16), range(16, 1000)
+QUICK, ALL = range(10), range(10, 1000)
 """Seeds of the default run, and of the slow one."""
 PHASES = {
     "homing": 1.0, "home": 0.3, "hang": 2.0, "reference": 0.5, "swing": 6.0, "excitation": 9.0,

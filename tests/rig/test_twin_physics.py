@@ -31,7 +31,7 @@ def matrix(model, q):
 
 
 @pytest.mark.parametrize("name", WEIGHED)
-@pytest.mark.parametrize("library", [by_mujoco, by_pinocchio])
+@pytest.mark.parametrize("library", [by_mujoco, pytest.param(by_pinocchio, marks=pytest.mark.full)])
 def test_the_arm_is_that_of_an_independent_library(name, library):
     arm, urdf = WEIGHED[name]
     n = len(arm.joints)

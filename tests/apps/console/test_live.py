@@ -19,7 +19,7 @@ from equipoise.rig.run_controller import PHASES
 from tests.apps.console.browser import browser, needs_browser, press, requests, shown
 from tests.program import wait_until
 
-pytestmark = needs_browser
+pytestmark = [needs_browser, pytest.mark.full]
 
 ARM = iiwa7()
 STOP_LIMIT = 0.100  # from the press to the word of the run [s]

@@ -19,6 +19,7 @@ def test_the_links_weigh_what_the_robot_weighs_without_its_base(size):
     assert moving + base == pytest.approx(TOTAL[size], abs=1e-6)
 
 
+@pytest.mark.full
 def test_a_gripper_counts_as_part_of_the_link_that_carries_it(tmp_path):
     gripper = """
       <link name="finger"><inertial><origin xyz="0 0 0.05" rpy="0.4 0 0"/><mass value="0.7"/>

@@ -8,6 +8,7 @@ from equipoise.model.arms.urdf_writer import write_urdf
 from tests.model.arms.witnesses import ARMS, Pinocchio
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", ARMS)
 def test_pinocchio_puts_flange_and_pendulum_there(name):
     arm, _ = ARMS[name]
