@@ -19,20 +19,19 @@ from PIL import Image
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parents[1]))
 
-from tests.apps.console.browser import (  # noqa: E402
-    browser,
-    press,
-    press_now,
-    program,
-    shown,
-    wait_until,
-)
+from tests.apps.console.browser import browser, press, shown  # noqa: E402
+from tests.program import program, wait_until  # noqa: E402
 
 WIDTH, HEIGHT = 1366, 910
 """Window of the browser [px]."""
 PLAYGROUND = 1180
 """Height of a window that shows the table of the playground [px]."""
 ADDRESS = r"(http://127\.0\.0\.1:\d+/\?token=\S+)"
+PRESS = """
+const buttons = [...document.querySelectorAll('button')].filter(e => e.checkVisibility());
+buttons.find(e => !e.disabled && /^(Yes|OK)/.test(e.innerText.trim()))?.click();
+"""
+"""Script that answers a question of the run with yes."""
 BALANCED = 9.0
 """Balancing time before the picture of the console [s]."""
 
@@ -75,7 +74,7 @@ def take_console(folder: Path) -> Path:
                 while "balancing" not in "".join(shown(page, "#equipoise-state")):
                     if run.process.poll() is not None:
                         raise SystemExit("\n".join(run.lines))
-                    press_now(page, "Yes") or press_now(page, "OK")
+                    page.execute_script(PRESS)
                     for phase, act in (("lifting", "lift"), ("armed", "release")):
                         if phase in shown(page, "#equipoise-state")[0]:
                             rig.process.stdin.write(f"{act}\n")
