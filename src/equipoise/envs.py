@@ -1,6 +1,6 @@
 """Gymnasium environment of the balancing task, `equipoise/Balance-v0`.
 
-`import equipoise.envs` registers it, and Gymnasium itself finds it through an entry point.
+`import equipoise.envs` registers it.
 """
 
 from collections.abc import Callable

@@ -86,6 +86,11 @@ def cache_folder(name: str) -> Path:
     return temporary
 
 
+def kernel_folder() -> Path:
+    """Return the folder of the machine code of these sources."""
+    return cache_folder(f"kernels/{package_digest()}")
+
+
 @contextmanager
 def watching_compilation(compiled: Callable[[str], None]) -> Generator[None]:
     """Call `compiled` with the name of each function that Numba compiles in this context."""
@@ -109,7 +114,7 @@ class _Locator(caching._CacheLocator):
     """
 
     def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
-        self._directory = cache_folder(f"kernels/{package_digest()}")
+        self._directory = kernel_folder()
         # Files of equal name share the directory: the path distinguishes them.
         place = hashlib.sha256(py_file.encode()).hexdigest()[:8]
         self._place = f"{py_func.__code__.co_firstlineno}-{place}"

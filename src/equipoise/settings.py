@@ -337,8 +337,7 @@ def changed(settings: Settings, changes: Mapping[str, Any]) -> Settings:
     """Return settings with other values of some of them, by their full names."""
     tree = settings.model_dump()
     for name, value in changes.items():
-        section, _, key = name.partition(".")
-        tree[section][key] = value
+        _put(tree, name, value)
     return Settings.model_validate(tree)
 
 

@@ -5,7 +5,7 @@ count from the release; in a run on a rig that ended before it, from the first t
 """
 
 from math import isfinite, pi
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -73,7 +73,7 @@ class Motion(NamedTuple):
                 "the times of the ticks in the log do not increase; give the log as it was written"
             )
         if conditions.simulated:
-            true = run.truth if len(run.truth.q) else run
+            true = truth(run)
             q, x, phi = true.q, true.x, true.phi
             late, phases = np.full(len(time), np.nan), ()
         else:
@@ -173,3 +173,8 @@ def _measured_phi(run: RunLog, at: Floats, began: float) -> Floats:
 def _interpolated(time: float, times: Floats, rows: Floats) -> Floats:
     """Return the row at a time, on straight lines between rows, shape (columns,)."""
     return np.array([np.interp(time, times, column) for column in rows.T])
+
+
+def truth(run: RunLog) -> Any:
+    """Return the true state if the log has it, else the observations and commands."""
+    return run.truth if len(run.truth.phi) else run

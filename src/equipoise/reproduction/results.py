@@ -9,7 +9,7 @@ The files of the last line are missing for an arm without a digital twin.
 """
 
 from pathlib import Path
-from typing import Any, ClassVar, Final, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 from equipoise.artefacts import Artefact, Count, Name, Number, Seed
 from equipoise.control.policy import TabularPolicy
@@ -118,8 +118,3 @@ def digests(results: Results) -> dict[str, str]:
     }
     found = {name: value.digest for name, value in values.items() if value is not None}
     return {SWING: results.swing.sha256, **found}
-
-
-def truth(run: RunLog) -> Any:
-    """Return the true state if the log has it, else the observations and commands."""
-    return run.truth if len(run.truth.phi) else run

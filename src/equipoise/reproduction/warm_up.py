@@ -17,7 +17,7 @@ from equipoise.control.policy import shipped_policy
 from equipoise.errors import OutsideError
 from equipoise.executors import Show
 from equipoise.identification.swing import identify
-from equipoise.jit import cache_folder, disabled, package_digest, watching_compilation
+from equipoise.jit import disabled, kernel_folder, watching_compilation
 from equipoise.learning.target import train_to_target
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.worlds import IDEAL, MODEL
@@ -76,7 +76,7 @@ FUNCTIONS: Final = 180
 
 
 def _marker() -> Path:
-    return cache_folder(f"kernels/{package_digest()}") / "warm"
+    return kernel_folder() / "warm"
 
 
 def is_warm() -> bool:

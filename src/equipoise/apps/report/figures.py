@@ -13,10 +13,10 @@ from equipoise.apps import style
 from equipoise.apps.style import new_figure, plain, styled, typeset
 from equipoise.control.policy import TabularPolicy
 from equipoise.identification.recording import Trajectory, fitted_curve
+from equipoise.logs.motion import truth
 from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
 from equipoise.outcomes import Outcome
-from equipoise.reproduction.results import truth
 from equipoise.worlds.evaluation import Evaluation, TrialResults
 
 if TYPE_CHECKING:

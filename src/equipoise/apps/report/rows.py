@@ -7,9 +7,10 @@ import numpy as np
 
 from equipoise import paper
 from equipoise.artefacts import Value
+from equipoise.logs.motion import truth
 from equipoise.model.worlds import MODEL, TwinSettings
 from equipoise.outcomes import Outcome
-from equipoise.reproduction.results import Results, truth
+from equipoise.reproduction.results import Results
 from equipoise.settings import BoxSettings, Settings
 from equipoise.worlds.formatting import format_end, percent, plus_minus
 
