@@ -37,7 +37,7 @@ import numba
 import platformdirs
 from numba.core import caching, config, event
 
-from equipoise import inlining
+from equipoise import linking
 from equipoise.printable import printable
 
 logger = logging.getLogger(__name__)
@@ -137,18 +137,28 @@ class _Locator(caching._CacheLocator):
 class _CacheImpl(caching.CompileResultCacheImpl):
     _locator_classes = [_Locator]  # noqa: RUF012  (the name and type are Numba's)
 
-
-class _InlinedCacheImpl(_CacheImpl):
-    """Format of an inlined function's file, which has no machine code."""
-
-    def get_filename_base(self, fullname: str, abiflags: str) -> str:
-        return "inlined-" + super().get_filename_base(fullname, abiflags)
-
     def reduce(self, cres: Any) -> Any:
-        return inlining.reduce(cres)
+        return linking.called(cres.library), super().reduce(cres)
 
     def rebuild(self, target_context: Any, payload: Any) -> Any:
-        return inlining.rebuild(target_context, payload)
+        machine_code, result = payload
+        linking.load(target_context, machine_code)
+        rebuilt = super().rebuild(target_context, result)
+        rebuilt.library.called = machine_code
+        return rebuilt
+
+
+class _LinkedCacheImpl(_CacheImpl):
+    """Format of the file of a function that kernels call, which has no wrapper for Python."""
+
+    def get_filename_base(self, fullname: str, abiflags: str) -> str:
+        return "linked-" + super().get_filename_base(fullname, abiflags)
+
+    def reduce(self, cres: Any) -> Any:
+        return linking.reduce(cres)
+
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        return linking.rebuild(target_context, payload)
 
 
 class _KernelCache(caching.FunctionCache):
@@ -165,8 +175,8 @@ class _KernelCache(caching.FunctionCache):
             return None
 
 
-class _InlinedCache(_KernelCache):
-    _impl_class = _InlinedCacheImpl
+class _LinkedCache(_KernelCache):
+    _impl_class = _LinkedCacheImpl
 
 
 def disabled() -> bool:
@@ -185,26 +195,37 @@ def kernel(function: F) -> F:
     return _lazy(_njit(**OPTIONS, _nrt=True, forceinline=False)(function), _KernelCache)
 
 
+def called(function: F) -> F:
+    """Compile `function` once, for all kernels that call it.
+
+    Such a function creates no array: it counts no references, which would take longer than what it
+    computes.
+    """
+    return _linked(function, linking.CalledCompiler)
+
+
 def inlined(function: F) -> F:
-    """Compile `function` into each kernel that calls it.
+    """Compile `function` into each kernel that calls it; it creates no array either.
 
     Formulas inside loops over lanes need it: a processor vectorises a loop only without calls. So
-    do functions of a control step, because a call copies all arrays of its named tuples. Such a
-    function creates no array: it counts no references, which would take longer than its formulas.
+    do functions of a control step, because a call copies all arrays of its named tuples.
     """
+    return _linked(function, linking.InlinedCompiler)
+
+
+def _linked(function: F, compiler: Any) -> Any:
     if disabled():
         return function
-    for_python = _lazy(_njit(**OPTIONS, _nrt=False)(function), _KernelCache)
     options = OPTIONS | {
         "_nrt": False,
         "boundscheck": None,
-        "forceinline": True,
+        "forceinline": compiler is linking.InlinedCompiler,
         "no_cpython_wrapper": True,
         "nopython": True,
     }
-    dispatcher = inlining.InlinedDispatcher(function, {}, options, inlining.InlinedCompiler)
-    dispatcher.for_python = for_python
-    return _lazy(dispatcher, _InlinedCache)
+    dispatcher = linking.LinkedDispatcher(function, {}, options, compiler)
+    dispatcher.for_python = _lazy(_njit(**OPTIONS, _nrt=False)(function), _KernelCache)
+    return _lazy(dispatcher, _LinkedCache)
 
 
 def compilable(function: F) -> F:

@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.jit import inlined, kernel
+from equipoise.jit import called, inlined, kernel
 from equipoise.model.arms.compiler import BIAS, JACOBIAN, POSITION, ROTATION, TWIST
 from equipoise.model.elementary import BATCH_SIZE, at, fma, put
 
@@ -257,7 +257,7 @@ def _solve_damped(frame: Array, rhs: Array, parameters: ClikParameters, y: Array
     return damped
 
 
-@kernel
+@called
 def _cholesky(frame: Array, damping: float, L: Array, n: int) -> float:
     """Factor J J^T + damping = L L^T and return the product of the diagonal of L.
 

@@ -41,7 +41,7 @@ from equipoise.control.clik import (
 )
 from equipoise.control.estimator import Gains, observer_gains
 from equipoise.errors import ArmError, SettingsError
-from equipoise.jit import inlined, kernel
+from equipoise.jit import called, inlined, kernel
 from equipoise.model.actuator import (
     CYCLE,
     Actuator,
@@ -347,7 +347,7 @@ def place_command(
     put(state.reference, TWIST, n, x_dot)
 
 
-@kernel
+@called
 def start_controller(
     controller: ControllerParams,
     state: ControllerState,
@@ -614,7 +614,7 @@ def pivot_velocity(frame: Array, pivot: tuple[float, float, float], n: int) -> f
     return at(frame, TWIST, n) + at(frame, TWIST + 4, n) * z - at(frame, TWIST + 5, n) * y
 
 
-@kernel
+@called
 def copy_controller_state(state: ControllerState, source: int, target: int) -> None:
     """Copy the state of one lane to another, to close the gap of a finished one."""
     commanded = state.q, state.dq, state.ddq, state.frame, state.reference, state.setpoints
@@ -625,7 +625,7 @@ def copy_controller_state(state: ControllerState, source: int, target: int) -> N
     state.limit_exceeded[target] = state.limit_exceeded[source]
 
 
-@kernel
+@called
 def copy_rows(block: Any, source: int, target: int) -> None:
     """Copy one lane of a block to another, in all of its rows."""
     for row in range(len(block) // BATCH_SIZE):

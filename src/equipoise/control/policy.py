@@ -24,7 +24,7 @@ from equipoise.artefacts import DIGEST_PREFIX, Artefact, Count, Number, Seed, Sh
 from equipoise.control import grid
 from equipoise.control.grid import Grid, box_count, box_index
 from equipoise.errors import InputError
-from equipoise.jit import inlined, kernel, struct_ref
+from equipoise.jit import called, inlined, kernel, struct_ref
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
@@ -78,7 +78,7 @@ def table_action(
     return policy.u_of_box[box_count(policy.boxes) * table + box]
 
 
-@kernel
+@called
 def act(
     policy: PolicyKernel, x: float, x_dot: float, phi: float, phi_dot: float, chance: float
 ) -> float:

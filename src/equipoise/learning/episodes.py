@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.control.grid import TRUNCATED, Grid
-from equipoise.jit import inlined, kernel, struct_ref
+from equipoise.jit import called, inlined, kernel, struct_ref
 from equipoise.learning.learner import (
     CONTINUES,
     DECIDED,
@@ -197,7 +197,7 @@ def draw_episode(
     return variation, start
 
 
-@kernel
+@called
 def begin_episode(
     plant: LoopParams,
     pendulum: PendulumParameters,

@@ -25,7 +25,7 @@ from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self
 from pydantic import Field, model_validator
 
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, Value
-from equipoise.jit import PACKAGE, inlined, kernel
+from equipoise.jit import PACKAGE, called, inlined
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import BATCH_SIZE, Array, fma
 
@@ -305,7 +305,7 @@ class JointResponse(NamedTuple):
     the setpoint [rad]."""
 
 
-@kernel
+@called
 def track(
     stream_time: Array,
     stream_q: Array,
@@ -363,7 +363,7 @@ def track(
         predicted[j] = q + (now - reply_time[j]) / CYCLE * (before - q)
 
 
-@kernel
+@called
 def steady_error(dq: float, lag: float, actuator: ActuatorParameters) -> float:
     """Return setpoint minus position of a joint that moves at a constant velocity [rad].
 
@@ -403,7 +403,7 @@ def speed_of_peak(peak: float, period: float) -> float:
     return k * e**2 / (1.0 + k * e * period)
 
 
-@kernel
+@called
 def lag_share(lag: float) -> float:
     """Return the share of a change that a first-order lag follows within one servo cycle.
 

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, Value
-from equipoise.jit import PACKAGE, inlined, kernel
+from equipoise.jit import PACKAGE, called, inlined, kernel
 from equipoise.model.elementary import Array, fma, sincos
 from equipoise.settings import GRAVITY, Friction, IdentificationSettings
 
@@ -88,7 +88,7 @@ def runge_kutta(
     )
 
 
-@kernel
+@called
 def _step_with_dry_friction(
     phi: float, phi_dot: float, u: float, h: float, pendulum: PendulumParameters
 ) -> tuple[float, float]:
@@ -121,7 +121,7 @@ def _step_with_dry_friction(
     return phi, phi_dot
 
 
-@kernel
+@called
 def step(
     phi: float, phi_dot: float, u: float, h: float, pendulum: PendulumParameters
 ) -> tuple[float, float]:

@@ -21,7 +21,7 @@ from equipoise.control.control_step import (
     horizon,
 )
 from equipoise.control.controller import flange_pose
-from equipoise.jit import inlined, kernel
+from equipoise.jit import called, inlined
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.arms.compiler import FRAME_SIZE
@@ -98,7 +98,7 @@ def new_trial_monitor(arm: Arm, params: SafetyParams | None) -> TrialSafetyMonit
     return TrialSafetyMonitor(active, rules, sent, setpoints, number, error_time, still, frame)
 
 
-@kernel
+@called
 def reset_trial_monitor(monitor: TrialSafetyMonitor, q: Array) -> None:
     """Begin with an arm that rests at the free joints `q` [rad], shape (6,)."""
     # Rules need the last two setpoints; earlier ones do not matter.

@@ -13,7 +13,7 @@ from equipoise.control.control_step import OBS_PHI, OBS_PHI_DOT, OBS_X, OBS_X_DO
 from equipoise.control.grid import TRUNCATED
 from equipoise.control.policy import RANDOM, TABLE, PolicyKernel, act, table_action
 from equipoise.errors import SettingsError
-from equipoise.jit import kernel, struct_ref
+from equipoise.jit import called, kernel, struct_ref
 from equipoise.model.elementary import BATCH_SIZE, at
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import philox, uniform
@@ -154,7 +154,7 @@ class PlantLoop(ClosedLoop):
         return self._simulation.setup.arm.with_held(q[::BATCH_SIZE])
 
 
-@kernel
+@called
 def place_trial(
     plant: LoopParams,
     batch: BatchState,

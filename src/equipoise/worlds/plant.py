@@ -49,7 +49,7 @@ from equipoise.control.grid import (
     Grid,
     box_index,
 )
-from equipoise.jit import inlined, kernel
+from equipoise.jit import called, inlined
 from equipoise.model.actuator import (
     CYCLE,
     IDEAL_ACTUATOR,
@@ -218,7 +218,7 @@ def new_batch_state() -> BatchState:
     )
 
 
-@kernel
+@called
 def reset(
     plant: LoopParams,
     block: BatchState,
@@ -277,7 +277,7 @@ def reset(
         put(block.frame, i, n, at(memory.frame, i, n))
 
 
-@inlined
+@called
 def step(plant: LoopParams, block: BatchState, lanes: int) -> None:
     """Advance controller, arm and pendulum of the first lanes by one time step.
 
@@ -499,7 +499,7 @@ def box_of(seen: Array, boxes: Grid, n: int) -> int:
     )
 
 
-@kernel
+@called
 def copy_lane(block: BatchState, source: int, target: int) -> None:
     """Copy the state of one lane to another, to fill the gap of a finished lane."""
     copy_controller_state(block.controller, source, target)
@@ -517,7 +517,7 @@ def copy_lane(block: BatchState, source: int, target: int) -> None:
     block.cause[target] = block.cause[source]
 
 
-@kernel
+@called
 def scaled(
     pendulum: PendulumParameters, inertia_factor: float, friction_factor: float
 ) -> PendulumParameters:

@@ -25,7 +25,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from equipoise.jit import inlined, kernel
+from equipoise.jit import called, inlined
 from equipoise.model.actuator import AMPLITUDE, INTERVAL_WIDTH, Actuator, lag_share, shaped_step
 from equipoise.model.arms.arm import Arm
 from equipoise.model.elementary import Array, IntArray
@@ -142,7 +142,7 @@ def new_servo_state(n: int) -> ServoState:
     return ServoState(np.zeros(3, np.int64), np.zeros((SLOTS, n)), *rows)
 
 
-@kernel
+@called
 def start(cabinet: ServoState, q: Array) -> None:
     """Start a servo at time zero that holds the joints at their positions.
 

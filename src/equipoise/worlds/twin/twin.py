@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from equipoise.jit import inlined, kernel
+from equipoise.jit import called, inlined
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.elementary import Array, IntArray
 from equipoise.model.pendulum import PendulumParameters
@@ -243,7 +243,7 @@ def apply_dry_friction(twin: TwinKernel) -> None:
             acceleration[i] += response[i] * (bodies.applied[n] - f)
 
 
-@kernel
+@called
 def reset(twin: TwinKernel, q: Array, phi: float, phi_dot: float) -> None:
     """Set time to zero, the arm at rest and held at its position.
 
@@ -308,7 +308,7 @@ def send_free(twin: TwinKernel, q: Array) -> None:
     send(twin.cabinet, twin.servo, twin.setpoint, twin.key[0], twin.key[1])
 
 
-@kernel
+@called
 def noise(twin: TwinKernel, sigma: float, stream: int, values: Array) -> None:
     """Add the noise of this millisecond to measurements of the joints.
 
