@@ -67,8 +67,8 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
     `Box(-inf, inf, (4,), float64)`: x [m], x_dot [m/s], phi from upright [rad], phi_dot [rad/s].
 
     It is the state at which the action takes effect, predicted past delay and lag.
-    In the world `ideal` the observation is the state itself, without noise or delay; only inertia,
-    friction and start vary.
+    In the world `ideal` it is the state itself. In `ideal` and `model` the pose error of CLIK has
+    noise (`plant.position_error_sigma`, `plant.orientation_error_sigma`).
 
     ## Rewards
 
