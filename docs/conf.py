@@ -11,10 +11,12 @@ from collections.abc import Iterator
 from importlib.metadata import version as version_of
 from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from pydoc import locate
+from typing import Any, get_type_hints
 
 from docutils import nodes
 from latex2mathml.converter import convert
+from pydantic import BaseModel
 from pygments import highlight
 from pygments.formatters import HtmlFormatter
 from pygments.lexers import PythonLexer
@@ -44,7 +46,7 @@ nitpicky = False
 
 myst_heading_anchors = 4
 myst_enable_extensions = ["dollarmath"]
-DECISIONS = "docs/decisions/README"
+API, DECISIONS = "docs/reference/api/README", "docs/decisions/README"
 # A table of contents in the pages themselves would show as code where there is no site.
 CONTENTS = {
     "Begin": [
@@ -85,7 +87,7 @@ CONTENTS = {
     ],
     "Reference": [
         "/docs/reference/command-line",
-        "/docs/reference/api",
+        f"/{API}",
         "/docs/reference/paper",
         "/docs/deviations",
         "/docs/reference/environments",
@@ -102,6 +104,7 @@ autodoc_default_options = {"exclude-members": "model_config, model_post_init, FO
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
 python_use_unqualified_type_names = True
+toc_object_entries_show_parents = "hide"
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 
@@ -110,15 +113,18 @@ html_title = f"Equipoise {release}"
 html_math_renderer = "mathml"
 html_show_sourcelink = False
 html_copy_source = False
-html_static_path = ["site.css"]
+html_static_path = ["site/site.css", "site/landing.css"]
 html_css_files = ["site.css"]
 html_extra_path = ["site/index.html"]
 pygments_style = "friendly"
 
 LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)#:]+)\)")
-BACKTICKS = re.compile(r"(?<![:`])`([^`]+)`(?!`)(\w*)")
+BACKTICKS = re.compile(r"(:[\w:]+:)?(?<!`)`([^`]+)`(?!`)(\w*)")
 NAME = re.compile(r"[A-Za-z_][\w.]*")
+FUNCTION = re.compile(r"<function (\w+)>")
+NUMBERS = re.compile(r"(?:[-–.,%\d\s]|of|to)+")
 BARS = re.compile(r"\|(\w+)\|")
+LIMITS = (("ge", "≥"), ("gt", ">"), ("le", "≤"), ("lt", "<"))
 CODE = "code/{}"
 ARRAY = re.compile(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]")
 
@@ -135,8 +141,34 @@ def add_contents(app: Sphinx, docname: str, source: list[str]) -> None:
         for part, pages in CONTENTS.items():
             lines = "\n".join(pages)
             source[0] += f"\n```{{toctree}}\n:hidden:\n:caption: {part}\n\n{lines}\n```\n"
-    if docname == DECISIONS:
+    if docname in (API, DECISIONS):
         source[0] += "\n```{toctree}\n:hidden:\n:glob:\n\n*\n```\n"
+
+
+def simplify_model(
+    _app: Sphinx, what: str, _name: str, obj: Any, _options: object, signature: Any, returns: Any
+) -> tuple[Any, Any]:
+    """Show the fields of a pydantic model once, as its members, with plain types."""
+    if what != "class" or not issubclass(obj, BaseModel):
+        return signature and FUNCTION.sub(r"\1", signature), returns
+    own = {"__annotations__": obj.__annotations__, "__module__": obj.__module__}
+    obj.__annotations__ = get_type_hints(type(obj.__name__, (), own))  # without Annotated
+    return "", returns
+
+
+def add_range(
+    _app: Sphinx, _what: str, name: str, _obj: object, _options: object, lines: list[str]
+) -> None:
+    """Add default and range of a field of a pydantic model to its docstring."""
+    parent, _, attribute = name.rpartition(".")
+    field = getattr(locate(parent), "model_fields", {}).get(attribute)
+    if field is None or field.is_required() or isinstance(field.default, BaseModel):
+        return
+    default = f"{field.default:g}" if isinstance(field.default, float) else repr(field.default)
+    facts = [f"default ``{default}``"]
+    for bound in field.metadata:
+        facts += [f"{sign} {getattr(bound, key):g}" for key, sign in LIMITS if hasattr(bound, key)]
+    lines[:] = [*"\n".join(lines).rstrip().split("\n"), f"({', '.join(facts)})", ""]
 
 
 def read_backticks(
@@ -145,11 +177,14 @@ def read_backticks(
     """Turn `name` in a docstring into a link, other `code` into code, and |x| into a magnitude."""
 
     def marked(match: re.Match[str]) -> str:
-        text, tail = match[1], "\\ " + match[2] if match[2] else ""
+        role, text, word = match.groups()
+        if role:
+            return match[0]
+        tail = f"\\ {word}" if word else ""
         return (f":py:obj:`{text}`" if NAME.fullmatch(text) else f"``{text}``") + tail
 
-    if what == "attribute":
-        lines.insert(0, "")  # else napoleon takes what stands before a colon for a type
+    if what in ("attribute", "property"):
+        lines.insert(0, "\\")  # else napoleon takes what stands before a colon for a type
     lines[:] = [BARS.sub(r"\\|\1\\|", BACKTICKS.sub(marked, line)) for line in lines]
 
 
@@ -185,6 +220,13 @@ def shorten_arrays(_app: Sphinx, tree: nodes.document, _docname: str) -> None:
                 element[span], texts[span] = [addnodes.desc_sig_name(name, name)], [name]
 
 
+def mark_numbers(_app: Sphinx, tree: nodes.document, _docname: str) -> None:
+    """Mark the cells of tables that contain numbers only, which stay on one line."""
+    for cell in tree.findall(nodes.entry):
+        if NUMBERS.fullmatch(cell.astext()):
+            cell["classes"].append("numbers")
+
+
 def line_of(path: Path, name: str) -> int:
     """Return the line of an object of a file, such as `Pendulum.save`; 0 if it has none."""
     body, line = ast.parse(path.read_text()).body, 0
@@ -215,12 +257,22 @@ def write_math(self: Any, node: nodes.Element) -> None:
     raise nodes.SkipNode
 
 
+def style_first_page(app: Sphinx, docname: str, *_: Any) -> None:
+    """Give the first page a layout of its own."""
+    if docname == root_doc:
+        app.add_css_file("landing.css")
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Connect what is above."""
     app.add_html_math_renderer("mathml", (write_math, None), (write_math, None))
     app.connect("source-read", add_contents)
+    app.connect("autodoc-process-signature", simplify_model)
     app.connect("autodoc-process-docstring", read_backticks, priority=100)  # before napoleon
+    app.connect("autodoc-process-docstring", add_range)
     app.connect("doctree-resolved", link_code)
     app.connect("doctree-resolved", shorten_arrays)
+    app.connect("doctree-resolved", mark_numbers)
+    app.connect("html-page-context", style_first_page)
     app.connect("html-collect-pages", show_code)
     return {"parallel_read_safe": False}

@@ -91,7 +91,7 @@ def main() -> None:
         low, high = exact_interval(survived, trials)
         rates = [s.rate for s in summaries]
         print(
-            f"| {name} | {survived / trials:.4f} | {low:.4f} to {high:.4f} "
+            f"| {name} | {survived / trials:.4f} | {low:.4f}–{high:.4f} "
             f"| {min(rates):.3f}, {np.median(rates):.3f} | {sum(r >= 0.99 for r in rates)} "
             f"| {f'{track / (trials - survived):.0%}' if survived < trials else 'none failed'} |",
             flush=True,

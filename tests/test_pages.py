@@ -17,6 +17,7 @@ from equipoise.identification.recording import write_swing
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from tests.cli.conftest import parse
 from tests.reference.onnx_network import FLOAT, linear_network
+from tests.test_guest import CONFORMANCE
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(
@@ -127,10 +128,54 @@ def test_the_map_of_the_paper_names_what_exists():
         assert re.search(rf"^(?:(?:def|class) )?{name}\b", path.read_text(), re.M), (name, link)
 
 
-def test_the_page_on_the_python_interface_has_every_public_name():
-    page = (ROOT / "docs" / "reference" / "api.md").read_text()
-    names = set(equipoise.__all__) - {"__version__"}
-    assert names == set(re.findall(r"auto(?:class|function):: equipoise\.(\w+)$", page, re.M))
+GUESTS = [path for path in PAGES if re.search("how-to/(bring-a|change)", path)]
+"""Pages on parts of one's own."""
+
+
+def test_the_reference_has_every_name_that_a_guest_needs():
+    reference = []
+    for page in (ROOT / "docs/reference/api").glob("equipoise*.md"):
+        for name, listed in re.findall(r"automodule:: (\S+)\n   :members:(.*)", page.read_text()):
+            module = import_module(name)
+            own = [
+                key for key, one in vars(module).items() if getattr(one, "__module__", "") == name
+            ]
+            names = listed.split(",") if listed else getattr(module, "__all__", own)
+            reference += [getattr(module, one.strip()) for one in names]
+    texts = [(ROOT / page).read_text() for page in GUESTS]
+    code = "\n".join([*texts, *(path.read_text() for path in ROOT.glob("tests/guest/guest/*.py"))])
+    imported = re.findall(r"^from (equipoise\S*) import (.+)$", code + CONFORMANCE, re.MULTILINE)
+    pairs = {(module, name) for module, names in imported for name in names.split(", ")}
+    assert len(pairs) > 20
+    missing = [
+        pair
+        for pair in pairs
+        if not any(getattr(import_module(pair[0]), pair[1]) is one for one in reference)
+    ]
+    assert not missing
+    classes = {one.__name__ for one in reference if isinstance(one, type)}
+    assert set(re.findall(r"`([A-Z][a-z]\w+)`", "".join(texts))) <= classes
+
+
+def code_lines(text):
+    """Number of lines that are neither empty nor comment nor docstring."""
+    text = re.sub(r'^\s*""".*?"""$', "", text, flags=re.MULTILINE | re.DOTALL)
+    return len(re.findall(r"^\s*[^\s#].*$", text, re.MULTILINE))
+
+
+def test_the_first_page_counts_the_lines_of_the_examples():
+    page = (ROOT / "docs" / "index.md").read_text()
+    found = re.findall(r"^\| \[(\w+)\].* \| (\d+) \|", page, re.MULTILINE)
+    python = (text for page in GUESTS for _, text in blocks(page, "python"))
+    own = {text.split(maxsplit=2)[1]: text for text in python if text.startswith("# ")}
+    assert {part: int(lines) for part, lines in found} == {
+        "policy": code_lines(own["own_policy.py"].partition("class")[0]),
+        "reward": code_lines(own["own_reward.py"]),
+        "arm": code_lines(own["my_arm.py"]),
+        "learner": code_lines(own["own_learner.py"]),
+        "world": code_lines(own["own_world.py"]),
+        "robot": code_lines((ROOT / "tests/guest/guest/robot.py").read_text()),
+    }
 
 
 # The commands themselves.

@@ -42,14 +42,14 @@ if TYPE_CHECKING:
 
     __version__: str
 
-__all__ = ["EquipoiseError", "Estimate", "Settings", "__version__", "resolve"]
-__all__ += ["Arm", "PendulumParameters", "iiwa", "read_urdf", "read_world"]
-__all__ += ["Trajectory", "read_swing", "simulate_swing", "write_swing"]
-__all__ += ["Actuator", "Pendulum", "identify", "identify_run"]
-__all__ += ["shipped_actuator", "shipped_pendulum", "shipped_policy"]
-__all__ += ["Policy", "TabularPolicy", "bind_policy", "load_policy", "train", "train_to_target"]
+__all__ = ["PendulumParameters", "Trajectory", "read_swing", "simulate_swing", "write_swing"]
+__all__ += ["Estimate", "Pendulum", "identify", "shipped_pendulum"]
+__all__ += ["Arm", "iiwa", "read_urdf"]
+__all__ += ["Actuator", "excite", "identify_run", "shipped_actuator"]
+__all__ += ["TabularPolicy", "shipped_policy", "train", "train_to_target"]
+__all__ += ["Policy", "RunLog", "bind_policy", "load_policy", "read_world", "simulate_run"]
 __all__ += ["Certificate", "Evaluation", "certify", "evaluate", "make_claim", "reproduce"]
-__all__ += ["RunLog", "excite", "simulate_run"]
+__all__ += ["EquipoiseError", "Settings", "__version__", "resolve"]
 
 _HOMES = {
     "artefacts": ("Estimate",),

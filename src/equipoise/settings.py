@@ -288,7 +288,7 @@ class EvaluationSettings(Value):
 
 
 class Settings(Value):
-    """All settings, resolved."""
+    """All settings, resolved, in the groups of `equipoise.settings`."""
 
     identification: IdentificationSettings = IdentificationSettings()
     clik: ClikSettings = ClikSettings()
