@@ -50,7 +50,7 @@ def page_at(address: str, height: int = HEIGHT) -> Iterator[Any]:
         note = "document.querySelector('.mantine-Notification-closeButton')"
         wait_until(lambda: page.execute_script(f"return {note}"), "note")
         page.execute_script(f"{note}.click()")
-        time.sleep(25.0)  # the scene fades in
+        time.sleep(60.0)  # the scene fades in, slowly on a busy machine
         yield page
 
 
@@ -65,6 +65,7 @@ def save(page: Any, name: str) -> None:
 def take_playground() -> None:
     """Take the playground in its first scene, after a push."""
     with program("play") as play, page_at(play.find(ADDRESS)[1], PLAYGROUND) as page:
+        wait_until(lambda: "standing" in "".join(shown(page, "#equipoise-state")), "balance")
         press(page, "push right")
         time.sleep(1.5)
         save(page, "play")
