@@ -78,10 +78,14 @@ def test_a_single_setting_is_read_as_its_type(override, wanted):
     assert type(got) is type(wanted)
 
 
-@pytest.mark.parametrize("name", ["gamma", "lerning.gamma", "learning.gama", "gama"])
-def test_a_misspelt_setting_is_found(name):
-    with pytest.raises(SettingsError, match="learning.gamma"):
-        resolve(overrides=[f"{name}=0.9"])
+def test_a_setting_without_its_section_or_with_a_misspelt_one_is_found(tmp_path):
+    for section, values in Settings():
+        for key in type(values).model_fields:
+            for name in (key, f"{section[:-1]}.{key}", f"learn.{key}"):
+                assert f"{section}.{key}" in refusal(f"{name}=1")
+            assert f"{section}.{key}" in refusal(file=toml(tmp_path, f"{key} = 1"))
+    assert "learning.gamma" in refusal("learning.gama=0.9")
+    assert "learning.gamma" in refusal("gama=0.9")
 
 
 @pytest.mark.parametrize("name", ["learning.gama", "lerning.gamma", "gamma", "", "a.b.c", "clik."])

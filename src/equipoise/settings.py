@@ -367,12 +367,10 @@ def resolve(
     differences = [*RECIPES[recipe].items()]
     if file is not None:
         for section, fields in read_toml(Path(file), "the settings").items():
-            if not isinstance(fields, dict):
-                raise SettingsError(
-                    f"{quoted(section)} stands outside a section; expected e.g. [learning] above "
-                    "gamma = 0.98"
-                )
-            differences += [(f"{section}.{key}", value) for key, value in fields.items()]
+            if isinstance(fields, dict):
+                differences += [(f"{section}.{key}", value) for key, value in fields.items()]
+            else:
+                differences.append((section, fields))
     for name, value in differences:
         _put(tree, name, value)
     for override in overrides:
@@ -415,10 +413,10 @@ def _differences(settings: Settings, recipe: Settings) -> Iterator[str]:
 def _put(tree: dict[str, dict[str, Any]], name: str, value: Any) -> None:
     section, _, key = name.partition(".")
     if key not in tree.get(section, {}):
-        names = {f"{one}.{key}": f"{one}.{key}" for one, keys in tree.items() for key in keys}
-        names |= {full.partition(".")[2]: full for full in names}
-        near = [names[each] for each in get_close_matches(name, names, n=1)]
-        remedy = f"did you mean {near[0]}?" if near else f"sections: {', '.join(tree)}"
+        names = [] if name in tree else [each for keys in tree.values() for each in keys]
+        close = get_close_matches(key or name, names, n=1)
+        near = [f"{one}.{each}" for one, keys in tree.items() for each in keys if each in close]
+        remedy = f"did you mean {' or '.join(near)}?" if near else f"sections: {', '.join(tree)}"
         raise SettingsError(f"there is no setting {quoted(name)}; {remedy}")
     tree[section][key] = value
 

@@ -11,8 +11,17 @@ REFUSED = {
     ("evaluate", "--out", "x.txt"): "ends in .json",
     ("evaluate", "small.json", "--out", "small.json"): "is read and would be written over",
     ("evaluate", "--out", "taken.json"): "--force",
+    # A missing input comes first: nothing would be written.
+    ("identify", "none.csv", "--out", "taken.json"): "none.csv",
+    ("train", "none.json", "--out", "taken.json"): "none.json",
+    ("evaluate", "none.json", "--out", "taken.json"): "there is no policy none.json",
+    ("evaluate", "none.json", "--claim", "0.9", "--out", "taken.json"): "there is no policy",
+    ("deploy", "none.json", "--out", "taken.mcap"): "there is no policy",
+    ("reproduce", "--swing", "none.csv", "--out", "full"): "none.csv",
+    ("refine", "small.json", "none.mcap", "--out", "taken.json"): "none.mcap",
+    ("log", "export", "none.mcap", "--out", "full"): "none.mcap",
     ("evaluate", "--out", "folder.json"): "is a folder",
-    ("log", "export", "cut.mcap", "--out", "full"): "is not empty",
+    ("reproduce", "--out", "full"): "is not empty",
     ("log", "export", "cut.mcap", "--video", "x.gif"): ".webp",
     # Kinds of files
     ("evaluate", "pen.json"): "equipoise-policy",
@@ -49,6 +58,7 @@ REFUSED = {
 @pytest.fixture
 def files(tmp_path, swing, policy_file, pendulum_file):
     (tmp_path / "taken.json").write_text("{}")
+    (tmp_path / "taken.mcap").write_text("")
     (tmp_path / "rig.toml").write_text("arm = 'iiwa7'\n")
     (tmp_path / "cut.mcap").write_bytes(b"\x89MCAP0\r\n")
     policy_file.rename(tmp_path / "small.json")

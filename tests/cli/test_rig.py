@@ -2,7 +2,9 @@
 
 import pytest
 
+from equipoise.control.policy import shipped_policy
 from equipoise.logs.run_log import RunLog
+from equipoise.model.actuator import Actuator
 from tests.cli.conftest import contents
 from tests.robots.encoder.by_hand import RELEASE, ByHand
 from tests.robots.encoder.rig import Bench
@@ -20,10 +22,26 @@ def test_a_run_on_a_twin_is_told_and_written(equipoise, tmp_path):
     assert RunLog.load(tmp_path / "run.mcap", damaged=True).lasted == 1.0
 
 
-def test_a_dry_run_ends_before_the_arm_moves(equipoise):
-    ran = equipoise("deploy", "--robot", "twin:nominal", "--dry-run")
+def test_a_dry_run_ends_before_the_arm_moves_and_names_the_run_itself(equipoise):
+    options = ("--arm", "iiwa14", "--t1", "--duration", 5)
+    ran = equipoise("deploy", "lqr", "--robot", "twin:nominal", "--dry-run", *options)
     assert ran.code == 0, ran
     assert "Moving to home" not in ran.out
+    again = "deploy lqr --duration 5.0 --robot twin:nominal --t1 --arm iiwa14"
+    assert ran.out.endswith(f"next: equipoise {again} --out run-2.mcap\n")
+
+
+def test_an_arm_that_fits_no_policy_leads_to_a_training_for_it(equipoise, pendulum, tmp_path):
+    slow = Actuator.assumed("kst", delay=0.05, lag=0.008)
+    policy = shipped_policy().model_copy(update={"pendulum": pendulum, "actuators": (slow,)})
+    policy.save(tmp_path / "slow.json", command="test")
+    pendulum.save(tmp_path / "my-pendulum.json", command="test")
+    ran = equipoise(
+        "deploy", "slow.json", "--robot", "twin:nominal", "--arm", "iiwa7", "--identify"
+    )
+    assert "arm not identified" in ran.out, ran
+    then = "train my-pendulum.json --arm iiwa7 --actuator run-actuator.json"
+    assert ran.out.endswith(f"next: equipoise {then}\n")
 
 
 def test_doctor_examines_this_machine(equipoise, monkeypatch):

@@ -1,5 +1,6 @@
 """Each verb once: what it writes, and its JSON object."""
 
+import shlex
 import signal
 import threading
 
@@ -7,9 +8,10 @@ import pytest
 
 from equipoise.artefacts import Estimate
 from equipoise.control.policy import TabularPolicy, shipped_policy
+from equipoise.identification.recording import simulate_swing, write_swing
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
-from equipoise.model.pendulum import Pendulum
+from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.rig.simulate import simulate_run
 from equipoise.worlds.certification import Certificate
@@ -87,6 +89,42 @@ def test_deploy_and_the_verbs_for_logs(equipoise, tmp_path):
     made = {path.name for path in (tmp_path / "run-csv").iterdir()}
     assert made == {"encoder.csv", "reply.csv", "stream.csv", "tick.csv", "truth.csv"}
     assert equipoise("deploy", "random", "--force").code == 1
+
+
+def test_the_hints_lead_from_a_swing_to_a_replay(equipoise, tmp_path):
+    truth = PendulumParameters(w2=70.2, k=7.15, c=0.05, coulomb=1.0)
+    swing = simulate_swing(truth, theta0=1.0, duration=8.0, rate_hz=200.0, counts_per_rev=4096)
+    write_swing(tmp_path / "my swing.csv", swing)
+
+    def walk(command):
+        options = {"train": (*SHORT, "--target=0"), "evaluate": FEW, "deploy": ("--duration=0.5",)}
+        hints = []
+        while not command.startswith("log show"):
+            words = shlex.split(command)
+            ran = equipoise(*words, *(() if "--excite" in words else options.get(words[0], ())))
+            assert ran.code in (0, 1), ran
+            command = ran.out.partition("next: equipoise ")[2].strip()
+            hints.append(command)
+        return hints
+
+    first = [
+        "identify 'my swing.csv' --friction coulomb --out pendulum-2.json",
+        "train pendulum-2.json",
+        "evaluate policy.json",
+        "deploy policy.json",
+        "log explain run.mcap",
+        "log show run.mcap",
+    ]
+    assert walk("identify 'my swing.csv'") == first
+    # The log of the excitation names neither file; names that are taken get a number.
+    assert walk("deploy --excite --arm iiwa14 --pendulum pendulum-2.json --out log.mcap") == [
+        "identify log.mcap",
+        "train pendulum-2.json --arm iiwa14 --actuator actuator.json --out policy-2.json",
+        "evaluate policy-2.json --out evaluation-2.json",
+        "deploy policy-2.json --out run-2.mcap",
+        "log explain run-2.mcap",
+        "log show run-2.mcap",
+    ]
 
 
 def test_an_excitation_becomes_an_actuator(equipoise, tmp_path):

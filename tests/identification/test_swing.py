@@ -267,6 +267,26 @@ def test_a_hand_that_stops_the_swing_is_left_out_and_mentioned():
     assert pendulum.w2.value == pytest.approx(70.2, rel=1e-3)
 
 
+@pytest.mark.parametrize("gap", [0.0, 0.6])
+@pytest.mark.parametrize("lasts", [0.3, 0.5])
+def test_several_swings_in_one_recording_are_told_apart(gap, lasts):
+    # The pendulum is lifted again within about half a period; or the recorder paused meanwhile.
+    time, theta = [], []
+    for amplitude, periods in ((0.9, 8.25), (1.0, 5.5), (0.7, 6.1)):
+        swing = simulated(theta0=amplitude, duration=periods * PERIOD, seed=len(theta))
+        if theta and not gap:
+            s = np.arange(STEP, lasts * PERIOD, STEP) / (lasts * PERIOD)
+            theta.append(theta[-1][-1] + (amplitude - theta[-1][-1]) * s**2 * (3.0 - 2.0 * s))
+            time.append(time[-1][-1] + STEP * np.arange(1, len(s) + 1))
+        begin = time[-1][-1] + STEP + gap * lasts * PERIOD if time else 0.0
+        time.append(begin + swing.time)
+        theta.append(swing.theta)
+    recorded = Trajectory(time=np.concatenate(time), theta=np.concatenate(theta))
+    pendulum = identify(recorded)
+    assert pendulum.w2.value == pytest.approx(70.2, rel=5e-3)
+    assert pendulum.fit.window[1] <= time[0][-1]  # the longest
+
+
 # What comes with the numbers.
 
 

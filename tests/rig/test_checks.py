@@ -1,5 +1,6 @@
 """Checks before a run, and their measurements of devices and clocks in virtual time."""
 
+from ast import literal_eval
 from math import inf
 from types import SimpleNamespace
 
@@ -85,6 +86,16 @@ def later(change):
 )
 def test_verdicts(findings, name, verdict):
     assert status(findings, name) == verdict
+
+
+def test_a_home_copied_from_the_message_is_accepted():
+    home = (90.0, 30.123456789, 0.0, -70.0, 1e-7, 100.456789, 0.0)
+    at_home = RigSettings(home_deg=home).described_arm
+    other = POLICY.model_copy(update={"arm": at_home})
+    found = checks.check_fit(other, ACTUATOR, RIG)[0].found
+    copied = literal_eval(found.partition("is for ")[2])
+    assert checks.check_fit(other, ACTUATOR, RigSettings(home_deg=copied))[0].status == "good"
+    assert "home" not in fit(arm="iiwa14")[0].found  # which is the same
 
 
 def test_a_joint_near_its_limit_is_named():

@@ -3,7 +3,9 @@
 One program for a simulated run, an emulated rig and a real rig.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,11 +13,12 @@ from pydantic import Field
 
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output, signals
-from equipoise.cli.verb import Options, verb
+from equipoise.cli.verb import Options, command, verb
 from equipoise.errors import InputError
 from equipoise.user_code import guest_code
 
 if TYPE_CHECKING:
+    from equipoise.rig.config import RigSettings
     from equipoise.rig.request import RunRequest
 
 
@@ -70,9 +73,10 @@ def deploy(
     if not on_a_rig and on_rig != OnRig():
         raise InputError("--dry-run, --t1 and --identify need --robot")
     identified = ("-actuator.json",) if on_rig.identify else ()
-    out = files.file("run.mcap", policy, task.pendulum, rig.rig, suffix=".mcap", beside=identified)
+    read = policy, task.pendulum, rig.rig
+    place = partial(files.file, "run.mcap", *read, suffix=".mcap", beside=identified)
     if on_a_rig:
-        _run_on_rig(output, _request(output, policy, run, task, rig, on_rig), out)
+        _run_on_rig(output, policy, run, task, rig, on_rig, place)
         return
 
     from equipoise.outcomes import Outcome
@@ -81,11 +85,11 @@ def deploy(
     common: Any = {"world": run.world, "seed": run.seed}
     if run.excite:
         arm = opt.read_arm(task.arm or "iiwa7")
-        length, made = run.duration or 10.0, dict[str, str]()
+        length, made, out = run.duration or 10.0, dict[str, str](), place()
         with output.busy("moving the arm"):
             log = simulate.excite(arm, pendulum=task.pendulum, duration=length, **common)
     else:
-        chosen = task.read(policy)
+        chosen, out = task.read(policy), place()
         output.warn(opt.shortfall(chosen))
         with output.busy("running"):
             log = simulate.simulate_run(
@@ -93,13 +97,16 @@ def deploy(
             )
         made = {"policy": log.conditions.policy}
     log.save(out, command="deploy", inputs=made)
+    then = command("log explain", out)
+    if run.excite:
+        then = command("identify", out, makes="actuator.json")
     output.result(
         world=log.conditions.world,
         outcome=log.outcome,
         lasted_s=log.lasted,
         run=out,
         code=0 if run.excite else int(log.outcome != Outcome.LASTED),
-        then="identify RUN" if run.excite else "log explain RUN",
+        then=then,
     )
 
 
@@ -114,18 +121,18 @@ def _request(
     from equipoise.control.bound_policy import BoundPolicy
     from equipoise.identification.actuator import identify_actuator
     from equipoise.model.actuator import read_actuator
-    from equipoise.rig.config import read_rig, world_of
+    from equipoise.rig.config import world_of
     from equipoise.rig.request import RunRequest
 
     if run.world != Run().world:
         raise InputError("--world is for a simulated run; leave it out, or leave out the rig")
-    described = read_rig(rig.rig)
+    described = _described(rig, task)
     robot = rig.robot or described.robot
     if robot is None:
         raise InputError("the rig names no robot; give --robot")
     encoder = rig.encoder if world_of(robot) else rig.encoder or described.encoder
     chosen = task.read(policy)
-    if task.arm is None and isinstance(chosen, BoundPolicy):
+    if isinstance(chosen, BoundPolicy):
         chosen = replace(chosen, arm=described.described_arm)
     output.warn(opt.shortfall(chosen))
     given = task.actuator
@@ -145,21 +152,46 @@ def _request(
     )
 
 
-def _run_on_rig(output: Output, request: "RunRequest", out: Path) -> None:
+def _described(rig: opt.Rig, task: opt.Task) -> "RigSettings":
+    """Return the description of the rig, with the arm of `--arm`."""
+    from equipoise.rig.config import RigSettings, read_rig
+
+    described, arm = read_rig(rig.rig), {"arm": task.arm}
+    if task.arm is None:
+        return described
+    if Path(task.arm).suffix.lower() == ".toml":
+        fields = ("arm", "held", "tip", "acceleration_deg", "home_deg", "pivot_mm")
+        arm = read_rig(Path(task.arm)).model_dump(include=set(fields))
+    return RigSettings.model_validate({**dict(described), **arm})
+
+
+def _run_on_rig(
+    output: Output,
+    policy: Path | None,
+    run: Run,
+    task: opt.Task,
+    rig: opt.Rig,
+    on_rig: OnRig,
+    place: Callable[[], Path],
+) -> None:
     """Run on an emulated or a real rig, write the log, and print the result."""
     from equipoise.cli.terminal_operator import TerminalOperator, single_keys
+    from equipoise.model.pendulum import shipped_pendulum
+    from equipoise.outcomes import Outcome
     from equipoise.rig.checks import check_fit, require
     from equipoise.rig.config import world_of
     from equipoise.rig.connection import connect
     from equipoise.rig.processes import run_in_processes
     from equipoise.rig.run import run_virtually
 
+    request = _request(output, policy, run, task, rig, on_rig)
+    out = place()
     require(check_fit(request.policy, request.actuator, request.settings))
     with guest_code(f"the driver of {request.robot}"):
-        rig = connect(request)  # checks the addresses; nothing is opened before the run
+        devices = connect(request)  # checks the addresses; nothing is opened before the run
     if world_of(request.robot):
         with signals() as stopped, guest_code(f"the driver of {request.robot}"):
-            end = run_virtually(request, out, TerminalOperator(output, stopped), rig=rig)
+            end = run_virtually(request, out, TerminalOperator(output, stopped), rig=devices)
     else:
         with single_keys():
             operator = TerminalOperator(output)
@@ -168,6 +200,20 @@ def _run_on_rig(output: Output, request: "RunRequest", out: Path) -> None:
     if end.identified is not None:
         actuator = out.with_name(out.stem + "-actuator.json")
         end.identified.save(actuator, command="deploy", inputs={})
+    then = command("log explain", out)
+    if end.outcome is Outcome.DRY_RUN:
+        moving = on_rig.model_copy(update={"dry_run": False})
+        then = command("deploy", policy, run, rig, moving, task, makes=out)
+    elif end.outcome is Outcome.UNIDENTIFIED and actuator is not None:
+        pendulum = opt.file_of(request.policy.pendulum.digest, shipped_pendulum())
+        arm = task.arm or rig.rig or opt.name_of(request.policy.arm)
+        then = command(
+            "train",
+            task.pendulum or pendulum,
+            arm=arm,
+            actuator=actuator,
+            makes="policy.json",
+        )
     names = ("outcome", "reason", "stoppable", "zero", "missed")
     output.result(
         world=request.robot,
@@ -177,5 +223,5 @@ def _run_on_rig(output: Output, request: "RunRequest", out: Path) -> None:
         actuator=actuator,
         run=out,
         code=end.exit_code,
-        then="log explain RUN",
+        then=then,
     )

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output
-from equipoise.cli.verb import Options, verb
+from equipoise.cli.verb import Options, command, verb
 from equipoise.errors import InputError
 
 
@@ -49,4 +49,5 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
         },
         restart=robot and restart_instruction(robot),
         code=int(not fit),
+        then=command("deploy", rig, dry_run=True, makes="run.mcap") if fit and robot else "",
     )

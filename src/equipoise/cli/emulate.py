@@ -8,7 +8,7 @@ from pathlib import Path
 
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output, signals
-from equipoise.cli.verb import Options, verb
+from equipoise.cli.verb import Options, command, verb
 
 
 class Emulated(Options):
@@ -64,7 +64,12 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
         # The emulated cabinet takes the first core: the loop of the run stays on the last one.
         realtime.prepare(core=0)
         address = f"kst://{host}:{number}"
-        then = f"deploy --robot {address} --encoder {encoder}"
+        # The shipped table is for the defaults.
+        yours = None if emulated.arm == "iiwa7" and emulated.pendulum is None else "POLICY"
+        task = {"arm": None if emulated.arm == "iiwa7" else emulated.arm}
+        task |= {"pendulum": emulated.pendulum}
+        links = {"robot": address, "encoder": encoder}
+        then = command("deploy", yours, **links, **task, makes="run.mcap")
         output.result(robot=address, encoder=encoder, actions=sorted(emulation.acts), then=then)
         output.stream.flush()
 

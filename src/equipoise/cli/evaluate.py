@@ -7,7 +7,7 @@ from pydantic import Field
 
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output
-from equipoise.cli.verb import Options, verb
+from equipoise.cli.verb import Options, command, verb
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
@@ -54,13 +54,12 @@ def evaluate(
     if trials.claim is not None:
         certify(output, policy, trials.claim, trials, task, random, files)
         return
-    out = files.file("evaluation.json", policy, task.pendulum)
-
     from equipoise.control.bound_policy import BUILT_IN
     from equipoise.executors import counted
     from equipoise.worlds.evaluation import evaluate
 
     chosen = task.read(policy)
+    out = files.file("evaluation.json", policy, task.pendulum)
     settings, given = chosen.settings, {"trials": trials.trials, "duration": trials.duration}
     changes = {name: value for name, value in given.items() if value is not None}
     changed = settings.evaluation.model_validate({**dict(settings.evaluation), **changes})
@@ -89,8 +88,13 @@ def evaluate(
         baselines={each.name: trial_fields(each) for each in evaluation.baselines},
         evaluation=out,
         code=int(fields["median_s"] < evaluation.duration),
-        then="deploy POLICY",
+        then=_deploy(policy, trials, task),
     )
+
+
+def _deploy(policy: Path | None, trials: Trials, task: opt.Task) -> str:
+    world = trials.world if trials.world.startswith("twin:") else None
+    return command("deploy", policy, task, world=world, makes="run.mcap")
 
 
 def trial_fields(results: "TrialResults") -> dict[str, Any]:
@@ -112,12 +116,12 @@ def certify(
     """Grant or refuse a claim about a policy, and write the certificate."""
     if random.seed or task.actuator is not None:
         raise InputError("a claim fixes seed and actuator; leave out --seed and --actuator")
-    out = files.file("certificate.json", policy, task.pendulum)
-
     from equipoise.executors import counted
     from equipoise.worlds import certification
 
-    chosen, length = task.read(policy), 60.0 if trials.duration is None else trials.duration
+    chosen = task.read(policy)
+    out = files.file("certificate.json", policy, task.pendulum)
+    length = 60.0 if trials.duration is None else trials.duration
     claim = certification.make_claim(
         probability, duration=length, world=trials.world, trials=trials.trials
     )
@@ -135,4 +139,5 @@ def certify(
         outcomes=trial_fields(certificate.evaluation.results)["outcomes"],
         certificate=out,
         code=int(not certificate.granted),
+        then=_deploy(policy, trials, task),
     )

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output
-from equipoise.cli.verb import Options, verb
+from equipoise.cli.verb import Options, command, verb
 from equipoise.errors import InputError
 
 
@@ -59,13 +59,11 @@ def identify(
     if recording.suffix.lower() == ".mcap":
         _identify_actuator(output, recording, files)
         return
-    out = files.file("pendulum.json", recording, beside=(".svg", ".png"))
-
     from equipoise.apps.report.figures import free_swing
     from equipoise.apps.style import save
     from equipoise.artefacts import Estimate
     from equipoise.identification.recording import read_swing
-    from equipoise.identification.swing import identify
+    from equipoise.identification.swing import identify, richer_friction
 
     settings = changes.resolve(**{"identification.friction": model.friction})
     mass = length = None
@@ -75,35 +73,40 @@ def identify(
     elif model.mass is not None or model.length is not None:
         raise InputError("I and b need both --mass and --length; give the other one too")
     recorded = read_swing(recording, **dict(swing))
+    out = files.file("pendulum.json", recording, beside=(".svg", ".png"))
     with output.busy(f"fitting {len(recorded.time):,} samples"):
         pendulum = identify(recorded, settings.identification, mass, length)
         pendulum.save(out, command="identify", inputs={"recording": recorded.sha256})
         drawn = save(free_swing(recorded, pendulum), out.with_suffix(""))
+    then = command("train", out, makes="policy.json")
+    if richer := pendulum.fit and richer_friction(pendulum.fit):
+        then = command("identify", recording, swing, model, changes, makes=out, friction=richer)
     output.result(
         pendulum,
         pendulum.fit,
         period_s=pendulum.period,
         pendulum=out,
         figures=drawn,
-        then="train PENDULUM",
+        then=then,
     )
 
 
 def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:
-    out = files.file("actuator.json", log)
-
     from equipoise.identification.actuator import identify_run
     from equipoise.logs.run_log import load_run
+    from equipoise.model.pendulum import shipped_pendulum
 
     run = load_run(log)
+    out = files.file("actuator.json", log)
     with output.busy(f"fitting {len(run.replies.time):,} measured postures"):
         actuator = identify_run(run)
     actuator.save(out, command="identify", inputs={"run": run.digest})
-    fit = actuator.fit
+    fit, pendulum = actuator.fit, opt.file_of(run.conditions.pendulum_digest, shipped_pendulum())
+    arm = opt.name_of(run.conditions.arm)
     output.result(
         actuator,
         fit,
         warnings=[run.damage, *(fit.warnings if fit else ())],
         actuator=out,
-        then="train PENDULUM --actuator ACTUATOR",
+        then=command("train", pendulum, arm=arm, actuator=out, makes="policy.json"),
     )

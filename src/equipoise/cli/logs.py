@@ -4,7 +4,7 @@ from pathlib import Path
 
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output
-from equipoise.cli.verb import Options, verb
+from equipoise.cli.verb import Options, command, verb
 from equipoise.errors import InputError
 
 
@@ -16,11 +16,14 @@ def explain(output: Output, run: Path) -> None:
     and gives advice. A truncated log is read as far as it is readable.
     """
     from equipoise.logs.run_log import RunLog
-    from equipoise.outcomes import describe
+    from equipoise.outcomes import Outcome, describe
     from equipoise.rig.explanation import explain as why
 
     read = RunLog.load(run, damaged=True)
     causes, end = why(read), read.ending
+    then = command("log show", run)
+    if end.outcome is Outcome.EXCITED:
+        then = command("identify", run, makes="actuator.json")
     output.result(
         warnings=[read.damage],
         outcome=end.outcome,
@@ -34,7 +37,7 @@ def explain(output: Output, run: Path) -> None:
             str(one.cause): {"score": one.score, "time_s": one.time, "evidence": one.evidence}
             for one in causes
         },
-        then="log show RUN",
+        then=then,
     )
 
 
@@ -65,14 +68,14 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
     video, folder = film.video, None
     if video is None and (film.from_ is not None or film.to is not None):
         raise InputError("--from and --to choose the part of a film; give --video FILE as well")
+    if video is not None:
+        check_format(video.suffix.lower())
+    log = RunLog.load(run, damaged=True)
     if files.out is not None or video is None:
         folder = files.folder(run.with_name(f"{run.stem}-csv"))
     if video is not None:
         suffix = video.suffix.lower()
-        check_format(suffix)
         opt.Files(out=video, force=files.force).file("", run, suffix=suffix)
-    log = RunLog.load(run, damaged=True)
-    if video is not None:
         with output.busy("drawing the film"):
             write_film(log, video, film.from_, film.to)
     output.result(
@@ -80,5 +83,5 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
         tables=None if folder is None else export(log, folder),
         video=video,
         warnings=[log.damage],
-        then="log explain RUN",
+        then=command("log explain", run),
     )

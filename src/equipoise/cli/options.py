@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +12,7 @@ from equipoise.cli.verb import Options
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
+    from equipoise.artefacts import Artefact
     from equipoise.control.policy import TaskPolicy
     from equipoise.model.arms.arm import Arm
     from equipoise.settings import Settings
@@ -174,6 +176,30 @@ def read_arm(name: str) -> "Arm":
 
     toml = Path(name).suffix.lower() == ".toml"
     return read_rig(Path(name)).described_arm if toml else resolve_arm(name)
+
+
+def file_of(digest: str, shipped: "Artefact") -> Path | None:
+    """Return the file in this folder of the pendulum or actuator with a digest.
+
+    Returns:
+        None for the shipped one; its kind in capitals if no file has it.
+    """
+    if digest == shipped.digest:
+        return None
+    name = type(shipped).__name__
+    for path in sorted(Path().glob(f"*{name.lower()}*.json")):
+        with suppress(InputError):
+            if shipped.load(path).digest == digest:
+                return path
+    return Path(name.upper())
+
+
+def name_of(arm: "Arm") -> str | None:
+    """Return the registered name of an arm: None for the default, ARM for one without a name."""
+    with suppress(InputError):
+        if read_arm(arm.name) == arm:
+            return None if arm.name == "iiwa7" else arm.name
+    return "ARM"
 
 
 def shortfall(policy: "TaskPolicy") -> str:

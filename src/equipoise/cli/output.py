@@ -100,7 +100,8 @@ class Output:
             self.warn(*(shown.pop("warnings", None) or ()))
             self._words.print(*_tables(shown), sep="\n")
             if then:
-                self._words.print(Text.assemble(("next: ", "dim"), f"equipoise {then}"))
+                line = Text.assemble(("next: ", "dim"), f"equipoise {then}")
+                self._words.print(line, soft_wrap=True)
         if code:
             raise typer.Exit(code)
 

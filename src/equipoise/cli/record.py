@@ -8,7 +8,7 @@ from pydantic import Field
 
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output
-from equipoise.cli.verb import Options, verb
+from equipoise.cli.verb import Options, command, verb
 from equipoise.user_code import guest_code
 
 
@@ -57,5 +57,5 @@ def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
         rejected=sensor.rejected,
         counts_per_rev=sensor.counts_per_rev,
         recording=out,
-        then="identify RECORDING",
+        then=command("identify", out, makes="pendulum.json"),
     )

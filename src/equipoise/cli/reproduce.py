@@ -5,7 +5,7 @@ from pathlib import Path
 from equipoise.cli import options as opt
 from equipoise.cli.evaluate import trial_fields
 from equipoise.cli.output import Output
-from equipoise.cli.verb import Options, verb
+from equipoise.cli.verb import Options, command, verb
 
 
 class Extent(Options):
@@ -36,17 +36,19 @@ def reproduce(
     every file to a folder (equipoise-report), with a self-contained report in
     HTML.
     """
-    out = files.folder(Path("equipoise-report"))
-
     from equipoise.apps.report.page import build
     from equipoise.identification.recording import read_swing
     from equipoise.reproduction.pipeline import reproduce
+    from equipoise.reproduction.results import POLICY
 
-    swing, counts = extent.swing, extent.counts_per_rev
+    recorded = None
+    if extent.swing is not None:
+        recorded = read_swing(extent.swing, counts_per_rev=extent.counts_per_rev)
+    out = files.folder(Path("equipoise-report"))
     with output.progress() as show:
         found = reproduce(
             out,
-            swing=None if swing is None else read_swing(swing, counts_per_rev=counts),
+            swing=recorded,
             arm=opt.read_arm(extent.arm),
             settings=changes.resolve(),
             seed=random.seed,
@@ -62,5 +64,5 @@ def reproduce(
         report=page,
         warnings=[found.policy.shortfall],
         code=int(trials["median_s"] < found.evaluation.duration),
-        then="evaluate POLICY --trials 1000",
+        then=command("evaluate", out / POLICY, trials=1000, makes="evaluation.json"),
     )

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output
-from equipoise.cli.verb import Options, verb
+from equipoise.cli.verb import Options, command, verb
 
 
 class Plant(Options):
@@ -58,8 +58,6 @@ def train(
     Several --actuator make one policy for an arm whose model is uncertain:
     episodes take turns behind them, and each has to meet the target.
     """
-    out = files.file("policy.json", pendulum, changes.settings)
-
     from equipoise.learning.target import TARGET, train_to_target
     from equipoise.learning.train import check_task
     from equipoise.model.pendulum import read_pendulum
@@ -67,6 +65,7 @@ def train(
     named = {f"learning.{n}": getattr(learning, n) for n in ("learner", "reward", "episodes")}
     settings = changes.resolve(**named)
     source, arm, given = read_pendulum(pendulum), opt.read_arm(plant.arm), plant.actuator
+    out = files.file("policy.json", pendulum, changes.settings)
     target = learning.target
     if target is None:
         target = TARGET if settings.selection.every else 0.0
@@ -96,5 +95,5 @@ def train(
         policy=out,
         warnings=[best.shortfall],
         code=int(bool(best.shortfall)),
-        then="evaluate POLICY",
+        then=command("evaluate", out, makes="evaluation.json"),
     )

@@ -6,8 +6,10 @@ title above it. `verb` makes the flat signature that typer reads, adds `--json`,
 interruption with its exit code.
 """
 
+import shlex
 from collections.abc import Callable
 from inspect import Parameter, Signature, getdoc, signature
+from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import typer
@@ -15,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 from rich.markup import escape
 
+from equipoise.artefacts import StrPath
 from equipoise.cli.output import Output, complain
 from equipoise.errors import INTERRUPTED, InputError
 
@@ -63,6 +66,34 @@ def verb(function: Callable[..., None]) -> Callable[..., None]:
     run.__name__, run.__doc__, run.__annotations__ = function.__name__, function.__doc__, {}
     run.__signature__ = Signature(flat)  # pyright: ignore[reportFunctionMemberAccess]  # for typer
     return run
+
+
+def command(verb: str, *arguments: object, makes: StrPath = "", **options: object) -> str:
+    """Return the next command to try, as typed after `equipoise`.
+
+    Args:
+        verb: The verb.
+        arguments: Arguments, without those that are None; of a group of options, those that differ
+            from the defaults.
+        makes: File that the command makes by default; a number is added where the name is taken.
+        options: Further options by their fields; None is left out.
+    """
+    words, given = verb.split(), dict[str, object]()
+    for each in arguments:
+        if isinstance(each, Options):
+            given |= each.model_dump(exclude_defaults=True)
+        elif each is not None:
+            words.append(str(each))
+    free, number = Path(makes), 1
+    while makes and free.exists():
+        number += 1
+        free = Path(makes).with_stem(f"{Path(makes).stem}-{number}")
+    given |= options | ({"out": free} if number > 1 else {})
+    for field, value in given.items():
+        for one in value if isinstance(value, list) else [value]:
+            if one is not None:
+                words += [_name(field)] if one is True else [_name(field), str(one)]
+    return shlex.join(words)
 
 
 def _name(field: str) -> str:

@@ -2,8 +2,9 @@
 
 A free pendulum turns at regular times, and its swings shrink. The fit takes the longest such
 stretch, from turning point to turning point: a hand that holds, lifts or stops the pendulum turns
-it at other times, and one that pushes it makes the swings grow. At a turning point the initial
-state is known: an angle turns at rest, and a rate in the lowest position.
+it at other times, and one that pushes it makes the swings grow. Of several swings in one recording
+the longest is taken. At a turning point the initial state is known: an angle turns at rest, and a
+rate in the lowest position.
 """
 
 from math import pi
@@ -70,7 +71,8 @@ def find_free_swing(trajectory: Trajectory) -> FreeSwing:
         raise refusal("shows no oscillation")
     half = float(np.median(np.diff(time[turns])))
     spacing = np.diff(time[turns]) / half
-    edges = np.flatnonzero(np.concatenate(([True], (spacing < 0.6) | (spacing > 1.6), [True])))
+    broken = (spacing < 0.6) | (spacing > 1.6) | _lifted_again(time, values, turns, spacing, half)
+    edges = np.flatnonzero(np.concatenate(([True], broken, [True])))
     longest = int(np.argmax(np.diff(edges)))
     turns = turns[edges[longest] : edges[longest + 1]]
     swings = np.abs(np.diff(values[turns]))
@@ -108,6 +110,23 @@ def find_free_swing(trajectory: Trajectory) -> FreeSwing:
         release=None if trajectory.released else begin,
         touched=end if cut_short else None,
     )
+
+
+def _lifted_again(
+    time: Array, values: Array, turns: npt.NDArray[np.intp], spacing: Array, half: float
+) -> npt.NDArray[np.bool_]:
+    """Return the swings between two turns that are a hand's, after the pendulum has swung freely.
+
+    Swings and half periods of a free pendulum only shrink. Where a half period grows, missing
+    samples make the times of the turns uncertain, and noise those of small swings.
+    """
+    swings, uncertain = np.abs(np.diff(values[turns])), (time[turns + 1] - time[turns - 1]) / half
+    large = np.max(swings)
+    farther = np.diff(swings) > 0.1 * large
+    slower = np.diff(spacing) > 0.2 + 0.5 * np.convolve(uncertain, np.ones(3), mode="same")[1:-1]
+    shrunk = swings[:-1] < np.maximum.accumulate(swings)[:-1] - 0.1 * large
+    driven = shrunk & (farther | (slower & (swings[:-1] > 0.4 * large)))
+    return np.append(driven, False) | np.append(False, driven)
 
 
 def _turning_points(trajectory: Trajectory, spread: float) -> npt.NDArray[np.intp]:

@@ -14,7 +14,7 @@ recording holds theta plus a zero offset, or theta_dot of a gyro plus a bias.
 4. Warn if the model does not explain the recording, with a remedy.
 """
 
-from math import pi, sqrt
+from math import pi
 from typing import Final
 
 import numpy as np
@@ -28,12 +28,12 @@ from equipoise.identification.least_squares import half_width
 from equipoise.identification.recording import Trajectory, read_swing
 from equipoise.identification.release import find_free_swing
 from equipoise.model.pendulum import Pendulum, SwingFit
-from equipoise.settings import IdentificationSettings
+from equipoise.settings import Friction, IdentificationSettings
 
 MODELS: Final = list(fitting.FRICTIONS)
 """Friction models, from the paper's to the richest."""
 WARNING_MISFIT: Final = 0.005
-"""Misfit above which a warning is given, as a share of the amplitude: a well-modelled pivot
+"""Share of the amplitude left unexplained above which a warning is given: a well-modelled pivot
 leaves 0.1 to 0.4 %."""
 
 
@@ -70,7 +70,7 @@ def identify(
     left = recording.misfit(fit.unknowns, trajectory.resolution) / float(np.std(values))
     if left > fitting.MAX_UNEXPLAINED:
         raise RecordingError(
-            f"{trajectory.source} is not a free swing with {settings.friction} friction: the "
+            f"{trajectory.source} is not one free swing with {settings.friction} friction: the "
             f"pendulum's equation leaves {left:.0%} of the motion from {time[0]:.2f} s to "
             f"{time[-1]:.2f} s unexplained, expected less than {fitting.MAX_UNEXPLAINED:.0%}; "
             f"choose a free swing with --start and --end, or try --friction {MODELS[-1]}"
@@ -118,6 +118,12 @@ def identify(
     return _weighed(pendulum, mass, length, blocks) if mass and length else pendulum
 
 
+def richer_friction(fit: SwingFit) -> Friction | None:
+    """Return the friction model to try after a poor fit; None after a good one, or the richest."""
+    richer = MODELS[MODELS.index(fit.settings.friction) + 1 :]
+    return richer[0] if richer and fit.unexplained > WARNING_MISFIT else None
+
+
 def _weighed(pendulum: Pendulum, mass: Estimate, length: Estimate, blocks: int) -> Pendulum:
     """Return a pendulum with I = m g l / w2 and b = c I, with errors to first order."""
     w2, c = pendulum.w2.value, pendulum.c.value
@@ -143,14 +149,13 @@ def _warnings(
             f"something touched the pendulum at about {touched:.2f} s, or samples are missing: the "
             "recording is used up to there; choose another window with --start and --end"
         )
-    amplitude = float(np.max(np.abs(recording.values - swing_fit.offset)))
-    unexplained = sqrt(max(swing_fit.rms**2 - swing_fit.noise**2, 0.0)) / amplitude
-    if unexplained > WARNING_MISFIT:
+    if swing_fit.unexplained > WARNING_MISFIT:
+        richer = richer_friction(swing_fit)
         warnings.append(
-            f"{friction} friction leaves {unexplained:.1%} of the amplitude unexplained, and its "
-            "numbers hold only near the amplitudes of this window; try a richer --friction "
-            f"({', '.join(MODELS)}), look for play, vibration or a moving pivot, or choose another "
-            "window"
+            f"{friction} friction leaves {swing_fit.unexplained:.1%} of the amplitude unexplained, "
+            "and its numbers hold only near the amplitudes of this window; "
+            f"{f'try --friction {richer}, ' if richer else ''}look for play, vibration or a moving "
+            "pivot, or choose another window"
         )
     names = {C: "viscous", COULOMB: "Coulomb", DRAG: "quadratic"}
     warnings += [
@@ -164,7 +169,9 @@ def _warnings(
         )
     # On one rig w2 was 1.4 % higher at 3.6 deg than at 56 deg, and differed by 0.2 % from there to
     # 149 deg.
-    largest = np.rad2deg(amplitude / (2.0 * pi / recording.period if recording.is_rate else 1.0))
+    largest = np.rad2deg(
+        swing_fit.amplitude / (2.0 * pi / recording.period if recording.is_rate else 1.0)
+    )
     if largest < 10.0:
         warnings.append(
             f"the swing stays within {largest:.2g} deg, where play and dry friction count most: "

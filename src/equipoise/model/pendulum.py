@@ -239,6 +239,16 @@ class SwingFit(Value):
         """Root mean square of recording minus fit [deg], or [deg/s] for a rate."""
         return float(np.rad2deg(self.rms))
 
+    @property
+    def amplitude(self) -> float:
+        """Value at the first turning point, where the window begins [rad], or rate [rad/s]."""
+        return abs(self.theta if self.quantity == "angle" else self.theta_dot)
+
+    @property
+    def unexplained(self) -> float:
+        """Residual that noise does not explain, as a share of the amplitude [-]."""
+        return float(np.sqrt(max(self.rms**2 - self.noise**2, 0.0)) / self.amplitude)
+
 
 class Pendulum(Artefact):
     """Pendulum that was identified from a free swing, with its uncertainty."""

@@ -175,14 +175,22 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> list[
         rig: Contents of `rig.toml`.
     """
     arm, trained, plant = rig.described_arm, policy.arm, policy.settings.plant
-    same = trained.digest == arm.digest and np.allclose(arm.home, trained.home, atol=1e-6)
+    found, same = f"{arm.name}, the policy is for {trained.name}", trained.digest == arm.digest
+    if not same:
+        found += ", whose joints differ in geometry or limits"
+    elif not np.allclose(arm.home, trained.home, rtol=1e-5, atol=1e-6):  # six digits suffice
+        same, homes = (
+            False,
+            [[float(f"{degrees(q):g}") for q in one.home] for one in (arm, trained)],
+        )
+        found = f"home_deg = {homes[0]}, the policy is for {homes[1]}"
     fits = fitting_actuators(policy, actuator)
     nearest = policy.actuators[fits[0] if fits else 0]
     joint, room = _nearest_limit(arm, arm.home)
     return [
         find(
             "policy and arm",
-            f"{_named(arm)}, the policy is for {_named(trained)}",
+            found,
             "train a policy for this arm and home, or correct rig.toml",
             bad=not same,
         ),
@@ -273,10 +281,6 @@ def _nearest_limit(arm: Arm, q: Sequence[float]) -> tuple[str, float]:
     room = [degrees(min(angle - joint.lower, joint.upper - angle)) for joint, angle in pairs]
     nearest = int(np.argmin(room))
     return arm.joints[nearest].name, room[nearest]
-
-
-def _named(arm: Arm) -> str:
-    return f"{arm.name} at home ({', '.join(f'{degrees(angle):g}' for angle in arm.home)}) deg"
 
 
 def _response(actuator: Actuator) -> str:

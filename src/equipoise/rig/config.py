@@ -26,7 +26,7 @@ from equipoise.model.worlds import PREFIX as TWIN
 from equipoise.safety.rules import POSITION_MARGIN, TORQUE_SHARE
 from equipoise.settings import read_toml
 
-Degrees = Annotated[float, Field(ge=-180.0, le=180.0)]
+Degrees = Annotated[float, Field(ge=-3600.0, le=3600.0)]
 Millimetres = Annotated[float, Field(ge=-1e3, le=1e3)]
 
 

@@ -155,9 +155,7 @@ def run_loop(
     return LoopResult(fault, stoppable, missed)
 
 
-CANNOT_STOP: Final = (
-    "software cannot stop the robot any more, it holds its last target: press the E-stop"
-)
+CANNOT_STOP: Final = "software on this computer cannot stop the robot any more: press the E-stop"
 """Message to the operator when the link to the robot is lost."""
 
 

@@ -59,7 +59,7 @@ class Confirming(RunPhase):
         run = self.run
         run.controller.begin(0.0, 0.0)
         run.q = run.controller.q
-        question = "Is this home, flange down, the track free on both sides? y or n"
+        question = "Is this home, the spindle level, the track free on both sides? y or n"
         run.ask("home", question, ("y", "n"))
 
     def tick(self, now: float) -> Setpoints:
