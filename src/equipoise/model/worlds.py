@@ -220,6 +220,7 @@ def read_world(name: str) -> World:
         >>> world.name, world.settings.transport
         ('twin:harsh', 0.03)
     """
+    name = str(name)
     twins = f"{', '.join(PREFIX + short for short in WORLDS)} or {PREFIX}FILE.toml"
     if name == MODEL:
         raise SettingsError(f"the plant of the training is no digital twin; choose {twins}")
