@@ -5,12 +5,11 @@ python examples/identify_a_swing.py [swing.csv]
 
 import sys
 from math import radians
-from pathlib import Path
 
 import equipoise as eq
 
 if len(sys.argv) > 1:
-    swing = eq.read_swing(Path(sys.argv[1]))
+    swing = eq.read_swing(sys.argv[1])
 else:
     # An encoder of 8192 counts, read 500 times a second; released at 40 degrees.
     truth = eq.PendulumParameters(w2=70.2, k=7.16, c=0.1)
@@ -27,7 +26,7 @@ for name, estimate, unit in (
 ):
     low, high = estimate.interval
     print(f"{name} = {estimate.value:9.5f} {unit:6} (95 %: {low:.5f} to {high:.5f})")
-for warning in pendulum.fit.warnings:
+for warning in pendulum.fit.warnings if pendulum.fit else ():
     print("warning:", warning)
 
-pendulum.save(Path("pendulum.json"), command="examples/identify_a_swing.py")
+pendulum.save("pendulum.json")

@@ -7,6 +7,7 @@ The same from the command line, in the folder of this file:
 equipoise evaluate own_policy:Damped --world twin:nominal
 """
 
+from collections.abc import Iterable
 from math import sqrt
 
 import equipoise as eq
@@ -17,12 +18,12 @@ PENDULUM = eq.shipped_pendulum()
 class Damped:
     """Pulls the flange below the pendulum, and back to the middle of the track."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         p = PENDULUM.parameters()
         self.angle = 2.0 * p.w2 / p.k
         self.rate = 2.0 * sqrt(p.w2) / p.k
 
-    def act(self, observation):
+    def act(self, observation: Iterable[float]) -> float:
         """Return the acceleration of the flange [m/s^2]."""
         x, x_dot, phi, phi_dot = observation  # [m], [m/s], [rad], [rad/s]
         # A lean of phi moves the flange; this target brings it back.
@@ -30,11 +31,10 @@ class Damped:
         return self.angle * (phi - lean) + self.rate * phi_dot
 
 
-def main():
+def main() -> None:
     """Evaluate it on a few trials: Python runs each in about a second."""
-    policy = eq.bind_policy(Damped, pendulum=PENDULUM)
     settings = eq.resolve(overrides=["evaluation.trials=5", "evaluation.duration=10"])
-    evaluation = eq.evaluate(policy, settings, world="twin:nominal")
+    evaluation = eq.evaluate(Damped, settings, world="twin:nominal")
     summary = evaluation.results.summary()
     print(f"{summary.survived} of {summary.trials} trials lasted {evaluation.duration:g} s")
     print("ended by:", summary.outcomes)

@@ -4,12 +4,11 @@ python examples/policy_table.py [policy.json]
 """
 
 import sys
-from pathlib import Path
 
 import equipoise as eq
 from equipoise import paper
 
-policy = eq.TabularPolicy.load(Path(sys.argv[1])) if len(sys.argv) > 1 else eq.shipped_policy()
+policy = eq.TabularPolicy.load(sys.argv[1]) if len(sys.argv) > 1 else eq.shipped_policy()
 
 # The axes of the table: phi, phi_dot, x, x_dot, each from its lowest interval.
 boxes = policy.settings.boxes

@@ -3,11 +3,9 @@
 python examples/train_and_evaluate.py
 """
 
-from pathlib import Path
-
 import equipoise as eq
 
-pendulum = eq.shipped_pendulum()  # or eq.Pendulum.load(Path("pendulum.json"))
+pendulum = eq.shipped_pendulum()  # or the name of a file, "pendulum.json"
 # A short training: without these settings it takes a minute, and the policy is better.
 settings = eq.resolve(
     "robust",
@@ -18,8 +16,7 @@ settings = eq.resolve(
     ],
 )
 
-
-policy = eq.train(pendulum, eq.iiwa(14), settings, seed=1, workers=2)
+policy = eq.train(pendulum, "iiwa14", settings, seed=1, workers=2)
 chosen = policy.checkpoints[0]
 print(
     f"trained {policy.episodes} episodes; the table after {chosen.episodes} is kept, which lasted "
@@ -35,4 +32,4 @@ for results in (evaluation.results, *evaluation.baselines):
         f"(95 %: {low:.3f} to {high:.3f}), median {summary.median:.1f} s, {summary.outcomes}"
     )
 
-policy.save(Path("policy.json"), command="examples/train_and_evaluate.py")
+policy.save("policy.json")

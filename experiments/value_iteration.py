@@ -91,7 +91,7 @@ def solve_table(
         num_envs=loops,
         vectorization_mode="sync",
         vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP},
-        duration=settings.learning.episode_duration,
+        max_episode_steps=round(settings.learning.episode_duration / paper.STEP),
         pendulum=policy.pendulum,
         arm=policy.arm,
         actuator=policy.actuator,

@@ -12,7 +12,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import equipoise.envs  # noqa: F401  (registers the environments)
 from equipoise import worlds
 from equipoise.cli import main
 from equipoise.control.policy import shipped_policy
@@ -86,7 +85,7 @@ def test_the_page_runs_as_it_is_printed(capsys):
 
 
 def test_it_is_a_world_of_environments():
-    env = gym.make("equipoise/Balance-v0", world="own_world:Windy")
+    env = gym.make("equipoise.envs:equipoise/Balance-v0", world="own_world:Windy")
     first = env.reset(seed=3)[0], env.step(np.array([0.5]))[0]
     again = env.reset(seed=3)[0], env.step(np.array([0.5]))[0]
     assert np.array_equal(first, again)

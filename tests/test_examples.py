@@ -7,11 +7,15 @@ from pathlib import Path
 import pytest
 
 from equipoise.control.policy import shipped_policy
+from equipoise.identification.recording import write_swing
 from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
+from equipoise.reproduction.synthetic_swing import synthetic_swing
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
+PIPELINE = "pipeline.py"
 SAY = {
+    PIPELINE: "200 of 200 trials lasted 60 s",
     "identify_a_swing.py": "w2 = m g l / I",
     "train_and_evaluate.py": "LQR, snapped lasted 200 of 200 trials",
     "own_policy.py": "5 of 5 trials lasted 10 s",
@@ -38,9 +42,18 @@ def test_every_example_is_run():
 
 
 @pytest.mark.compiled_only
-@pytest.mark.parametrize("name", SAY)
-def test_an_example_says_what_it_should(example, name):
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.full if name == PIPELINE else ()) for name in SAY]
+)
+def test_an_example_says_what_it_should(example, name, tmp_path):
+    write_swing(tmp_path / "swing.csv", synthetic_swing(seed=3))
     assert SAY[name] in example(name)
+
+
+def test_the_tutorial_shows_the_pipeline_as_it_is():
+    code = (EXAMPLES / PIPELINE).read_text().partition("import")
+    page = (EXAMPLES.parent / "docs" / "tutorial.md").read_text()
+    assert f"# {PIPELINE}\nimport{code[2]}```" in page
 
 
 def test_the_swing_of_the_first_example_gives_its_pendulum_back(example, tmp_path):

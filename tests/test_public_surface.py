@@ -30,7 +30,7 @@ def test_importing_the_package_imports_nothing_that_is_slow():
 def test_every_name_is_there_and_listed():
     for name in equipoise.__all__:
         assert getattr(equipoise, name) is not None
-    assert set(equipoise.__all__) <= set(dir(equipoise))
+    assert dir(equipoise) == sorted(equipoise.__all__)
     assert len(set(equipoise.__all__)) == len(equipoise.__all__)
 
 

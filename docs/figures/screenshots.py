@@ -7,14 +7,22 @@ Needs the extra `test`, and Chromium with its driver (Debian: chromium, chromium
 
 import contextlib
 import io
+import os
+import re
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from PIL import Image
+
+from equipoise.apps.console.scene import PERIOD
+from equipoise.logs.recorder import Recorder
+from equipoise.logs.run_log import RunLog
+from equipoise.logs.shared import RunInfo, open_recorder, share
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parents[1]))
@@ -27,13 +35,10 @@ WIDTH, HEIGHT = 1366, 910
 PLAYGROUND = 1180
 """Height of a window that shows the table of the playground [px]."""
 ADDRESS = r"(http://127\.0\.0\.1:\d+/\?token=\S+)"
-PRESS = """
-const buttons = [...document.querySelectorAll('button')].filter(e => e.checkVisibility());
-buttons.find(e => !e.disabled && /^(Yes|OK)/.test(e.innerText.trim()))?.click();
-"""
-"""Script that answers a question of the run with yes."""
-BALANCED = 9.0
-"""Balancing time before the picture of the console [s]."""
+BALANCED = r"balanced (9|\d\d)\."
+"""State of the console in its picture, as an expression."""
+LAST = 3.0
+"""Age of the oldest rows that a ring takes [s]: those of the lift come at once."""
 
 
 @contextlib.contextmanager
@@ -45,11 +50,14 @@ def page_at(address: str, height: int = HEIGHT) -> Iterator[Any]:
         note = "document.querySelector('.mantine-Notification-closeButton')"
         wait_until(lambda: page.execute_script(f"return {note}"), "note")
         page.execute_script(f"{note}.click()")
+        time.sleep(60.0)  # the scene fades in, slowly on a busy machine
         yield page
 
 
 def save(page: Any, name: str) -> None:
-    """Save what the browser shows."""
+    """Save what the browser shows, its last picture: while it draws, it answers too late."""
+    page.execute_script("window.requestAnimationFrame = () => 0")
+    time.sleep(2.0)
     picture = Image.open(io.BytesIO(page.get_screenshot_as_png())).convert("RGB")
     picture.save(HERE / f"{name}.webp", quality=82, method=6)
 
@@ -57,33 +65,55 @@ def save(page: Any, name: str) -> None:
 def take_playground() -> None:
     """Take the playground in its first scene, after a push."""
     with program("play") as play, page_at(play.find(ADDRESS)[1], PLAYGROUND) as page:
-        time.sleep(4.0)
+        wait_until(lambda: "standing" in "".join(shown(page, "#equipoise-state")), "balance")
         press(page, "push right")
         time.sleep(1.5)
         save(page, "play")
 
 
-def take_console(folder: Path) -> Path:
-    """Take the console of an emulated run; return the log of the run."""
+def make_log(folder: Path) -> Path:
+    """Return the log of a run on an emulated rig, in virtual time."""
     log = folder / "run.mcap"
-    with program("rig", "emulate", "--port", "0", "--seed", "3") as rig:
-        robot, encoder = (rig.find(rf"{name} +(\S+://\S+)")[1] for name in ("robot", "encoder"))
-        words = ("--robot", robot, "--encoder", encoder, "--duration", "20", "--out", str(log))
-        with program("console") as console, program("deploy", *words) as run:
-            with page_at(console.find(ADDRESS)[1]) as page:
-                while "balancing" not in "".join(shown(page, "#equipoise-state")):
-                    if run.process.poll() is not None:
-                        raise SystemExit("\n".join(run.lines))
-                    page.execute_script(PRESS)
-                    for phase, act in (("lifting", "lift"), ("armed", "release")):
-                        if phase in shown(page, "#equipoise-state")[0]:
-                            rig.process.stdin.write(f"{act}\n")
-                            rig.process.stdin.flush()
-                    time.sleep(0.2)
-                time.sleep(BALANCED)
-                save(page, "console")
-            run.process.wait(60.0)
+    words = ("--robot", "twin:nominal", "--duration", "60", "--seed", "3", "--out", str(log))
+    with program("deploy", *words) as run:
+        run.process.wait()
     return log
+
+
+def take_console(log: Path) -> None:
+    """Take the console of a run that plays a log, and so keeps its time on a busy machine."""
+    run, over = RunLog.load(log), threading.Event()
+    arm, phases = run.conditions.arm, run.conditions.phases
+    title = f"policy on {run.conditions.world}"
+    info = RunInfo(title=title, pid=os.getpid(), arm=arm, phases=phases, duration=60.0)
+    with share(info) as folder, program("console") as console:
+        recorder = open_recorder(folder, len(arm.joints))
+        with page_at(console.find(ADDRESS)[1]) as page:
+            player = threading.Thread(target=play, args=(run, recorder, over))
+            player.start()
+            state = lambda: "".join(shown(page, "#equipoise-state"))  # noqa: E731
+            wait_until(lambda: re.search(BALANCED, state()), "balance")
+            save(page, "console")
+            over.set()
+            player.join()
+
+
+def play(run: RunLog, recorder: Recorder, over: threading.Event) -> None:
+    """Write the rows of a log into the rings of a run, in real time from the release."""
+    shift = time.monotonic() - run.release
+    rows = {name: run.tables[name].copy() for name in recorder.rings}
+    for table in rows.values():
+        for column in {"time", "sent", "taken", "received"} & set(table.dtype.names):
+            table[column] += shift
+    while not over.wait(PERIOD):
+        recorder.take()
+        now = time.monotonic()
+        for name, table in rows.items():
+            due = table["time"] <= now
+            for row in table[due & (table["time"] > now - LAST)].tolist():
+                recorder.rings[name].push(*row)
+            rows[name] = table[~due]
+        recorder.pulse["time"], recorder.pulse["ticks"] = now, 1.0
 
 
 def take_replay(log: Path) -> None:
@@ -98,5 +128,7 @@ def take_replay(log: Path) -> None:
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as room:
+        log = make_log(Path(room))
         take_playground()
-        take_replay(take_console(Path(room)))
+        take_console(log)
+        take_replay(log)

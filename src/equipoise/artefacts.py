@@ -148,7 +148,9 @@ class Artefact(Value):
         """SHA-256 of the canonical JSON of the value."""
         return _digest(self.model_dump(mode="json"))
 
-    def save(self, path: StrPath, *, command: str, inputs: Mapping[str, str] | None = None) -> None:
+    def save(
+        self, path: StrPath, *, command: str = "python", inputs: Mapping[str, str] | None = None
+    ) -> None:
         """Write the value to `path` atomically.
 
         Args:

@@ -1,28 +1,32 @@
 """Gymnasium environment of the balancing task, `equipoise/Balance-v0`.
 
-`import equipoise.envs` registers it.
+`gymnasium.make("equipoise.envs:equipoise/Balance-v0")` imports this module, which registers it.
 """
 
 from collections.abc import Callable
-from math import inf, isfinite
+from math import inf, isfinite, nan
 from typing import Any, Final
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
+from gymnasium.utils import EzPickle
+from pydantic import ValidationError
 
 from equipoise import paper
+from equipoise.arguments import checked
+from equipoise.artefacts import Count, Seed, StrPath, Value, first_fault, quoted
 from equipoise.control.controller import Observation
 from equipoise.control.grid import TRUNCATED
 from equipoise.errors import InputError
 from equipoise.film import RigRenderer
 from equipoise.learning import rewards
-from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, read_actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.arms.resolve import read_arm
 from equipoise.model.elementary import Array
-from equipoise.model.pendulum import Pendulum, shipped_pendulum
+from equipoise.model.pendulum import Pendulum, read_pendulum
 from equipoise.model.random import ENVIRONMENT, TEST
 from equipoise.model.worlds import MODEL, World
 from equipoise.outcomes import TRIAL_OUTCOMES
@@ -36,7 +40,14 @@ ID: Final = "equipoise/Balance-v0"
 """Name of the environment for `gymnasium.make`."""
 
 
-class BalanceEnv(gym.Env[Array, Any]):
+class _Options(Value):
+    """Options of `BalanceEnv.reset`."""
+
+    trial: Count
+    seed: Seed | None = None
+
+
+class BalanceEnv(gym.Env[Array, Any], EzPickle):
     r"""Balance an inverted pendulum on the flange of a robot arm.
 
     ## Description
@@ -56,7 +67,8 @@ class BalanceEnv(gym.Env[Array, Any]):
     `Box(-inf, inf, (4,), float64)`: x [m], x_dot [m/s], phi from upright [rad], phi_dot [rad/s].
 
     It is the state at which the action takes effect, predicted past delay and lag.
-    In the world `ideal` the observation is the state itself.
+    In the world `ideal` it is the state itself. In `ideal` and `model` the pose error of CLIK has
+    noise (`plant.position_error_sigma`, `plant.orientation_error_sigma`).
 
     ## Rewards
 
@@ -74,9 +86,10 @@ class BalanceEnv(gym.Env[Array, Any]):
 
     1. Termination: abs(phi) reaches 11 degrees, abs(x) reaches 0.22 m, a command exceeds a limit of
        a joint, or in a world with guards a rule of the rig stops the run.
-    2. Truncation: the episode is `duration` seconds long.
+    2. Truncation: `gymnasium.make` limits an episode to 6000 steps, 60 s, or to its
+       `max_episode_steps`.
 
-    `info` has `time` since the release [s], `outcome` (empty before the end), and
+    `info` has `time` since the release [s], `outcome` (empty without a failure), and
     the true `state`.
 
     ## Arguments
@@ -85,10 +98,11 @@ class BalanceEnv(gym.Env[Array, Any]):
     | --- | --- | --- |
     | `world` | `"model"` | `ideal`, `model`, `twin:NAME`, `twin:FILE`, `MODULE:CLASS`, ... |
     | `discrete` | `False` | whether actions are indices of the paper's accelerations |
-    | `duration` | 60.0 | length of an episode [s] |
     | `reward` | the paper's | see above |
-    | `pendulum`, `arm`, `actuator`, `settings` | those that ship | the task |
+    | `pendulum`, `arm`, `actuator`, `settings` | those that ship | the task; values, names, files |
     | `render_mode` | `None` | `rgb_array`; `gymnasium.wrappers.HumanRendering` opens a window |
+
+    A copy or a pickle is a new environment with the same arguments, before its first `reset`.
 
     ## Version History
 
@@ -97,16 +111,16 @@ class BalanceEnv(gym.Env[Array, Any]):
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 100}  # noqa: RUF012  (the type of Gymnasium)
 
+    @checked
     def __init__(
         self,
         world: str | World = MODEL,
         *,
         discrete: bool = False,
-        duration: float = 60.0,
         reward: Reward = rewards.paper,
-        pendulum: Pendulum | None = None,
-        arm: Arm | None = None,
-        actuator: Actuator | None = None,
+        pendulum: Pendulum | StrPath | None = None,
+        arm: Arm | StrPath | None = None,
+        actuator: Actuator | StrPath | None = None,
         settings: Settings | None = None,
         render_mode: str | None = None,
     ) -> None:
@@ -119,16 +133,26 @@ class BalanceEnv(gym.Env[Array, Any]):
         """
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(f"render_mode is {render_mode!r}; expected 'rgb_array' or None")
+        EzPickle.__init__(
+            self,
+            world,
+            discrete=discrete,
+            reward=reward,
+            pendulum=pendulum,
+            arm=arm,
+            actuator=actuator,
+            settings=settings,
+            render_mode=render_mode,
+        )
+        given = shipped_actuator() if actuator is None else read_actuator(actuator)
         self.task = Setup(
-            pendulum or shipped_pendulum(),
-            arm or iiwa(7),
+            read_pendulum(pendulum),
+            read_arm(arm),
             settings or Settings(),
-            (IDEAL_ACTUATOR if world_class(world).ideal_arm else actuator or shipped_actuator(),),
+            (IDEAL_ACTUATOR if world_class(world).ideal_arm else given,),
             paper.STEP,
         )
         self.reward = reward
-        self.max_steps = round(duration / self.task.h)
-        """Number of steps after which an episode is truncated."""
         self._discrete = discrete
         self.render_mode = render_mode
         self._renderer: RigRenderer | None = None
@@ -136,7 +160,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         self.action_space: gym.Space[Any] = spaces.Box(-paper.U_MAX, paper.U_MAX, (1,), np.float64)
         if discrete:
             self.action_space = spaces.Discrete(len(paper.ACTIONS))
-        self._seed, self._number, self._steps, self._u = -1, 0, 0, 0.0
+        self._seed, self._number, self._u = -1, 0, 0.0
         self._state: Observation | None = None
         self.simulation = simulate(world, self.task, seed=0, stream=ENVIRONMENT)
         self._loop = self.simulation.loop()
@@ -156,29 +180,32 @@ class BalanceEnv(gym.Env[Array, Any]):
             self._number = -1
         self._number += 1
         self._loop.reset(self._trial(options or {}))
-        self._steps, self._u, self._state = 0, 0.0, Observation(*predicted(self._loop).tolist())
+        self._u, self._state = 0.0, Observation(*predicted(self._loop).tolist())
         return predicted(self._loop), self._info("")
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Advance by one tick with the acceleration u [m/s^2].
 
         Raises:
-            InputError: The action is not a finite number, or the environment was not reset.
+            InputError: The action is of another shape or not finite, or no episode is running.
         """
         if self._state is None:
-            raise InputError("the environment has not been reset; call env.reset() first")
-        discrete = self._discrete
-        u = float(paper.ACTIONS[int(action)] if discrete else np.asarray(action, np.float64).item())
+            raise InputError("no episode is running: it has failed or not begun; call env.reset()")
+        try:
+            if self._discrete:
+                u = paper.ACTIONS[int(action)] if self.action_space.contains(action) else nan
+            else:
+                u = float(np.float64(action).item())
+        except (TypeError, ValueError):
+            u = nan
         if not isfinite(u):
-            raise InputError(f"the action is {action!r}; expected an acceleration [m/s^2]")
-        cause = self._loop.step(u)
-        self._steps, self._u = self._steps + 1, u
-        before, self._state = self._state, Observation(*predicted(self._loop).tolist())
-        failed = cause != TRUNCATED
-        truncated = not failed and self._steps >= self.max_steps
-        reward = float(self.reward(before, u, self._state, failed))
-        info = self._info(TRIAL_OUTCOMES[cause] if failed or truncated else "")
-        return predicted(self._loop), reward, failed, truncated, info
+            raise InputError(f"the action is {quoted(action)}; expected one of {self.action_space}")
+        cause, self._u = self._loop.step(u), u
+        failed, after = cause != TRUNCATED, Observation(*predicted(self._loop).tolist())
+        reward = float(self.reward(self._state, u, after, failed))
+        self._state = None if failed else after
+        info = self._info(TRIAL_OUTCOMES[cause] if failed else "")
+        return predicted(self._loop), reward, failed, False, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]  # Gymnasium's type is wider
         """Return a picture of the rig, shape (480, 640, 3); None without a render mode.
@@ -201,13 +228,15 @@ class BalanceEnv(gym.Env[Array, Any]):
 
     def _trial(self, options: dict[str, Any]) -> Trial:
         """Return the conditions of the next episode."""
-        if unknown := set(options) - {"trial", "seed"}:
-            raise InputError(f"options has {sorted(unknown)}; expected 'trial' and 'seed'")
         simulation, number = self.simulation, self._number
         simulation.seed, simulation.stream = self._seed, ENVIRONMENT
-        if "trial" in options:
-            number = int(options["trial"])
-            simulation.seed, simulation.stream = int(options.get("seed", self._seed)), TEST
+        if options:
+            try:
+                asked = _Options.model_validate(options)
+            except ValidationError as error:
+                raise InputError(f"options: {first_fault(error)}") from None
+            number, simulation.stream = asked.trial, TEST
+            simulation.seed = self._seed if asked.seed is None else asked.seed
         return simulation.draw(1, first=number).trial(0)
 
     def _info(self, outcome: str) -> dict[str, Any]:
@@ -218,7 +247,7 @@ class BalanceEnv(gym.Env[Array, Any]):
 def register() -> None:
     """Register the environment with Gymnasium, unless it is registered already."""
     if ID not in gym.registry:
-        gym.register(ID, entry_point="equipoise.envs:BalanceEnv")
+        gym.register(ID, entry_point="equipoise.envs:BalanceEnv", max_episode_steps=6000)
 
 
 register()

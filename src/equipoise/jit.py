@@ -265,13 +265,14 @@ def fma(a: float, b: float, c: float) -> float:
 
 
 def _teach_numba_fma() -> None:
+    from numba.core.typing.templates import signature
     from numba.extending import lower_builtin, type_callable
 
     number = numba.types.float64
 
     @type_callable(fma)
     def type_of_fma(context: Any) -> Any:
-        return lambda a, b, c: number
+        return lambda a, b, c: signature(number, number, number, number)
 
     @lower_builtin(fma, number, number, number)
     def code_of_fma(context: Any, builder: Any, signature: Any, values: Any) -> Any:

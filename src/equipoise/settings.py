@@ -360,7 +360,7 @@ def resolve(
         >>> resolve("paper", overrides=["learning.gamma=0.97"]).learning.gamma
         0.97
     """
-    if recipe not in RECIPES:
+    if str(recipe) not in RECIPES:
         raise SettingsError(f"there is no recipe {recipe!r}; choose one of {', '.join(RECIPES)}")
     # `model_dump` would omit some fields.
     tree: dict[str, dict[str, Any]] = {name: dict(section) for name, section in Settings()}
@@ -374,7 +374,7 @@ def resolve(
     for name, value in differences:
         _put(tree, name, value)
     for override in overrides:
-        name, sign, text = override.partition("=")
+        name, sign, text = str(override).partition("=")
         if not sign:
             raise SettingsError(
                 f"{quoted(override)} is no setting; expected NAME=VALUE, e.g. learning.gamma=0.98"

@@ -2,35 +2,50 @@
 
 A driver's test implements `make`; pytest collects the tests by name::
 
-    from equipoise.testing import RobotConformance
+    from equipoise.testing import RobotConformance, emulated_robot
 
 
     class TestMyRobot(RobotConformance):
         def make(self):
-            return my_robot, its_clock
+            return emulated_robot("acme")
 
 The tests of this package use the same classes. They go through the interfaces alone, so that they
-hold for hardware as well: the first joint moves by 0.02 rad.
+hold for hardware as well: the first joint moves by 0.05 rad, at up to 0.19 rad/s.
 """
 
 from collections.abc import Callable, Iterable
+from contextlib import ExitStack, suppress
 from math import nan, pi
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from equipoise.control.grid import ANGLE, TRUNCATED
 from equipoise.control.minimum_jerk import Path
 from equipoise.errors import EquipoiseError, InputError, LinkError
+from equipoise.model.pendulum import shipped_pendulum
+from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import emulated_rig
 from equipoise.rig.interfaces import SETPOINT_PERIOD, Array, Clock, Reply, Robot
+from equipoise.rig.signals import ended_stalls
 from equipoise.worlds import ClosedLoop, Setup, Simulation, predicted
 
 CLOSE: Final = 2e-3
 """Error of position that a servo with a soft dead band leaves after a second [rad]."""
+STILL: Final = 5e-4
+"""Noise of a measured joint, and motion of an arm at rest, at most [rad]."""
+MAX_AGE: Final = 0.02
+"""Maximum age of measured joints when their setpoint is sent [s]: as long as the round trip after
+which a run no longer uses them."""
+SILENCE: Final = 2.0
+"""Maximum time until a driver reports a silent link [s]."""
 
 
-def expect_error(kind: type[Exception], call: Callable[..., Any], *arguments: Any) -> None:
-    """Fail a test unless a call raises an error of a kind.
+def expect_error(
+    kind: type[Exception], call: Callable[..., Any], *arguments: Any, case: str = ""
+) -> None:
+    """Fail a test unless a call raises an error of a kind; the message has the case.
 
     Raises:
         AssertionError: It returns.
@@ -39,12 +54,52 @@ def expect_error(kind: type[Exception], call: Callable[..., Any], *arguments: An
         call(*arguments)
     except kind:
         return
-    raise AssertionError(f"{call} with {arguments} returned, expected {kind.__name__}")
+    name = getattr(call, "__name__", call)
+    raise AssertionError(f"{name}{arguments} returned, expected a {kind.__name__}{case}")
 
 
 def _near(q: Any, expected: Any, tolerance: float = CLOSE) -> None:
     error = float(np.abs(np.subtract(q, expected)).max())
     assert error <= tolerance, f"{error:.2g} off, expected at most {tolerance:g}"
+
+
+class RobotUnderTest(NamedTuple):
+    """A robot with what its conformance suite needs."""
+
+    robot: Robot
+    """The robot, not connected, its arm at rest."""
+    clock: Clock
+    """Clock of its rig."""
+    plug: Callable[[bool], object]
+    """Pulls the cable of the link (False), or puts it back (True)."""
+    true_joints: Callable[[], Array] | None = None
+    """Returns the joints from another source than the driver [rad], shape (joints,); None without
+    one, as on most hardware."""
+
+
+def emulated_robot(scheme: str) -> RobotUnderTest:
+    """Return a robot in front of its emulator, on the twin `twin:nominal` in virtual time.
+
+    Args:
+        scheme: Scheme of its addresses. Its plugin has to give the emulator's end of the link.
+
+    Raises:
+        InputError: The robot has no emulator, or its plugin is defective.
+    """
+    world = read_world("twin:nominal")
+    pendulum = pendulum_on(shipped_pendulum(), world.settings)
+    rig = emulated_rig(world, RigSettings(), pendulum, robot=scheme)
+    assert rig.emulated is not None
+    assert rig.bench is not None
+    link, bodies = rig.emulated[0].link, rig.bench.twin.kernel.bodies
+    assert link is not None, "the suite pulls the cable of the emulator: give Emulated.link"
+
+    def plug(connected: bool) -> None:
+        link.cut = link.other.cut = not connected
+
+    rig.clock.wait_until(3.0)  # the pendulum has pulled the arm down
+    joints = rig.bench.joints
+    return RobotUnderTest(rig.robot, rig.clock, plug, lambda: bodies.qpos[:joints].copy())
 
 
 class RobotConformance:
@@ -55,40 +110,81 @@ class RobotConformance:
     clock: Clock
     """Clock of its rig."""
 
-    def make(self) -> tuple[Robot, Clock]:
-        """Return a new robot at rest, not connected, and the clock of its rig."""
+    def make(self) -> RobotUnderTest:
+        """Return a new robot at rest, not connected, and the rig around it."""
         raise NotImplementedError
 
-    def begin(self) -> Array:
-        """Connect, start the servo, and return the measured joints [rad], shape (joints,)."""
-        self.robot, self.clock = self.make()
-        self.robot.connect()
-        home = self.robot.measured()
-        self.robot.start()
-        return home
+    def prepare(self) -> Robot:
+        """Make the robot of a test."""
+        self.robot, self.clock, self.plug, self.true_joints = self.make()
+        self.context = ExitStack()
+        self.context.enter_context(ended_stalls(self.clock, self.clock, self.robot))
+        self.context.callback(self.robot.close)
+        return self.robot
 
     def teardown_method(self) -> None:
         """Close the robot, whatever failed."""
-        if hasattr(self, "robot"):
-            self.robot.close()
+        if hasattr(self, "context"):
+            self.context.close()
+
+    def begin(self) -> Array:
+        """Connect, start the servo, and return the measured joints [rad], shape (joints,)."""
+        robot = self.prepare()
+        robot.connect()
+        home = self.measured()
+        robot.start()
+        return home
+
+    def measured(self) -> Array:
+        """Return the measured joints [rad], shape (joints,), if the arm is there."""
+        q = self.robot.measured()
+        assert np.shape(q) == (self.robot.joints,), f"{self.robot.joints} joints, measured {q}"
+        if self.true_joints is not None:
+            _same_joints(q, self.true_joints())
+        return q
 
     def wait(self, seconds: float) -> None:
         """Wait [s]."""
-        self.clock.wait_until(self.clock.now() + seconds)
+        self.timed("a wait", self.clock.wait_until, self.clock.now() + seconds, over=seconds)
+
+    def timed(self, what: str, call: Callable[..., Any], *arguments: Any, over: float = 0.0) -> Any:
+        """Return the result of a call that must not block [s]."""
+        began = self.clock.now()
+        try:
+            return call(*arguments)
+        finally:
+            took = self.clock.now() - began - over
+            assert took < 0.1, f"{what} took {took:.3g} s too long: the driver blocks"
 
     def stream(self, setpoints: Iterable[Any]) -> tuple[list[float], list[Reply]]:
         """Send setpoints [rad], one each period; return their times [s] and their replies."""
-        sent, replies = list[float](), list[Reply]()
+        sent, replies, track = list[float](), list[Reply](), list[tuple[float, Array]]()
+
+        def look(seconds: float) -> None:
+            self.wait(seconds)
+            replies.extend(self.timed("replies", self.robot.replies))
+            if self.true_joints is not None:
+                track.append((self.clock.now(), self.true_joints()))
+
         for q in setpoints:
             sent.append(self.clock.now())
-            self.robot.send(q)
-            self.wait(SETPOINT_PERIOD)
-            replies += self.robot.replies()
+            self.timed("send", self.robot.send, q)
+            look(SETPOINT_PERIOD)
         for _ in range(100):
             if len(replies) < len(sent):
-                self.wait(0.001)
-                replies += self.robot.replies()
-        assert len(replies) == len(sent), "expected one reply to each setpoint"
+                look(0.001)
+        assert len(replies) == len(sent), (
+            f"{len(sent)} setpoints have {len(replies)} replies, expected one each; a robot that "
+            "sets the pace replies with the first request whose time is not before the setpoint's"
+        )
+        for reply in replies:
+            given = [part for part in (reply.q, reply.torque) if part is not None]
+            assert given, "a reply has neither joints nor torques"
+            assert {len(part) for part in given} == {self.robot.joints}
+            assert np.isfinite(given).all(), f"a reply is not finite: {reply}"
+            assert reply.sent <= reply.received, f"a reply is from before its setpoint: {reply}"
+            if reply.q is not None:
+                _measured_on_the_way(reply, track)
         return sent, replies
 
     def follow(self, setpoints: Iterable[Any]) -> Array:
@@ -97,55 +193,55 @@ class RobotConformance:
         return np.array([reply.q for reply in replies if reply.q is not None])
 
     def test_it_is_a_robot_and_its_joints_are_measured_before_the_servo_runs(self) -> None:
-        self.robot, self.clock = self.make()
-        robot = self.robot
+        robot = self.prepare()
         assert isinstance(robot, Robot)
         assert isinstance(self.clock, Clock)
         robot.close()  # without connect it does nothing
         robot.connect()
-        q = robot.measured()
-        assert q.shape == (robot.joints,)
+        q = self.measured()
         self.wait(0.5)
-        _near(robot.measured(), q, 1e-4)
-        expect_error(LinkError, robot.send, q)  # no servo runs
+        _same_joints(self.measured(), q, STILL)
+        expect_error(LinkError, robot.send, q, case=": no servo runs")
         robot.stop()  # without a servo it does nothing
-        _near(robot.measured(), q, 1e-4)
+        _same_joints(self.measured(), q, STILL)
 
     def test_setpoints_are_followed_without_a_way_back(self) -> None:
         home = self.begin()
-        _near(self.follow([home] * 40), home)
+        _same_joints(self.follow([home] * 40)[-1], home)
         path = _path(home)
         q = self.follow(path)
-        _near(q[-1], path[-1])
-        assert np.diff(q[:, 0]).min() > -5e-4, "the joint went back on its way"
+        _same_joints(q[-1], path[-1])
+        assert np.diff(q[:, 0]).min() > -STILL, "the joint went back on its way"
+
+    def test_the_last_setpoint_is_reached_although_no_other_follows(self) -> None:
+        home = self.begin()
+        there = self.follow([home] * 40)[-1] + 5.0 * CLOSE
+        self.robot.send(there)
+        self.wait(1.0)
+        self.robot.stop()
+        _same_joints(self.measured(), there)
 
     def test_each_setpoint_has_its_reply_in_order_with_its_times(self) -> None:
         home = self.begin()
-        assert self.robot.replies() == []
+        assert self.robot.replies() == [], "a reply came without a setpoint"
         sent, replies = self.stream(_path(home))
         self.wait(0.5)
         assert self.robot.replies() == [], "a setpoint has two replies"
-        assert [reply.sent for reply in replies] == sent
+        assert [reply.sent for reply in replies] == sent, "replies are not in order"
         received = [reply.received for reply in replies]
-        assert received == sorted(received)
-        assert received[-1] <= self.clock.now()
+        assert received == sorted(received), "the times of replies decrease"
+        assert received[-1] <= self.clock.now(), "a reply is from the future"
         assert any(reply.torque for reply in replies), "torques never came"
-        for reply in replies:
-            given = [part for part in (reply.q, reply.torque) if part is not None]
-            assert given, "a reply has neither joints nor torques"
-            assert np.isfinite(given).all()
-            assert {len(part) for part in given} == {self.robot.joints}
-            assert reply.sent <= reply.received
 
     def test_stop_leaves_the_arm_where_it_is_and_another_start_holds_it_there(self) -> None:
         there = self.follow(_path(self.begin()))[-1]
         self.robot.stop()
-        _near(self.robot.measured(), there)
+        _same_joints(self.measured(), there)
         self.wait(1.0)
-        _near(self.robot.measured(), there)
+        _same_joints(self.measured(), there)
         self.robot.start()
         self.wait(0.5)
-        _near(self.follow([there] * 2)[-1], there)
+        _same_joints(self.follow([there] * 2)[-1], there)
 
     def test_a_wrong_setpoint_is_refused_and_not_sent(self) -> None:
         home = self.begin()
@@ -156,20 +252,96 @@ class RobotConformance:
             expect_error(InputError, robot.send, [0.0] * count)
         self.wait(0.1)
         assert robot.replies() == [], "a refused setpoint has a reply"
-        _near(self.follow([home] * 10)[-1], home)
+        _same_joints(self.follow([home] * 10)[-1], home)
 
     def test_close_may_be_called_again_and_nothing_works_after_it(self) -> None:
         home = self.begin()
         self.robot.close()
         self.robot.close()
-        expect_error(LinkError, self.robot.send, home)
+        expect_error(LinkError, self.robot.send, home, case=" after close")
         for call in (self.robot.measured, self.robot.start):
-            expect_error(EquipoiseError, call)
+            expect_error(EquipoiseError, call, case=" after close")
+
+    def test_without_its_peer_it_does_not_connect(self) -> None:
+        robot = self.prepare()
+        self.plug(False)
+        expect_error(LinkError, robot.connect, case=" without its peer")
+
+    def test_a_link_that_fails_at_rest_stays_failed(self) -> None:
+        robot = self.prepare()
+        robot.connect()
+        self.plug(False)
+        began = self.clock.now()
+        expect_error(LinkError, robot.measured, case=" without its peer")
+        took = self.clock.now() - began
+        assert took <= SILENCE, f"a pulled cable is reported after {took:.3g} s"
+        self.stays_failed()
+
+    def test_a_link_that_fails_in_the_stream_stays_failed(self) -> None:
+        home = self.begin()
+        self.plug(False)
+
+        def stream() -> None:
+            began = self.clock.now()
+            while self.clock.now() < began + SILENCE:
+                self.robot.send(home)
+                self.wait(SETPOINT_PERIOD)
+                self.robot.replies()
+
+        expect_error(LinkError, stream, case=f": {SILENCE:g} s without its peer")
+        self.stays_failed(home)
+
+    def stays_failed(self, *setpoint: Array) -> None:
+        """Put the cable of a failed link back; the driver must not use the link again."""
+        self.plug(True)
+        with suppress(LinkError):
+            self.clock.wait_until(self.clock.now() + 0.5)
+        case = ": the link has failed, and stays so"
+        for call in (self.robot.measured, self.robot.start):
+            expect_error(LinkError, call, case=case)
+        for q in setpoint:
+            expect_error(LinkError, self.robot.send, q, case=case)
+
+
+def _measured_on_the_way(reply: Reply, track: list[tuple[float, Array]]) -> None:
+    """Fail a test unless the arm was at the joints of a reply when it was measured."""
+    recent = [q for time, q in track if reply.sent - MAX_AGE <= time <= reply.received]
+    if not recent:
+        return
+    q, low, high = np.array(reply.q), np.min(recent, axis=0), np.max(recent, axis=0)
+    nearest = np.clip(q, low, high)
+    if np.abs(q - nearest).max() > STILL:
+        before = [q for time, q in track if time < reply.sent - MAX_AGE]
+        old = bool(before) and np.abs(np.array(before) - q).max(axis=1).min() <= STILL
+        cause = f"older than {1e3 * MAX_AGE:g} ms" if old else "commanded instead of measured?"
+        try:
+            _same_joints(q, nearest, STILL)
+        except AssertionError as error:
+            raise AssertionError(f"{error} on the way; {cause}") from None
+
+
+def _same_joints(q: Any, expected: Any, tolerance: float = CLOSE) -> None:
+    """Fail a test unless joints are as expected [rad]; name the joint and a likely mistake."""
+    q, expected = np.asarray(q), np.asarray(expected)
+    error = np.abs(q - expected)
+    if error.max() <= tolerance:
+        return
+    mistakes = {
+        "in degrees": np.radians(q) - expected,
+        "of the wrong sign": np.abs(q) - np.abs(expected),
+        "in another order": np.sort(q) - np.sort(expected),
+    }
+    likely = [name for name, left in mistakes.items() if np.abs(left).max() <= 5.0 * CLOSE]
+    joint = int(np.argmax(error))
+    raise AssertionError(
+        f"joint {joint + 1} is at {q[joint]:.4g} rad, expected {expected[joint]:.4g} rad"
+        + f", as if {' or '.join(likely)}" * bool(likely)
+    )
 
 
 def _path(home: Array) -> Array:
     """Return a smooth motion of the first joint, and a second of rest at its end [rad]."""
-    times, move = np.arange(SETPOINT_PERIOD, 1.5, SETPOINT_PERIOD), Path((0.0,), (0.02,), 0.5)
+    times, move = np.arange(SETPOINT_PERIOD, 1.5, SETPOINT_PERIOD), Path((0.0,), (0.05,), 0.5)
     path = np.tile(home, (len(times), 1))
     path[:, 0] += [move.at(time).q[0] for time in times.tolist()]
     return path

@@ -102,7 +102,9 @@ def source_digest(function: Any) -> str:
 def format_error(error: BaseException) -> str:
     """Return type, text and origin of a guest's error, escaped for display on one line."""
     frames = traceback.extract_tb(error.__traceback__)
-    others = (f"{Path(__file__).parent}{os.sep}", "<frozen ")  # this package, and Python's import
+    # This package, and Python's import.
+    folders = (Path(__file__).parent, Path(inspect.getfile(importlib)).parent)
+    others = (*(f"{folder}{os.sep}" for folder in folders), "<frozen ")
     lines = [(f.filename, f.lineno) for f in frames if not f.filename.startswith(others)]
     where = " ({}, line {})".format(*lines[-1]) if lines else ""
     try:

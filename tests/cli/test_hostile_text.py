@@ -139,7 +139,7 @@ def test_code_of_a_guest(equipoise, guest, tmp_path, text, command):
     ["deploy --robot own://x --encoder serial://x", "rig doctor --robot own://x --seconds 0.05"],
 )
 def test_a_plugin_of_a_robot(equipoise, guest, monkeypatch, command):
-    text = "from equipoise.rig.plugins import *\nPLUGIN = RobotPlugin(end, end)"
+    text = "from equipoise.rig.plugins import *\nPLUGIN = RobotPlugin(open=end, emulate=end)"
     entry = EntryPoint("own", f"{guest(text)}:PLUGIN", "equipoise.robots")
     monkeypatch.setattr(plugins, "entry_points", lambda group: [entry])
     ran = equipoise(*command.split())

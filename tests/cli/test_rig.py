@@ -1,10 +1,16 @@
 """Verbs of the rig, on emulated devices in virtual time."""
 
+import os
+import signal
+import time
+
 import pytest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
+from equipoise.rig import signals
+from equipoise.robots.kst.robot import KstRobot
 from tests.cli.conftest import contents
 from tests.robots.encoder.by_hand import RELEASE, ByHand
 from tests.robots.encoder.rig import Bench
@@ -42,6 +48,35 @@ def test_an_arm_that_fits_no_policy_leads_to_a_training_for_it(equipoise, pendul
     assert "arm not identified" in ran.out, ran
     then = "train my-pendulum.json --arm iiwa7 --actuator run-actuator.json"
     assert ran.out.endswith(f"next: equipoise {then}\n")
+
+
+def test_a_driver_that_sleeps_ends_a_run_on_a_twin(equipoise, monkeypatch):
+    monkeypatch.setattr(signals, "STALL", 0.5)
+    monkeypatch.setattr(KstRobot, "_wait", lambda robot, duration: time.sleep(1e-3))
+    ran = equipoise("deploy", "--robot", "twin:nominal")
+    assert ran.code == 3, ran
+    assert "KstRobot.connect has waited for 0.5 s" in ran.err
+
+
+@pytest.mark.parametrize(
+    ("verb", "stage"),
+    [
+        ("deploy", "rig.simulate.simulate_run"),
+        ("rig doctor", "rig.preflight.examine"),
+        ("train", "learning.target.train_to_target"),
+        ("evaluate", "worlds.evaluation.evaluate"),
+        ("reproduce", "reproduction.pipeline.reproduce"),
+        ("warm-up", "reproduction.warm_up.warm_up"),
+    ],
+)
+def test_a_signal_ends_a_verb_with_its_exit_code(equipoise, monkeypatch, verb, stage):
+    def wait(*_, **__):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(60.0)
+
+    monkeypatch.setattr(f"equipoise.{stage}", wait)
+    ran = equipoise(*verb.split())
+    assert (ran.code, "interrupted" in ran.err) == (130, True), ran
 
 
 def test_doctor_examines_this_machine(equipoise, monkeypatch):

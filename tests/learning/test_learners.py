@@ -154,6 +154,10 @@ def inner(x):
 def plain(state, u, next_state, failed):
     return inner(u)
 
+def imports(state, u, next_state, failed):
+    import math
+    return math.cos(u)
+
 def wild(tables, transition, params):
     tables.Q[270, 0] = 1.0
 
@@ -217,6 +221,24 @@ def test_unusable_objects_are_refused_in_one_sentence(guest, name):
     with pytest.raises((InputError, SettingsError)) as refusal:
         compile_learner(with_digests(LearningSettings(**{REFUSED[name]: name})))
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize(
+    ("name", "line", "reason"),
+    [
+        ("plain", "return inner", "'inner'"),
+        ("imports", "import math", "IMPORT_NAME"),
+        ("nothing", "    pass", "No conversion from none to float64"),
+    ],
+)
+def test_a_function_that_cannot_be_compiled_is_named_with_its_line(guest, name, line, reason):
+    lines = guest.read_text().splitlines()
+    (number,) = (i for i, text in enumerate(lines, start=1) if line in text)
+    with pytest.raises(InputError, match="cannot be compiled") as refusal:
+        compile_learner(with_digests(LearningSettings(reward=f"guest_of_tests:{name}")))
+    assert reason in str(refusal.value)
+    assert f"({guest}, line {number})" in str(refusal.value)
 
 
 @pytest.mark.compiled_only

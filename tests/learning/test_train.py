@@ -240,9 +240,9 @@ def test_a_pendulum_that_no_controller_balances_is_refused_before_the_training(p
     late = shipped_actuator().model_copy(update={"delay": Estimate.around(0.25, 0.0, "assumed")})
     with pytest.raises(SettingsError, match="no controller"):
         train(pendulum, ARM, settings(), actuator=late)
-    assert check_task(pendulum, ARM, settings()) is None
+    assert check_task(pendulum, settings()) is None
     rough = settings("selection.test_trials=2000", "evaluation.phi_high=0.19")
-    assert "% of the releases" in check_task(pendulum, ARM, rough)
+    assert "% of the releases" in check_task(pendulum, rough)
     with pytest.raises(SettingsError, match="% of the releases"):
         train_to_target(pendulum, ARM, rough, target=0.99)
 

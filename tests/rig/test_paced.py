@@ -43,7 +43,7 @@ class Paced:
         self.streams = True
 
     def request(self, until):
-        while not self.waiting and self.clock.now() < until - 5e-4:
+        while not self.waiting and self.clock.now() < until:
             self.clock.wait_until(self.clock.now() + 1e-3)
         if len(self.waiting) > UNANSWERED:
             raise LinkError(f"{len(self.waiting)} requests without an answer")
@@ -124,15 +124,32 @@ def test_a_late_setpoint_bends_the_path_and_a_missing_one_ends_it_at_the_last():
     assert q[-1] == setpoints[missing - 1]
 
 
-def test_a_caller_that_is_too_fast_and_a_robot_that_gives_up_are_links_that_are_lost():
+def test_a_caller_that_is_too_fast_ends_the_stream_for_good():
     robot, clock = paced_robot(1)
     stream = PacedStream(robot, clock, T)
-    stream.connect()
     stream.start()
     for _ in range(8):
         stream.send(HOME)
     with pytest.raises(LinkError, match="8 setpoints wait"):
         stream.send(HOME)
-    clock.wait_until(clock.now() + 0.01)  # nobody answers meanwhile
+    with pytest.raises(LinkError, match="8 setpoints wait"):  # for good
+        stream.start()
+
+
+def test_a_robot_that_gives_up_or_falls_silent_is_a_link_that_is_lost():
+    robot, clock = paced_robot(1)
+    stream = PacedStream(robot, clock, T)
+    stream.start()
+    clock.wait_until(0.01)  # nobody answers
     with pytest.raises(LinkError, match="without an answer"):
-        stream.wait_until(clock.now() + 0.01)
+        stream.wait_until(0.02)
+    robot, clock = paced_robot(1)
+    stream = PacedStream(robot, clock, T)
+    stream.start()
+    stream.wait_until(0.01)
+    robot.streams = False
+    stream.wait_until(0.109)
+    stream.send(HOME)
+    stream.wait_until(0.112)
+    with pytest.raises(LinkError, match="nothing for 100 ms"):
+        stream.send(HOME)

@@ -17,11 +17,14 @@ import numpy as np
 import psutil
 import pytest
 
+from equipoise.apps.console.watch import RunWatch
 from equipoise.control.policy import shipped_policy
 from equipoise.control.ticks import OperatorMessage, Reply, Sample, TickOutput, TickRecord
 from equipoise.errors import LinkError, OutsideError
 from equipoise.logs.conditions import RunEnd
+from equipoise.logs.recorder import CONNECTING, ENDED
 from equipoise.logs.run_log import RunLog
+from equipoise.logs.shared import live_runs, read_info
 from equipoise.logs.writer import LogEncoder
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.outcomes import Phase
@@ -226,6 +229,27 @@ def test_a_signal_is_a_word_to_the_loop_and_the_log_is_complete(run, log, number
     assert came_to_rest(log())
     assert len(log().tables["tick"]) < 150
     assert signal.getsignal(number) == handler
+
+
+def test_an_observer_reads_how_the_run_begins_and_why_it_ended(run):
+    class Watched(Person):
+        watch = None
+
+        def read_input(self):
+            if self.watch is None:
+                own = [each for each in live_runs() if read_info(each).pid == os.getpid()]
+                self.watch = RunWatch(own[0])
+            return super().read_input()
+
+    person = Watched(lambda _: os.kill(os.getpid(), signal.SIGTERM))
+    run(person)
+    person.watch.observe()
+    first, *_, last = person.watch.events
+    assert (first.name, last.name, person.watch.ended) == (CONNECTING, ENDED, True)
+    assert "compiles" in first.text
+    assert last.text == "operator: stopped by the operator (stop)"
+    assert person.watch.silence == 0.0  # no alarm: it has ended
+    person.watch.close()
 
 
 def test_a_loop_that_is_killed_is_told_at_once_and_its_log_is_readable(run, log):

@@ -1,21 +1,34 @@
-"""Every robot of this package passes the suite that a guest's robot passes.
+"""Every robot of this package passes the suite that a guest's robot passes; no broken driver does.
 
-Another one adds a class that says how to make it.
+Another robot adds a class that says how to make it.
 """
+
+import re
+import time
+from math import nan
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from equipoise.errors import LinkError
+from equipoise.rig import plugins, signals
+from equipoise.rig.interfaces import checked_setpoint
 from equipoise.robots.kst.robot import KstRobot
-from equipoise.testing import RobotConformance
-from tests.rig import in_process
+from equipoise.testing import RobotConformance, RobotUnderTest, emulated_robot
+from tests.guest.guest import robot as guest
 from tests.robots.kst.follower import Bench
 
 
 class TestKst(RobotConformance):
     def make(self, **options):
         bench = Bench(**options)
-        return KstRobot(lambda: bench.client, bench.clock), bench.clock
+
+        def plug(connected):
+            bench.client.cut = bench.end.cut = not connected
+
+        robot = KstRobot(lambda: bench.client, bench.clock)
+        return RobotUnderTest(robot, bench.clock, plug, lambda: np.array(bench.body.q))
 
 
 class TestKstOverASlowLink(TestKst):
@@ -23,23 +36,150 @@ class TestKstOverASlowLink(TestKst):
         return super().make(delay=0.008)
 
 
-class TestTwin(RobotConformance):
-    make = staticmethod(in_process.twin_robot)
+class TestKstOnTheTwin(RobotConformance):
+    def make(self):
+        return emulated_robot("kst")
 
 
-@pytest.mark.parametrize("name", [name for name in dir(RobotConformance) if "test_" in name])
-def test_a_robot_that_does_nothing_passes_no_test(name):
-    class Still:
-        """A robot that takes everything and does nothing."""
+class TestGuest(RobotConformance):
+    driver = guest.GuestRobot
 
-        joints = 7
-        connect = start = stop = close = lambda self: None
-        measured = lambda self: np.random.default_rng().standard_normal(7)  # noqa: E731
-        send = lambda self, q: None  # noqa: E731
+    def make(self):
+        with pytest.MonkeyPatch.context() as patch:  # the guest is not installed here
+            known = plugins._registered
+            entry = SimpleNamespace(name="guest", value="guest.robot", load=lambda: guest.PLUGIN)
+            patch.setattr(plugins, "_registered", lambda *a: entry if "guest" in a else known(*a))
+            patch.setattr(guest, "GuestRobot", self.driver)
+            return emulated_robot("guest")
 
-    class Suite(RobotConformance):
-        def make(self):
-            return Still(), in_process.VirtualClock()
 
-    with pytest.raises((AssertionError, AttributeError)):
-        getattr(Suite(), name)()
+def changed(measured=lambda q: q, reply=None, setpoint=lambda q: q):
+    """Return the guest's driver with other measured joints, replies or setpoints."""
+    reply = reply or (lambda one: one._replace(q=tuple(measured(np.array(one.q)))))
+
+    class Changed(guest.GuestRobot):
+        def measured(self):
+            return measured(super().measured())
+
+        def request(self, until):
+            request = super().request(until)
+            return request and reply(request)
+
+        def answer(self, q):
+            super().answer(setpoint(np.array(q)))
+
+    return Changed
+
+
+def recovers(driver, why):
+    raise LinkError(why)
+
+
+def connects(driver):
+    driver._link = driver._open()
+
+
+def blocks(driver, until):
+    driver._clock.wait_until(driver._clock.now() + 1.0)
+    return guest.GuestRobot.request(driver, until)
+
+
+class Commanded(guest.GuestRobot):
+    """Replies with the joints that it was last sent."""
+
+    last = None
+
+    def answer(self, q):
+        super().answer(q)
+        self.last = tuple(q)
+
+    def request(self, until):
+        request = super().request(until)
+        return request and request._replace(q=self.last or request.q)
+
+
+def accepts(driver, q):
+    driver._requests.popleft()
+
+
+class Old(changed()):
+    """Replies with the joints of 25 requests before: 100 ms."""
+
+    def request(self, until):
+        request = super().request(until)
+        if request is None:
+            return None
+        self.past = [*getattr(self, "past", [request.q] * 25)[-25:], request.q]
+        return request._replace(q=self.past[0])
+
+
+def driver(**methods):
+    return type("Broken", (guest.GuestRobot,), methods)
+
+
+def flipped(q):
+    return q[::-1]
+
+
+BROKEN = {
+    "recovers by itself": (driver(_fail=recovers), "the link has failed"),
+    "joints of the past": (Old, "older than 20 ms"),
+    "degrees": (changed(np.degrees), "in degrees"),
+    "degrees both ways": (changed(np.degrees, setpoint=np.radians), "in degrees"),
+    "wrong order": (changed(flipped), "in another order"),
+    "wrong order both ways": (changed(flipped, setpoint=flipped), "in another order"),
+    "NaN in a reply": (changed(reply=lambda one: one._replace(q=(nan,) * 7)), "not finite"),
+    "works after close": (driver(close=lambda self: None), "after close"),
+    "loses a sign": (changed(np.abs), "of the wrong sign"),
+    "commanded joints": (Commanded, "commanded instead"),
+    "connects to nothing": (driver(connect=connects), "without its peer"),
+    "blocks in receive": (driver(request=blocks), "the driver blocks"),
+    "times stand still": (changed(reply=lambda one: one._replace(time=0.0)), "0 replies"),
+    "no setpoint is sent": (driver(answer=accepts), "6 requests had no answer"),
+    "one joint too few": (changed(lambda q: q[:6]), "7 joints"),
+}
+"""Broken drivers, and words of the message that names the fault."""
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_driver_fails_with_a_message_that_names_its_fault(name):
+    broken, words = BROKEN[name]
+    assert words in complaint(type("Suite", (TestGuest,), {"driver": broken}))
+
+
+def test_a_setpoint_that_waits_for_the_next_one_is_noticed(monkeypatch):
+    send = KstRobot.send
+
+    def held(robot, q):
+        robot.held, q = checked_setpoint(q, 7), getattr(robot, "held", q)
+        send(robot, q)
+
+    monkeypatch.setattr(KstRobot, "send", held)
+    assert re.match(r"joint \d is at .* rad, expected", complaint(TestKst))
+
+
+def test_a_driver_that_sleeps_where_it_should_wait_is_told_so(monkeypatch):
+    def sleeps(robot):
+        while robot._measured is None:
+            time.sleep(1e-3)
+            robot._read()
+        return robot._measured
+
+    monkeypatch.setattr(signals, "STALL", 0.5)
+    suite = type("Suite", (TestGuest,), {"driver": driver(_wait_for_joints=sleeps)})
+    said = complaint(suite)
+    assert "connect has waited for 0.5 s" in said
+    assert "test_robot_conformance.py, line" in said
+
+
+def complaint(suite):
+    """Return the message of the first test of a suite that fails; empty if none does."""
+    for name in (name for name in dir(suite) if name.startswith("test_")):
+        test = suite()
+        try:
+            getattr(test, name)()
+        except (AssertionError, LinkError) as error:
+            return str(error)
+        finally:
+            test.teardown_method()
+    return ""

@@ -40,9 +40,11 @@ class Spy:
         return []
 
 
-def request(duration=2.0, robot="twin:nominal", settings=None, policy=POLICY, **changes):
+def request(duration=2.0, robot="twin:nominal", settings=None, policy=POLICY, seed=3, **changes):
     settings = settings or RigSettings()
-    return RunRequest(policy, policy.actuator, settings, robot, None, duration, seed=3, **changes)
+    return RunRequest(
+        policy, policy.actuator, settings, robot, None, duration, seed=seed, **changes
+    )
 
 
 def test_it_stands_on_the_twin_and_the_log_says_how(tmp_path):
@@ -70,7 +72,7 @@ def test_a_run_that_is_told_no_actuator_selects_it_before_the_lift(tmp_path):
     slow = Actuator.assumed("kst", delay=0.01, lag=0.008, cycle=0.04)
     middle = Actuator.assumed("kst", delay=0.01, lag=0.004, cycle=0.016)
     policy = POLICY.model_copy(update={"actuators": (own, middle, slow), "tests": ()})
-    wanted = request(policy=policy, robot="twin:trajectory40", alternatives=(middle, slow))
+    wanted = request(policy=policy, robot="twin:trajectory40", alternatives=(middle, slow), seed=1)
     assert run_virtually(wanted, out, Spy()).outcome == "lasted"
     run = RunLog.load(out, damaged=True)
     names = [event.name for event in run.events]
@@ -80,7 +82,7 @@ def test_a_run_that_is_told_no_actuator_selects_it_before_the_lift(tmp_path):
     # The log holds all that the selection needs.
     assert replay(run, policy) == (len(run.tables["tick"]), [])
     # Told the wrong one, the same run falls.
-    told = request(policy=policy, robot="twin:trajectory40")
+    told = request(policy=policy, robot="twin:trajectory40", seed=1)
     assert run_virtually(told, None, Spy()).outcome != "lasted"
 
 

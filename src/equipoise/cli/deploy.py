@@ -84,16 +84,17 @@ def deploy(
 
     common: Any = {"world": run.world, "seed": run.seed}
     if run.excite:
-        arm, pendulum = opt.read_arm(task.arm or "iiwa7"), opt.read_pendulum(task.pendulum)
+        arm = opt.read_arm(task.arm or "iiwa7")
         length, made, out = run.duration or 10.0, dict[str, str](), place()
         with output.busy("moving the arm"):
-            log = simulate.excite(arm, pendulum=pendulum, duration=length, **common)
+            log = simulate.excite(arm, pendulum=task.pendulum, duration=length, **common)
     else:
-        chosen, actuator = task.read(policy), opt.read_actuator(task.actuator)
-        out = place()
+        chosen, out = task.read(policy), place()
         output.warn(opt.shortfall(chosen))
         with output.busy("running"):
-            log = simulate.simulate_run(chosen, actuator=actuator, duration=run.duration, **common)
+            log = simulate.simulate_run(
+                chosen, actuator=task.actuator, duration=run.duration, **common
+            )
         made = {"policy": log.conditions.policy}
     log.save(out, command="deploy", inputs=made)
     then = command("log explain", out)
@@ -119,6 +120,7 @@ def _request(
     """
     from equipoise.control.bound_policy import BoundPolicy
     from equipoise.identification.actuator import identify_actuator
+    from equipoise.model.actuator import read_actuator
     from equipoise.rig.config import world_of
     from equipoise.rig.request import RunRequest
 
@@ -133,8 +135,8 @@ def _request(
     if isinstance(chosen, BoundPolicy):
         chosen = replace(chosen, arm=described.described_arm)
     output.warn(opt.shortfall(chosen))
-    response = opt.read_actuator(task.actuator)
-    carried = chosen.actuators if response is None else (response,)
+    given = task.actuator
+    carried = chosen.actuators if given is None else (read_actuator(given),)
     return RunRequest(
         chosen,
         carried[0],

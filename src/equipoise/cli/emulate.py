@@ -36,6 +36,7 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     pseudo-terminal. The arm begins beside its home. Type lift where a run asks
     for it, and release once it is armed.
     """
+    from equipoise.model.pendulum import read_pendulum
     from equipoise.model.worlds import pendulum_on, read_world
     from equipoise.rig import realtime
     from equipoise.rig.clocks import SystemClock
@@ -50,7 +51,7 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     settings = read_world(emulated.world).settings
     emulation = Emulation(
         opt.read_arm(emulated.arm),
-        pendulum_on(opt.read_pendulum(emulated.pendulum), settings),
+        pendulum_on(read_pendulum(emulated.pendulum), settings),
         settings,
         SystemClock(),
         seed=emulated.seed,

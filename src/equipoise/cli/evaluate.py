@@ -70,7 +70,7 @@ def evaluate(
             chosen,
             settings.model_copy(update={"evaluation": changed}),
             world=trials.world,
-            actuator=opt.read_actuator(task.actuator),
+            actuator=task.actuator,
             seed=random.seed,
             with_baselines=trials.baselines,
             workers=random.threads,

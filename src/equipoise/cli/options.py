@@ -14,9 +14,7 @@ from equipoise.errors import InputError
 if TYPE_CHECKING:
     from equipoise.artefacts import Artefact
     from equipoise.control.policy import TaskPolicy
-    from equipoise.model.actuator import Actuator
     from equipoise.model.arms.arm import Arm
-    from equipoise.model.pendulum import Pendulum
     from equipoise.settings import Settings
 
 
@@ -65,9 +63,9 @@ class Task(Options):
 
         return load_policy(
             policy,
-            pendulum=None if self.pendulum is None else read_pendulum(self.pendulum),
+            pendulum=self.pendulum,
             arm=None if self.arm is None else read_arm(self.arm),
-            actuator=read_actuator(self.actuator),
+            actuator=self.actuator,
             settings=None if self.settings is None else resolve(file=self.settings),
         )
 
@@ -165,30 +163,6 @@ def _writable(out: Path, folder: Path) -> Path:
     if not folder.is_dir() or not os.access(folder, os.W_OK):
         raise InputError(f"{folder} takes no files; give another name")
     return out
-
-
-def read_pendulum(path: Path | None) -> "Pendulum":
-    """Return the pendulum of a file, or the one that ships with Equipoise.
-
-    Raises:
-        InputError: The file is no pendulum.
-    """
-    from equipoise.model.pendulum import Pendulum, shipped_pendulum
-
-    return shipped_pendulum() if path is None else Pendulum.load(path)
-
-
-def read_actuator(name: str | None) -> "Actuator | None":
-    """Return the actuator that `--actuator` names, or None without that option.
-
-    Raises:
-        InputError: The file is no actuator.
-    """
-    from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
-
-    if name is None:
-        return None
-    return IDEAL_ACTUATOR if name == "ideal" else Actuator.load(Path(name))
 
 
 def read_arm(name: str) -> "Arm":

@@ -60,16 +60,16 @@ def train(
     """
     from equipoise.learning.target import TARGET, train_to_target
     from equipoise.learning.train import check_task
+    from equipoise.model.pendulum import read_pendulum
 
     named = {f"learning.{n}": getattr(learning, n) for n in ("learner", "reward", "episodes")}
     settings = changes.resolve(**named)
-    source, arm = opt.read_pendulum(pendulum), opt.read_arm(plant.arm)
+    source, arm, given = read_pendulum(pendulum), opt.read_arm(plant.arm), plant.actuator
     out = files.file("policy.json", pendulum, changes.settings)
-    given = [one for each in plant.actuator or () if (one := opt.read_actuator(each))] or None
     target = learning.target
     if target is None:
         target = TARGET if settings.selection.every else 0.0
-    output.warn(check_task(source, arm, settings, given, world=plant.world, target=target))
+    output.warn(check_task(source, settings, given, world=plant.world, target=target))
     with output.progress() as show:
         best = train_to_target(
             source,

@@ -18,7 +18,7 @@ from pydantic.fields import FieldInfo
 from rich.markup import escape
 
 from equipoise.artefacts import StrPath
-from equipoise.cli.output import Output, complain
+from equipoise.cli.output import Output, complain, signals
 from equipoise.errors import INTERRUPTED, InputError
 
 
@@ -55,7 +55,8 @@ def verb(function: Callable[..., None]) -> Callable[..., None]:
         try:
             for name, group in groups.items():
                 given[name] = group(**{field: given.pop(field) for field in group.model_fields})
-            function(Output(as_json), **given)
+            with signals(raising=True):
+                function(Output(as_json), **given)
         except ValidationError as error:
             fault = error.errors()[0]
             raise InputError(f"{_name(str(fault['loc'][0]))}: {fault['msg']}") from None

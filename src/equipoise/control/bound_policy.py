@@ -15,9 +15,10 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final, Self
+from typing import Any, Final, Protocol, Self
 
 from equipoise import paper
+from equipoise.arguments import checked
 from equipoise.artefacts import DIGEST_PREFIX, StrPath
 from equipoise.control.baselines import baselines
 from equipoise.control.onnx_policy import OnnxPolicy
@@ -25,16 +26,15 @@ from equipoise.control.policy import (
     Array,
     BoundPolicy,
     KernelPolicy,
-    Policy,
     TabularPolicy,
     TaskPolicy,
     shipped_policy,
 )
 from equipoise.errors import ArtefactError, InputError
-from equipoise.model.actuator import Actuator, shipped_actuator
+from equipoise.model.actuator import Actuator, read_actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.pendulum import Pendulum, shipped_pendulum
+from equipoise.model.arms.resolve import read_arm
+from equipoise.model.pendulum import Pendulum, read_pendulum
 from equipoise.settings import Settings
 from equipoise.user_code import guest_code, load_object, source_digest
 
@@ -42,12 +42,24 @@ BUILT_IN: Final = {"lqr": "LQR", "lqr-snapped": "LQR, snapped", "pd": "PD", "ran
 """Built-in policies, and their names among the baselines."""
 
 
+class Acting(Protocol):
+    """An object with `act`; its `reset` is called if it has one."""
+
+    def act(self, observation: Array) -> float:
+        """Return u [m/s^2] for the observation (x, x_dot, phi, phi_dot), shape (4,)."""
+        ...
+
+
+PolicySource = Acting | Callable[[Array], float] | Callable[[], Acting]
+"""An object with `act`, a function of the observation, or a class of such objects."""
+
+
 class PythonPolicy:
     """A policy from any function, class or object in Python."""
 
     def __init__(
         self,
-        source: Policy | Callable[[Array], float],
+        source: PolicySource,
         name: str | None = None,
         module: ModuleType | None = None,
     ) -> None:
@@ -68,8 +80,8 @@ class PythonPolicy:
         self._policy: Any = self._made() if isinstance(source, type) else source
         if not callable(getattr(self._policy, "act", self._policy)):
             raise InputError(
-                f"{self.name} is of type {type(self._policy).__name__}, expected a function "
-                "observation -> u or an object with act(observation); give one of those"
+                f"the policy {self.name} is of type {type(self._policy).__name__}, expected a "
+                "function observation -> u or an object with act(observation); give one of those"
             )
         defined = source if hasattr(source, "__qualname__") else type(source)
         text = f"{own} {source_digest(module or defined)}"
@@ -112,12 +124,30 @@ class PythonPolicy:
             return self._source()  # type: ignore[reportCallIssue]  # a class
 
 
+AnyPolicy = TaskPolicy | PolicySource | StrPath | None
+"""A policy with its task, one for `bind_policy`, or the name of one for `load_policy`."""
+
+
+def read_policy(given: AnyPolicy) -> TaskPolicy:
+    """Return a given policy with its task: its own, or the one that ships.
+
+    Raises:
+        InputError: There is no such policy.
+    """
+    if isinstance(given, TabularPolicy | BoundPolicy):
+        return given
+    if given is None or isinstance(given, str | os.PathLike):
+        return load_policy(given)
+    return bind_policy(given)
+
+
+@checked
 def load_policy(
     name: StrPath | None = None,
     *,
-    pendulum: Pendulum | None = None,
-    arm: Arm | None = None,
-    actuator: Actuator | None = None,
+    pendulum: Pendulum | StrPath | None = None,
+    arm: Arm | StrPath | None = None,
+    actuator: Actuator | StrPath | None = None,
     settings: Settings | None = None,
 ) -> TaskPolicy:
     """Return the policy of a name, bound to its task.
@@ -126,8 +156,8 @@ def load_policy(
         name: File of a table, file of a network (`.onnx`), `module:name` of a function, class or
             object in Python, or `lqr`, `lqr-snapped`, `pd` or `random`; by default the table that
             ships.
-        pendulum: Nominal pendulum; of a table, the one that it must be trained for.
-        arm: Arm with its home posture; of a table, the one that it must be trained on.
+        pendulum: Nominal pendulum, or its file; of a table, the one that it must be trained for.
+        arm: Arm, its name or its URDF; of a table, the one that it must be trained on.
         actuator: Model of the arm's response; a table has its own.
         settings: Settings of plant, controller and evaluation; a table has its own.
 
@@ -139,26 +169,28 @@ def load_policy(
     text = "" if name is None else str(name)
     if text in BUILT_IN:
         plant = (settings or Settings()).plant
-        parameters = (pendulum or shipped_pendulum()).parameters(linearised=plant.linearised)
+        parameters = read_pendulum(pendulum).parameters(linearised=plant.linearised)
         policy = KernelPolicy(baselines(parameters, paper.STEP)[BUILT_IN[text]])
     elif Path(text).suffix.lower() == ".onnx":
         policy = OnnxPolicy(text)
     elif ":" in text and not os.path.exists(text):
         policy = PythonPolicy.load(text)
     else:
-        return _table(name, pendulum, arm, settings)
+        nominal = None if pendulum is None else read_pendulum(pendulum)
+        return _table(name, nominal, None if arm is None else read_arm(arm), settings)
     return bind_policy(
         policy, name=text, pendulum=pendulum, arm=arm, actuator=actuator, settings=settings
     )
 
 
+@checked
 def bind_policy(
-    policy: Policy | Callable[[Array], float],
+    policy: PolicySource,
     *,
     name: str | None = None,
-    pendulum: Pendulum | None = None,
-    arm: Arm | None = None,
-    actuator: Actuator | None = None,
+    pendulum: Pendulum | StrPath | None = None,
+    arm: Arm | StrPath | None = None,
+    actuator: Actuator | StrPath | None = None,
     settings: Settings | None = None,
 ) -> BoundPolicy:
     """Bind a function, a class or an object to a task.
@@ -166,9 +198,9 @@ def bind_policy(
     Args:
         policy: As `PythonPolicy` takes it.
         name: Name in results and messages; by default that of the function or class.
-        pendulum: Nominal pendulum; by default the one that ships.
-        arm: Arm with its home posture; by default the iiwa7.
-        actuator: Model of the arm's response; by default the one that ships.
+        pendulum: Nominal pendulum, or its file; by default the one that ships.
+        arm: Arm, its name or its URDF; by default the iiwa7.
+        actuator: Model of the arm's response, its file, or `ideal`; by default the one that ships.
         settings: Settings of plant, controller and evaluation; by default all defaults.
 
     Raises:
@@ -181,9 +213,9 @@ def bind_policy(
         name=name or str(getattr(own, "name", type(own).__name__)),
         digest=own.digest,
         kernel=own.kernel if isinstance(own, KernelPolicy) else None,
-        pendulum=pendulum or shipped_pendulum(),
-        arm=arm or iiwa(7),
-        actuators=(actuator or shipped_actuator(),),
+        pendulum=read_pendulum(pendulum),
+        arm=read_arm(arm),
+        actuators=(shipped_actuator() if actuator is None else read_actuator(actuator),),
         settings=settings or Settings(),
     )
 

@@ -292,8 +292,9 @@ class TabularPolicy(Artefact):
         return self
 
     def __repr__(self) -> str:
-        """Return one line: arm and length of the training."""
-        return f"<TabularPolicy of {self.arm.name!r}, {self.episodes:,} episodes>"
+        """Return one line: arm, length of the training, and the test."""
+        tested = "" if self.test is None else f": {self.test.text}"
+        return f"<TabularPolicy of {self.arm.name!r}, {self.episodes:,} episodes{tested}>"
 
     __str__ = __repr__
 

@@ -27,7 +27,8 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.artefacts import DIGEST_PREFIX, Estimate
+from equipoise.arguments import checked
+from equipoise.artefacts import DIGEST_PREFIX, Estimate, StrPath
 from equipoise.errors import RecordingError
 from equipoise.identification.least_squares import (
     blocks_of_time,
@@ -247,15 +248,18 @@ def identify_actuator(
     )
 
 
-def identify_run(run: RunLog) -> Actuator:
+@checked
+def identify_run(run: RunLog | StrPath) -> Actuator:
     """Identify the actuator of the arm of a run log.
 
     Args:
-        run: Log with setpoints and measured joints, as recorded by `equipoise.rig.simulate.excite`.
+        run: Log with setpoints and measured joints, as recorded by `equipoise.rig.simulate.excite`,
+            or its file.
 
     Raises:
         RecordingError: The log cannot be used, see `identify_actuator`.
     """
+    run = run if isinstance(run, RunLog) else RunLog.load(run)
     stream, replies = run.stream, run.replies
     free = list(run.conditions.arm.free)
     sent, measured = (np.column_stack((part.time, part.q[:, free])) for part in (stream, replies))

@@ -18,16 +18,27 @@ import warnings
 from dataclasses import dataclass
 from math import inf, pi, radians
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
-from equipoise.artefacts import DIGEST_PREFIX, MEBIBYTE, StrPath, read_bytes, shortened, write_whole
+from equipoise.arguments import Duration, checked
+from equipoise.artefacts import (
+    DIGEST_PREFIX,
+    MEBIBYTE,
+    Seed,
+    StrPath,
+    read_bytes,
+    shortened,
+    write_whole,
+)
 from equipoise.errors import RecordingError
 from equipoise.model.encoder import counts_from_theta, theta_from_counts
 from equipoise.model.pendulum import STEPS_PER_PERIOD, Pendulum, PendulumParameters, swing
 from equipoise.printable import printable
+from equipoise.settings import FINEST_ENCODER
 
 Array = npt.NDArray[np.float64]
 
@@ -101,6 +112,7 @@ class Trajectory:
         return np.empty(0) if recorded is None else recorded
 
 
+@checked
 def read_swing(
     path: StrPath,
     *,
@@ -224,6 +236,7 @@ def _smallest_step(values: Array) -> float:
     return float(real.min()) if real.size else 0.0
 
 
+@checked
 def write_swing(path: StrPath, trajectory: Trajectory) -> None:
     """Write a swing as a CSV file, without loss of precision.
 
@@ -236,17 +249,18 @@ def write_swing(path: StrPath, trajectory: Trajectory) -> None:
     write_whole(Path(path), f"time_s,{quantity}\n{text}")
 
 
+@checked
 def simulate_swing(
     parameters: PendulumParameters,
     *,
     theta0: float,
-    duration: float,
-    rate_hz: float,
-    counts_per_rev: int,
-    noise: float = 0.0,
-    jitter: float = 0.0,
+    duration: Duration,
+    rate_hz: Annotated[float, Field(gt=0.0, le=1e5)],
+    counts_per_rev: Annotated[int, Field(ge=4, le=FINEST_ENCODER)],
+    noise: Annotated[float, Field(ge=0.0)] = 0.0,
+    jitter: Annotated[float, Field(ge=0.0)] = 0.0,
     zero_offset: float = 0.0,
-    seed: int = 0,
+    seed: Seed = 0,
 ) -> Trajectory:
     """Simulate the recording of a free swing, released at rest, by an encoder.
 

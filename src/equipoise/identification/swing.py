@@ -19,12 +19,13 @@ from typing import Final
 
 import numpy as np
 
-from equipoise.artefacts import Estimate
+from equipoise.arguments import checked
+from equipoise.artefacts import Estimate, StrPath
 from equipoise.errors import RecordingError
 from equipoise.identification import fit as fitting
 from equipoise.identification.fit import COULOMB, DRAG, W2, C, FittedUnknowns, SwingRecording
 from equipoise.identification.least_squares import half_width
-from equipoise.identification.recording import Trajectory
+from equipoise.identification.recording import Trajectory, read_swing
 from equipoise.identification.release import find_free_swing
 from equipoise.model.pendulum import Pendulum, SwingFit
 from equipoise.settings import Friction, IdentificationSettings
@@ -36,8 +37,9 @@ WARNING_MISFIT: Final = 0.005
 leaves 0.1 to 0.4 %."""
 
 
+@checked
 def identify(
-    trajectory: Trajectory,
+    trajectory: Trajectory | StrPath,
     settings: IdentificationSettings | None = None,
     mass: Estimate | None = None,
     length: Estimate | None = None,
@@ -45,7 +47,8 @@ def identify(
     """Identify a pendulum from a recorded free swing.
 
     Args:
-        trajectory: The recording, of a pivot at rest; it may start with a hand on the pendulum.
+        trajectory: The recording, of a pivot at rest, or its file, as `read_swing` takes it; it may
+            start with a hand on the pendulum.
         settings: Settings of the fit.
         mass: Mass m of all rotating parts [kg], measured separately.
         length: Distance l from the axis to their centre of mass [m], measured separately. With
@@ -57,6 +60,7 @@ def identify(
     Raises:
         RecordingError: The recording holds no free swing of at least one period.
     """
+    trajectory = trajectory if isinstance(trajectory, Trajectory) else read_swing(trajectory)
     settings = settings or IdentificationSettings()
     free = find_free_swing(trajectory)
     time, values = trajectory.time[free.part], trajectory.values[free.part]

@@ -10,12 +10,13 @@ rejected: in plain Python a training would take hours.
 
 import functools
 import inspect
+import re
 import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final
 
 import numba
-from numba.core.errors import NumbaError
 
 from equipoise.control.grid import ACTIONS
 from equipoise.errors import InputError, SettingsError
@@ -28,8 +29,11 @@ from equipoise.learning.learner import (
     choose_with,
     learn_signature,
     learn_with,
+    reward_signature,
     rewards_of,
     rewards_signature,
+    select_signature,
+    update_signature,
 )
 from equipoise.learning.learners import LEARNERS
 from equipoise.learning.rewards import REWARDS
@@ -99,15 +103,15 @@ def compile_learner(settings: LearningSettings) -> LearnerKernel:
         _raised.clear()
         sys.unraisablehook = _keep
     with guest_code(settings.learner):
-        ahead, select = learner.chooses_ahead, _callable(learner.select)
+        ahead, select = learner.chooses_ahead, _callable(learner.select, select_signature())
         if guest:
             select = _checked(select)
-        learn = learn_with(_callable(learner.update), select, ahead)
-        choose = _compiled(choose_with(select), choose_signature(), guest, settings.learner)
-        learn = _compiled(learn, learn_signature(), guest, settings.learner)
+        learn = learn_with(_callable(learner.update, update_signature()), select, ahead)
+        choose = function_pointer(choose_with(select), choose_signature(), cached=not guest)
+        learn = function_pointer(learn, learn_signature(), cached=not guest)
     with guest_code(settings.reward):
-        written = rewards_of(_callable(getattr(reward, "py_func", reward)))
-        rewards = _compiled(written, rewards_signature(), guest_reward, settings.reward)
+        written = rewards_of(_callable(getattr(reward, "py_func", reward), reward_signature()))
+        rewards = function_pointer(written, rewards_signature(), cached=not guest_reward)
     return LearnerKernel(choose=choose, learn=learn, rewards=rewards, chooses_ahead=ahead)
 
 
@@ -129,6 +133,8 @@ def raise_guest_error(settings: LearningSettings) -> None:
 
 _raised: list[str] = []
 _print_unraisable: Final = sys.unraisablehook
+_NUMBA_PLACE: Final = re.compile(r"\.? Raised from | for '\$")
+"""Begin of Numba's own statement of the place, at the end of a reason."""
 
 
 def _keep(unraisable: "sys.UnraisableHookArgs") -> None:
@@ -149,11 +155,26 @@ def _load(name: str, option: str, known: Mapping[str, Any]) -> Any:
 
 
 @functools.cache
-def _callable(function: Any) -> Any:
-    """Return a function that kernels can call; a guest's has its indices checked."""
+def _callable(function: Any, signature: Any) -> Any:
+    """Return a function that kernels can call; a guest's has its indices checked.
+
+    Raises:
+        InputError: Numba cannot compile a guest's function for its signature.
+    """
     if disabled() or function.__module__.startswith("equipoise."):
         return compilable(function)
-    return numba.njit(error_model="numpy", boundscheck=True)(function)
+    try:
+        return numba.njit(signature, error_model="numpy", boundscheck=True)(function)
+    except Exception as error:  # Numba's, and a TypeError for a wrong number of arguments
+        file, line = function.__code__.co_filename, function.__code__.co_firstlineno
+        lines = [text.strip() for text in str(error).splitlines()]
+        reason = next(text for text in lines if text and not text.startswith("Failed in"))
+        places = re.findall(rf'{re.escape(Path(file).name)}(?:", line |:| \()(\d+)', str(error))
+        raise InputError(
+            f"{function.__name__} cannot be compiled: {_NUMBA_PLACE.split(reason)[0].rstrip(':.')} "
+            f"({file}, line {[line, *places][-1]}); write it with numbers, tuples, the module math "
+            "and NumPy's arrays, and mark functions that it calls with numba.njit"
+        ) from None
 
 
 @functools.cache
@@ -167,16 +188,3 @@ def _checked(select: Any) -> Any:
         return action
 
     return compilable(checked)
-
-
-def _compiled(function: Any, signature: Any, guest: bool, name: str) -> Any:
-    try:
-        return function_pointer(function, signature, cached=not guest)
-    except NumbaError as error:
-        lines = [line.strip() for line in str(error).splitlines()]
-        headings = ("Failed in", "During", "- ")
-        reason = next((line for line in lines if line and not line.startswith(headings)), "")
-        raise InputError(
-            f"{name} cannot be compiled: {reason.rstrip(':.')}; write it with numbers, tuples, the "
-            "module math and NumPy's arrays, and mark functions that it calls with numba.njit"
-        ) from error

@@ -388,6 +388,25 @@ def new_results() -> Results:
     )
 
 
+def reward_signature() -> Any:
+    """Return Numba's signature of a reward."""
+    observation = numba.typeof(Observation(0.0, 0.0, 0.0, 0.0))
+    return numba.float64(observation, numba.float64, observation, numba.boolean)
+
+
+def select_signature() -> Any:
+    """Return Numba's signature of `Learner.select`."""
+    number = numba.float64
+    return numba.int64(numba.typeof(new_tables(1, 0)), numba.int64, number, number, number)
+
+
+def update_signature() -> Any:
+    """Return Numba's types of the arguments of `Learner.update`, whose result is ignored."""
+    transition = Transition(0, 0, 0.0, 0.0, 0, 0, False, False, 0.0, 0.0, 0)
+    params = UpdateParams(0.0, 0.0, 0.0, False)
+    return tuple(map(numba.typeof, (new_tables(1, 0), transition, params)))
+
+
 def rewards_signature() -> Any:
     """Return Numba's signature of `LearnerKernel.rewards`."""
     array, whole = numba.float64[::1], numba.int64

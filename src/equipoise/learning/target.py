@@ -1,7 +1,11 @@
 """Training of learners until a policy meets a target in trials that did not select it."""
 
-from typing import Final
+from typing import Annotated, Final
 
+from pydantic import Field
+
+from equipoise.arguments import Workers, checked
+from equipoise.artefacts import Seed, Share, StrPath
 from equipoise.control.policy import TabularPolicy, TargetTest
 from equipoise.errors import InputError
 from equipoise.executors import Show, running
@@ -14,7 +18,8 @@ from equipoise.learning.select import (
 )
 from equipoise.learning.train import Actuators, check_task, stage_of, train
 from equipoise.model.arms.arm import Arm
-from equipoise.model.pendulum import Pendulum
+from equipoise.model.arms.resolve import read_arm
+from equipoise.model.pendulum import Pendulum, read_pendulum
 from equipoise.model.random import TARGET_TEST
 from equipoise.model.worlds import MODEL
 from equipoise.settings import Settings
@@ -26,17 +31,18 @@ TARGET: Final = 0.99
 """Required share of trials that last, by default [-]."""
 
 
+@checked
 def train_to_target(
-    pendulum: Pendulum,
-    arm: Arm,
-    settings: Settings,
+    pendulum: Pendulum | StrPath | None = None,
+    arm: Arm | StrPath | None = None,
+    settings: Settings | None = None,
     *,
-    target: float = TARGET,
-    learners: int = LEARNERS,
+    target: Share = TARGET,
+    learners: Annotated[int, Field(ge=1)] = LEARNERS,
     actuator: Actuators = None,
     world: str = MODEL,
-    seed: int = 0,
-    workers: int = 1,
+    seed: Seed = 0,
+    workers: Workers = 1,
     show: Show = lambda *_: None,
 ) -> TabularPolicy:
     """Train learners of one seed, one after the other, until one meets a target.
@@ -44,8 +50,8 @@ def train_to_target(
     A policy below the target is accepted with a probability of at most 5 %, over all learners.
 
     Args:
-        pendulum: The identified pendulum.
-        arm: The arm with its home posture.
+        pendulum: The identified pendulum; as in `train`.
+        arm: The arm; as in `train`.
         settings: Resolved settings; as in `train`.
         target: Share of trials that a policy has to last: the lower end of its interval.
         learners: Maximum number of learners.
@@ -63,15 +69,14 @@ def train_to_target(
         InputError: The test has too few trials for the target, even without a failure.
         SettingsError: No controller saves as many of the releases as the target needs.
     """
+    pendulum, arm, settings = read_pendulum(pendulum), read_arm(arm), settings or Settings()
     most = settings.selection.test_trials
     if trials_to_meet(target, _error(0), 0, 0, most) is None:
         raise InputError(
             f"{most:,} trials cannot show a share of {target:g}, even without a failure; lower "
             "--target, or raise selection.test_trials"
         )
-    if learners < 1:
-        raise InputError(f"{learners} learners are given, expected at least one")
-    check_task(pendulum, arm, settings, actuator, world=world, target=target)
+    check_task(pendulum, settings, actuator, world=world, target=target)
     tested: list[TabularPolicy] = []
     for learner in range(learners):
         policy = train(

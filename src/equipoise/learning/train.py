@@ -6,6 +6,7 @@ policies of the running average of the later tables. They race on common trials
 any number of workers. `equipoise.learning.target` trains learners until one meets a target.
 """
 
+import os
 from collections.abc import Sequence
 from math import inf
 from typing import Any
@@ -14,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
+from equipoise.arguments import Workers, checked
+from equipoise.artefacts import Count, Seed, StrPath
 from equipoise.control.grid import make_grid
 from equipoise.control.policy import (
     MAX_ACTUATORS,
@@ -45,9 +48,10 @@ from equipoise.learning.episodes import (
 )
 from equipoise.learning.learner import UpdateParams
 from equipoise.learning.select import race, trial_simulations
-from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, read_actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
-from equipoise.model.pendulum import Pendulum
+from equipoise.model.arms.resolve import read_arm
+from equipoise.model.pendulum import Pendulum, read_pendulum
 from equipoise.model.random import TRAINING_NOISE
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.settings import Settings
@@ -57,20 +61,21 @@ from equipoise.worlds.reachability import check_releases
 from equipoise.worlds.trials import Trial
 
 Array = npt.NDArray[np.float64]
-Actuators = Actuator | Sequence[Actuator] | None
-"""Actuator of the arm, several of them, or None for the default."""
+Actuators = Actuator | StrPath | Sequence[Actuator | StrPath] | None
+"""Actuator of the arm or its file, several of them, or None for the default."""
 
 
+@checked
 def train(
-    pendulum: Pendulum,
-    arm: Arm,
-    settings: Settings,
+    pendulum: Pendulum | StrPath | None = None,
+    arm: Arm | StrPath | None = None,
+    settings: Settings | None = None,
     *,
     actuator: Actuators = None,
     world: str = MODEL,
-    seed: int = 0,
-    learner: int = 0,
-    workers: int = 1,
+    seed: Seed = 0,
+    learner: Count = 0,
+    workers: Workers = 1,
     show: Show = lambda *_: None,
 ) -> TabularPolicy:
     """Train one learner, and select its best policy; `train_to_target` tests it, too.
@@ -79,14 +84,14 @@ def train(
     equal ones are one candidate.
 
     Args:
-        pendulum: The identified pendulum.
-        arm: The arm with its home posture.
+        pendulum: The identified pendulum, or its file; by default the one that ships.
+        arm: The arm, its name or its URDF; by default the iiwa7.
         settings: Resolved settings; the sections clik, controller, plant, learning and selection
             are used.
-        actuator: Actuator of the arm; by default ideal with `plant.ideal`, else the shipped one,
-            identified from the twin. With several, the episodes take turns behind them, and the
-            selection scores a policy behind the one where it is worst; the first one is the
-            controller's default.
+        actuator: Actuator of the arm, its file, or `ideal`; by default ideal with `plant.ideal`,
+            else the shipped one, identified from the twin. With several, the episodes take turns
+            behind them, and the selection scores a policy behind the one where it is worst; the
+            first one is the controller's default.
         world: World of the episodes: `model`, the compiled plant; or a twin, or an address of
             CoppeliaSim, one episode after the other. Selection and test run on the plant.
         seed: Master seed.
@@ -102,7 +107,8 @@ def train(
         OutsideError: CoppeliaSim fails.
         SettingsError: No controller saves any of the releases, or the world is unknown.
     """
-    check_task(pendulum, arm, settings, actuator, world=world)
+    pendulum, arm, settings = read_pendulum(pendulum), read_arm(arm), settings or Settings()
+    check_task(pendulum, settings, actuator, world=world)
     actuators = actuators_in(world, settings, actuator)
     settings = settings.model_copy(update={"learning": with_digests(settings.learning)})
     rule, episodes = settings.selection, settings.learning.episodes
@@ -160,7 +166,6 @@ def stage_of(name: str, learner: int) -> str:
 
 def check_task(
     pendulum: Pendulum,
-    arm: Arm,
     settings: Settings,
     actuator: Actuators = None,
     *,
@@ -171,7 +176,6 @@ def check_task(
 
     Args:
         pendulum: The identified pendulum.
-        arm: The arm with its home posture.
         settings: Resolved settings.
         actuator: Actuator of the arm; as in `train`.
         world: World of the episodes; as in `train`.
@@ -209,7 +213,8 @@ def actuators_in(world: str, settings: Settings, given: Actuators) -> tuple[Actu
     if given is None:
         ideal = kinematic or settings.plant.ideal
         return (IDEAL_ACTUATOR if ideal else shipped_actuator(),)
-    actuators = (given,) if isinstance(given, Actuator) else tuple(given)
+    several = [given] if isinstance(given, Actuator | str | os.PathLike) else given
+    actuators = tuple(map(read_actuator, several))
     if kinematic and actuators != (IDEAL_ACTUATOR,):
         raise InputError(f"the arm of the world {world} has no delay; leave out the actuator")
     most = MAX_ACTUATORS if world == MODEL else 1

@@ -246,7 +246,9 @@ class RunLog:
 
     # The file.
 
-    def save(self, path: StrPath, *, command: str, inputs: Mapping[str, str] | None = None) -> None:
+    def save(
+        self, path: StrPath, *, command: str = "python", inputs: Mapping[str, str] | None = None
+    ) -> None:
         """Write the run to `path` atomically.
 
         Args:

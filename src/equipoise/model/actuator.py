@@ -24,7 +24,7 @@ from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
-from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, Value
+from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, StrPath, Value
 from equipoise.jit import PACKAGE, called, inlined
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import BATCH_SIZE, Array, fma
@@ -519,6 +519,17 @@ class Actuator(Artefact):
 
 IDEAL_ACTUATOR: Final = Actuator.assumed("ideal")
 """Actuator of the paper: the arm reaches a setpoint immediately."""
+
+
+def read_actuator(given: Actuator | StrPath) -> Actuator:
+    """Return a given actuator, that of a file, or the ideal one, named `ideal`.
+
+    Raises:
+        ArtefactError: The file holds no actuator.
+    """
+    if isinstance(given, Actuator):
+        return given
+    return IDEAL_ACTUATOR if given == "ideal" else Actuator.load(given)
 
 
 @functools.cache

@@ -17,7 +17,8 @@ from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, Value
+from equipoise.arguments import checked
+from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, StrPath, Value
 from equipoise.jit import PACKAGE, called, inlined, kernel
 from equipoise.model.elementary import Array, fma, sincos
 from equipoise.settings import GRAVITY, Friction, IdentificationSettings
@@ -33,6 +34,12 @@ Variance = Annotated[float, Field(ge=-1e24, le=1e24)]
 """Covariance of two quantities below 1e12."""
 Variances = tuple[Variance, Variance, Variance, Variance]
 """Row of a covariance of four quantities."""
+GravityOverInertia = Annotated[
+    float, Field(ge=(2.0 * pi / MAX_PERIOD) ** 2, le=(2.0 * pi / MIN_PERIOD) ** 2)
+]
+"""w2 [1/s^2] of a possible period."""
+FrictionOverInertia = Annotated[float, Field(ge=-MAX_FRICTION, le=MAX_FRICTION)]
+"""c [1/s]; an identified one may be slightly negative."""
 STEPS_PER_PERIOD: Final = 128
 """Runge-Kutta steps per period of the swing; the error over 60 periods of a large swing is
 below 1e-5 rad."""
@@ -44,11 +51,11 @@ class PendulumParameters(NamedTuple):
     A `NamedTuple`, because compiled kernels take it as an argument.
     """
 
-    w2: float
+    w2: GravityOverInertia
     """Gravity over inertia, m g l / I [1/s^2]."""
     k: float
     """Coupling to the pivot's acceleration, m l / I [1/m]."""
-    c: float
+    c: FrictionOverInertia
     """Viscous friction over inertia, b / I [1/s]."""
     coulomb: float = 0.0
     """Coulomb friction over inertia [1/s^2]."""
@@ -294,7 +301,14 @@ class Pendulum(Artefact):
         return self
 
     @classmethod
-    def assumed(cls, w2: float, c: float, *, g: float = GRAVITY) -> Self:
+    @checked
+    def assumed(
+        cls,
+        w2: GravityOverInertia,
+        c: FrictionOverInertia,
+        *,
+        g: Annotated[float, Field(ge=0.1, le=100.0)] = GRAVITY,
+    ) -> Self:
         """Return an assumed pendulum, with intervals of zero width.
 
         Args:
@@ -329,6 +343,17 @@ class Pendulum(Artefact):
         """
         best = (each.value for each in (self.w2, self.k, self.c, self.coulomb, self.drag))
         return PendulumParameters(*best, linearised=linearised)
+
+
+def read_pendulum(given: Pendulum | StrPath | None) -> Pendulum:
+    """Return a given pendulum, that of a file, or by default the shipped one.
+
+    Raises:
+        ArtefactError: The file holds no pendulum.
+    """
+    if given is None:
+        return shipped_pendulum()
+    return given if isinstance(given, Pendulum) else Pendulum.load(given)
 
 
 @functools.cache

@@ -54,8 +54,9 @@ class TwinSettings(Value):
     margin."""
     transport_jitter: float = Field(default=0.001, ge=0.0, le=0.05)
     """Half width of the uniform jitter of that delay [s]; the order is kept. Assumed."""
-    cycle: int = Field(default=1, ge=1, le=10)
-    """Cycle of the server's shaping law [ms]: `Thread.sleep(1)` in its source."""
+    cycle: float = Field(default=0.001, ge=0.001, le=0.01, multiple_of=0.001)
+    """Cycle of the server's shaping law, in whole milliseconds [s]: `Thread.sleep(1)` in its
+    source."""
     shaped: bool = True
     """Whether the server applies its shaping law, as in its source. Otherwise the destination is
     the setpoint, as behind KUKA's FRI."""
@@ -219,6 +220,7 @@ def read_world(name: str) -> World:
         >>> world.name, world.settings.transport
         ('twin:harsh', 0.03)
     """
+    name = str(name)
     twins = f"{', '.join(PREFIX + short for short in WORLDS)} or {PREFIX}FILE.toml"
     if name == MODEL:
         raise SettingsError(f"the plant of the training is no digital twin; choose {twins}")

@@ -15,7 +15,8 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Final, TypeVar
 
-from equipoise.artefacts import StrPath
+from equipoise.arguments import Workers, checked
+from equipoise.artefacts import Seed, StrPath
 from equipoise.control.bound_policy import BUILT_IN
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArmError
@@ -25,7 +26,7 @@ from equipoise.identification.swing import identify
 from equipoise.learning.target import LEARNERS, TARGET, train_to_target
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.arms.resolve import read_arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import MODEL
 from equipoise.reproduction.results import (
@@ -64,23 +65,24 @@ TWIN_TRIALS: Final = 40
 """Maximum number of trials of the second evaluation: a trial there takes thirty times as long."""
 
 
+@checked
 def reproduce(
     out: StrPath,
     *,
-    swing: Trajectory | None = None,
-    arm: Arm | None = None,
+    swing: Trajectory | StrPath | None = None,
+    arm: Arm | StrPath | None = None,
     settings: Settings | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     quick: bool = False,
-    workers: int | None = None,
+    workers: Workers | None = None,
     report: Show = lambda *_: None,
 ) -> Results:
     """Reproduce the paper from the swing to a run on the digital twin, and save every value.
 
     Args:
         out: Folder of the files, created if missing.
-        swing: A recorded free swing, e.g. from `read_swing` (default: a simulated one).
-        arm: The arm with its home posture (default: an iiwa 7).
+        swing: A recorded free swing, or its file (default: a simulated one).
+        arm: The arm, its name or its URDF (default: the iiwa7).
         settings: Resolved settings (default: `Settings()`).
         seed: Master seed.
         quick: Whether it runs with fewer episodes and trials (`QUICK`).
@@ -91,7 +93,8 @@ def reproduce(
         RecordingError: The swing identifies no pendulum.
         OutsideError: A file cannot be written.
     """
-    out, arm = Path(out), arm or iiwa(7)
+    out, arm = Path(out), read_arm(arm)
+    swing = swing if swing is None or isinstance(swing, Trajectory) else read_swing(swing)
     settings = shortened(settings or Settings()) if quick else settings or Settings()
     workers = workers or available_cores()
     world = TWIN if _has_twin(arm) else MODEL

@@ -9,7 +9,9 @@ from equipoise.errors import LinkError
 from equipoise.rig.interfaces import AngleSensor, Clock
 
 TICK: Final = 0.001
-"""Step of virtual time [s]."""
+"""Period of the functions attached to virtual time [s]."""
+ROUNDING: Final = 1e-9
+"""Time by which a wait may end before a whole millisecond, and still reach it [s]."""
 DRAIN_PERIOD: Final = 0.010
 """Time between two reads of the encoder while a clock drains it [s]; a terminal buffers 0.1 s of
 lines."""
@@ -29,14 +31,14 @@ class SystemClock:
 
 
 class VirtualClock:
-    """Virtual time, which passes only during waits, in whole milliseconds.
+    """Virtual time, which passes only during waits.
 
-    Each attached function `work(now)` runs once per millisecond, in the order of attachment.
+    Each attached function `work(now)` runs at every whole millisecond, in the order of attachment.
     """
 
     def __init__(self) -> None:
         """Start at zero, without attached functions."""
-        self._ticks = 0
+        self._ticks, self._now = 0, 0.0
         self._work: list[Callable[[float], None]] = []
 
     def attach(self, work: Callable[[float], None]) -> None:
@@ -45,14 +47,16 @@ class VirtualClock:
 
     def now(self) -> float:
         """Return the time [s]."""
-        return self._ticks * TICK
+        return self._now
 
     def wait_until(self, moment: float) -> None:
-        """Advance in milliseconds to a time [s]."""
-        while self.now() < moment - 0.5 * TICK:
+        """Advance to a time [s]."""
+        while (tick := (self._ticks + 1) * TICK) <= moment + ROUNDING:
             self._ticks += 1
+            self._now = max(tick, self._now)
             for work in self._work:
-                work(self.now())
+                work(self._now)
+        self._now = max(moment, self._now)
 
 
 class DrainingClock:

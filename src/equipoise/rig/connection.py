@@ -28,15 +28,15 @@ from equipoise.rig.paced import PacedStream
 from equipoise.rig.plugins import (
     Emulated,
     RobotPlugin,
+    SensorPlugin,
     Session,
     ignore,
+    make_driver,
     robot_plugin,
     scheme_of,
-    sensor_plugin,
 )
 from equipoise.rig.request import RunRequest
 from equipoise.rig.simulated_rig import SimulatedRig
-from equipoise.user_code import guest_code
 
 
 class Rig(NamedTuple):
@@ -76,11 +76,7 @@ def open_robot(
     Raises:
         InputError: The address is invalid.
     """
-    make = robot_plugin(robot).open
-    if make is None:
-        raise InputError(f"{robot} exists in virtual time only; give a robot such as kst://HOST")
-    with guest_code(f"the plugin of {robot}"):
-        return make(robot, Session(clock, tell, attend))
+    return make_driver(RobotPlugin, "open", robot, robot, Session(clock, tell, attend))
 
 
 def open_encoder(
@@ -97,11 +93,8 @@ def open_encoder(
     Raises:
         InputError: The address is invalid.
     """
-    make = sensor_plugin(encoder).open
-    if make is None:
-        raise InputError(f"{encoder} exists in virtual time only; give one such as /dev/ttyACM0")
-    with guest_code(f"the plugin of {encoder}"):
-        return make(encoder, Session(clock), counts_per_rev, sign)
+    session = Session(clock)
+    return make_driver(SensorPlugin, "open", encoder, encoder, session, counts_per_rev, sign)
 
 
 def restart_instruction(robot: str) -> str:
@@ -197,14 +190,11 @@ def emulated_rig(
 
     Raises:
         ArmError: The masses of the arm's links are unknown.
-        InputError: The robot has no emulator.
+        InputError: The robot has no emulator, or its plugin is defective.
         SettingsError: Twin and rig differ in the counts per revolution.
     """
     plugin = robot_plugin(robot)
-    sensors = sensor_plugin("serial")
-    if plugin.emulate is None or sensors.emulate is None:
-        raise InputError(f"the robot {robot!r} has no emulator; choose another")
-    numbers = world.settings.model_copy(update=dict(plugin.servo))
+    numbers = world.settings.model_copy(update=plugin.servo.model_dump(exclude_unset=True))
     if numbers.counts_per_rev != settings.counts_per_rev:
         raise SettingsError(
             f"{world.name} has {numbers.counts_per_rev} counts per revolution, rig.toml "
@@ -217,11 +207,13 @@ def emulated_rig(
     offset = 0.1 * np.random.default_rng(seed).uniform(-1.0, 1.0, FREE_JOINTS)
     bench = SimulatedRig(arm, pendulum, numbers, seed=seed, q=arm.home_free + offset)
     clock.attach(bench.advance)
-    sensor = sensors.emulate(bench, clock, settings.counts_per_rev, settings.encoder_sign, seed)
+    encoder = bench, clock, settings.counts_per_rev, settings.encoder_sign, seed
+    sensor = make_driver(SensorPlugin, "emulate", "serial", *encoder)
     draining = DrainingClock(clock, sensor.device)
-    emulated = plugin.emulate(bench, arm, Session(draining), delay, seed)
+    parts = bench, arm, Session(draining), delay, seed
+    emulated = make_driver(RobotPlugin, "emulate", robot, *parts)
     clock.attach(emulated.advance)
     clock.attach(sensor.advance)
     operator = EmulatedOperator(bench, clock, seed=seed)
-    parts = _stream(emulated.device, sensor.device, clock, draining, period)
-    return Rig(*parts, plugin, operator, bench, (emulated, sensor))
+    stream = _stream(emulated.device, sensor.device, clock, draining, period)
+    return Rig(*stream, plugin, operator, bench, (emulated, sensor))

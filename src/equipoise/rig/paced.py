@@ -42,6 +42,9 @@ MAX_AHEAD: Final = 8
 """Maximum number of setpoints that wait for their part of the path; more are refused, since the
 caller sends faster than its period."""
 
+SILENCE: Final = 0.1
+"""Time without a request after which the link is lost [s]; a stall of 70 ms is bridged."""
+
 
 class PacedStream:
     """A `PacedRobot` as a `Robot`, and as the clock of its rig."""
@@ -63,6 +66,7 @@ class PacedStream:
         """
         self._draining = draining
         self._robot, self._clock, self._period = robot, clock, period
+        self._failure, self._asked = "", -inf
         self._streams = False
         self._held = True
         self._begin = -inf
@@ -90,7 +94,7 @@ class PacedStream:
         """
         while self._streams and (request := self._robot.request(time)) is not None:
             self._robot.answer(self._at(request.time))
-            received = self._clock.now()
+            received = self._asked = self._clock.now()
             while self._sent and self._sent[0] <= request.time:
                 sent = self._sent.popleft()
                 self._replies.append(Reply(sent, received, request.q, request.torque))
@@ -110,8 +114,10 @@ class PacedStream:
         """Return the measured joints [rad], shape (joints,), while the servo is off.
 
         Raises:
-            LinkError: The reply is late or invalid.
+            LinkError: The reply is late or invalid, or the stream has failed.
         """
+        if self._failure:
+            raise LinkError(self._failure)
         return self._robot.measured()
 
     def start(self) -> None:
@@ -120,12 +126,12 @@ class PacedStream:
         Raises:
             LinkError: The reply is late or invalid.
         """
-        held = self._robot.measured()
+        held = self.measured()
         self._robot.start()
         self._knots.extend([held] * 3)
         for queue in (self._ahead, self._sent, self._replies):
             queue.clear()
-        self._begin, self._held = -inf, True
+        self._begin, self._held, self._asked = -inf, True, self._clock.now()
         self._set_streams(True)
 
     def send(self, q: Sequence[float] | Array) -> None:
@@ -135,18 +141,24 @@ class PacedStream:
             q: The joints [rad], shape (joints,).
 
         Raises:
-            LinkError: No servo runs, or setpoints come faster than their period.
+            LinkError: No servo runs, the robot is silent, or setpoints come faster than their
+                period.
             InputError: The setpoint is not one finite number per joint; it was not added.
         """
         setpoint = checked_setpoint(q, self.joints)
         if not self._streams:
-            raise LinkError("the robot has no servo running; call start first")
-        if len(self._ahead) >= MAX_AHEAD:
-            raise LinkError(
-                f"{MAX_AHEAD} setpoints wait for the robot, expected one each "
-                f"{1e3 * self._period:g} ms; it no longer asks, or the caller is too fast"
-            )
+            raise LinkError(self._failure or "the robot has no servo running; call start first")
         now = self._clock.now()
+        if now - self._asked > SILENCE:
+            self._failure = f"the robot has requested nothing for {1e3 * SILENCE:g} ms"
+        elif len(self._ahead) >= MAX_AHEAD:
+            self._failure = (
+                f"{MAX_AHEAD} setpoints wait for the robot, expected one each "
+                f"{1e3 * self._period:g} ms; the caller is too fast"
+            )
+        if self._failure:
+            self._set_streams(False)
+            raise LinkError(self._failure)
         self._advance(now)
         since = now - self._begin
         if self._held and since >= self._period:  # the path stands still, and begins anew

@@ -12,12 +12,17 @@ time. Sensors register under `equipoise.sensors`. The robots and sensors of this
 in the same way. `equipoise.rig.connection` is the only module that opens devices.
 """
 
-from collections.abc import Callable, Mapping
-from importlib.metadata import entry_points
-from typing import Any, Generic, NamedTuple, TypeVar
+from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
+from inspect import getattr_static
+from typing import Any, Final, Generic, Literal, NamedTuple, TypeVar
 
+from pydantic import ValidationError
+
+from equipoise.artefacts import Share, Value, first_fault
 from equipoise.errors import InputError
 from equipoise.model.arms.arm import Arm
+from equipoise.model.worlds import TwinSettings
 from equipoise.rig.interfaces import AngleSensor, Clock, PacedRobot, Robot, Transport
 from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.user_code import guest_code
@@ -56,7 +61,7 @@ class Emulated(NamedTuple, Generic[Device]):
     """Makes another driver on a transport, for tests that damage bytes."""
 
 
-class RobotPlugin(NamedTuple):
+class RobotPlugin(Value):
     """A kind of robot, by the scheme of its addresses."""
 
     open: Callable[[str, Session], Robot | PacedRobot] | None = None
@@ -66,12 +71,12 @@ class RobotPlugin(NamedTuple):
     """Returns the driver in front of an emulator. Arguments: the simulated rig whose `body` the
     emulator moves and measures, the arm, the driver's session, the delay of the link each way [s],
     and a seed. None without an emulator."""
-    link_share: float = 0.5
+    link_share: Share = 0.5
     """Share of the twin's reply age that the emulated link takes each way [-]. The rest of the
     twin's transport time stays in the servo."""
-    servo: Mapping[str, Any] = {}
-    """Numbers of the robot's servo on a twin, as fields of `TwinSettings`, where they differ from
-    the world's: transport, cycle, shaped, inner, lag."""
+    servo: TwinSettings = TwinSettings()
+    """Numbers of the robot's servo on a twin; those given replace the world's: transport, cycle,
+    shaped, inner, lag."""
     flange_speed: Callable[[Arm, float], float] | None = None
     """Returns the largest flange speed [m/s] for the longest time between two setpoints [s]. A run
     over a slow link stops there. None where the link limits no speed."""
@@ -83,7 +88,7 @@ class RobotPlugin(NamedTuple):
     """Instruction to the operator before the next connection; empty without one."""
 
 
-class SensorPlugin(NamedTuple):
+class SensorPlugin(Value):
     """A kind of angle sensor, by the scheme of its addresses."""
 
     open: Callable[[str, Session, int | None, int], AngleSensor] | None = None
@@ -96,7 +101,10 @@ class SensorPlugin(NamedTuple):
     expected counts per revolution, the sign, and a seed. None without an emulator."""
 
 
-T = TypeVar("T", RobotPlugin, SensorPlugin)
+T = TypeVar("T", bound=RobotPlugin | SensorPlugin)
+
+CURE: Final = "repair or remove its package"
+"""Remedy for a defective plug-in."""
 
 
 def scheme_of(address: str) -> str:
@@ -110,25 +118,68 @@ def robot_plugin(address: str) -> RobotPlugin:
     Raises:
         InputError: No installed package registers that scheme, or its plugin is defective.
     """
-    return _load("equipoise.robots", RobotPlugin, address)
+    return _load(_registered(RobotPlugin, address), RobotPlugin)
 
 
-def sensor_plugin(address: str) -> SensorPlugin:
-    """Return the plugin for the address, or the scheme, of an angle sensor.
+def make_driver(
+    kind: type[RobotPlugin | SensorPlugin],
+    function: Literal["open", "emulate"],
+    address: str,
+    *arguments: Any,
+) -> Any:
+    """Call a function of the plugin for an address or a scheme, and check the driver it returns.
+
+    Args:
+        kind: Kind of the plugin.
+        function: Field of the plugin.
+        address: The address, or its scheme.
+        arguments: Arguments of the function.
 
     Raises:
-        InputError: No installed package registers that scheme, or its plugin is defective.
+        InputError: The plugin is missing or defective, or the driver lacks a method.
     """
-    return _load("equipoise.sensors", SensorPlugin, address)
+    point = _registered(kind, address)
+    make, what = getattr(_load(point, kind), function), _name(point)
+    if make is None:
+        raise InputError(f"{what} has no {function}, which {address} needs; choose another device")
+    with guest_code(what, CURE):
+        made = make(*arguments)
+        if function == "emulate" and not isinstance(made, Emulated):
+            found = type(made).__name__
+            raise InputError(f"{what}: emulate returns a {found}, expected an Emulated; {CURE}")
+        device = made.device if function == "emulate" else made
+        protocol = PacedRobot if hasattr(device, "request") else Robot
+        protocol = AngleSensor if kind is SensorPlugin else protocol
+        names = [name for name in dir(protocol) if not name.startswith("_")]
+        if missing := [name for name in names if getattr_static(device, name, None) is None]:
+            raise InputError(
+                f"{what}: its driver, a {type(device).__name__}, is no {protocol.__name__}, "
+                f"without {', '.join(missing)}; {CURE}"
+            )
+        return made
 
 
-def _load(group: str, type_: type[T], address: str) -> T:
+def _registered(kind: type[RobotPlugin | SensorPlugin], address: str) -> EntryPoint:
+    group = "equipoise.robots" if kind is RobotPlugin else "equipoise.sensors"
     registered, scheme = {one.name: one for one in entry_points(group=group)}, scheme_of(address)
     if scheme not in registered:
         known = ", ".join(f"{name}:" for name in sorted(registered))
         raise InputError(f"{address!r} is no known address; expected one that begins with {known}")
-    with guest_code(f"the plugin {scheme}", "repair or remove its package"):
-        plugin = registered[scheme].load()
-        if not isinstance(plugin, type_):
-            raise InputError(f"the plugin {scheme} is a {type(plugin)}, expected {type_.__name__}")
+    return registered[scheme]
+
+
+def _name(point: EntryPoint) -> str:
+    return f"the plug-in {point.name} = {point.value!r}"
+
+
+def _load(point: EntryPoint, kind: type[T]) -> T:
+    what = _name(point)
+    with guest_code(what, CURE):
+        try:
+            plugin = point.load()
+        except ValidationError as error:
+            raise InputError(f"{what}: {first_fault(error)}; {CURE}") from None
+        if not isinstance(plugin, kind):
+            found = type(plugin).__name__
+            raise InputError(f"{what} is a {found}, expected a {kind.__name__}; {CURE}")
         return plugin

@@ -26,7 +26,7 @@ from typing import Any, Final
 from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import EquipoiseError, OutsideError
 from equipoise.logs.conditions import RunEnd
-from equipoise.logs.recorder import Recorder, push_event, read_events
+from equipoise.logs.recorder import CONNECTING, ENDED, Recorder, push_event, read_events
 from equipoise.logs.shared import RunInfo, open_recorder, share
 from equipoise.logs.writer import RunWriter
 from equipoise.rig import realtime
@@ -107,6 +107,8 @@ def run_in_processes(request: RunRequest, out: Path, person: Operator, live: Liv
                 writer.drain(recorder)
                 end = end.model_copy(update={"lost_rows": recorder.lost})
                 writer.finish(time.monotonic(), end)
+            ended = OperatorMessage(ENDED, f"{end.outcome}: {end.reason}")
+            push_event(recorder.event, time.monotonic(), ended)
             if complete and writer.problem is not None:
                 person.notify(log_warning(writer.problem))
 
@@ -144,9 +146,10 @@ def _attend(
         alive = loop.is_alive()
         if result is None:
             with suppress(EOFError, OSError):  # the process has ended
-                result = results.recv() if results.poll() else None
+                if results.poll():
+                    result, pulse["ticks"] = results.recv(), 0.0  # it ticks no more
         # The heartbeat comes before the messages, since printing may take long.
-        streams = pulse["ticks"] > 0 and result is None
+        streams = pulse["ticks"] > 0
         beats = alive and time.monotonic() - float(pulse["time"]) < HEARTBEAT_TIMEOUT
         if streams and not beats and not silent:
             text = f"the loop does not answer: {CANNOT_STOP}"
@@ -187,6 +190,11 @@ def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
     context = multiprocessing.get_context("spawn")
     result: RunEnd | EquipoiseError
 
+    def tell(text: str) -> None:
+        event = OperatorMessage(CONNECTING, text)
+        push_event(recorder.event, time.monotonic(), event)
+        operator.notify(event)
+
     def attend() -> None:
         """Check for a stop and the encoder, which is connected before the robot."""
         if {STOP, ALONE} & set(operator.read_input()):
@@ -202,12 +210,9 @@ def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
             request: RunRequest = pickle.loads(data)
             helper.submit(os.getpid).result()  # it inherits blocked signals
             signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+            tell("Loading the control loop; the first time it compiles for up to a minute.")
             warm_up(request)  # before the connection, which needs attention once it is open
-            rig = connect(
-                request,
-                tell=lambda text: operator.notify(OperatorMessage("waiting", text)),
-                attend=attend,
-            )
+            rig = connect(request, tell=tell, attend=attend)
             result = run_on_rig(
                 request,
                 rig,

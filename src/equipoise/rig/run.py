@@ -27,6 +27,7 @@ from equipoise.rig.loop import LoopResult, run_inline, run_loop
 from equipoise.rig.preflight import preflight
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
+from equipoise.rig.signals import ended_stalls
 
 QUESTION_POLL_PERIOD: Final = 0.02
 """Polling period of typed input, robot and encoder while a question is open [s]: a quarter of a
@@ -248,7 +249,7 @@ def run_virtually(
 
     Raises:
         InputError: The policy does not fit the rig.
-        OutsideError: The log cannot be written.
+        OutsideError: The log cannot be written, or virtual time stands still.
     """
     rig = connect(request) if rig is None else rig
     recorder = Recorder(rig.robot.joints)
@@ -266,7 +267,8 @@ def run_virtually(
     operators = [one for one in (rig.operator, operator) if one is not None]
     end = RunEnd()
     try:
-        end = run_on_rig(request, rig, operators, recorder, idle=idle, wrap=wrap)
+        with ended_stalls(rig.clock, rig.clock, rig.robot, rig.sensor):
+            end = run_on_rig(request, rig, operators, recorder, idle=idle, wrap=wrap)
         return end
     except EquipoiseError as error:
         end = RunEnd(evidence={"text": str(error)})

@@ -15,14 +15,17 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
+from equipoise.arguments import Duration, checked
+from equipoise.artefacts import Seed, StrPath
+from equipoise.control.bound_policy import AnyPolicy, read_policy
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.grid import TRUNCATED, box_indices, make_grid
-from equipoise.control.policy import TaskPolicy
 from equipoise.logs.conditions import RunConditions, RunEnd
 from equipoise.logs.run_log import RunLog, simulated_log
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
-from equipoise.model.pendulum import Pendulum
+from equipoise.model.arms.resolve import read_arm
+from equipoise.model.pendulum import Pendulum, read_pendulum
 from equipoise.model.random import DEPLOYMENT
 from equipoise.model.worlds import (
     IDEAL,
@@ -39,19 +42,20 @@ from equipoise.worlds import Recorder, run_trial, setup_of, simulate
 Array = npt.NDArray[np.float64]
 
 
+@checked
 def simulate_run(
-    policy: TaskPolicy,
+    policy: AnyPolicy = None,
     *,
     world: str | World = MODEL,
-    actuator: Actuator | None = None,
-    seed: int = 0,
-    duration: float | None = None,
+    actuator: Actuator | StrPath | None = None,
+    seed: Seed = 0,
+    duration: Duration | None = None,
     settings: Settings | None = None,
 ) -> RunLog:
     """Run a policy once.
 
     Args:
-        policy: The policy.
+        policy: The policy; as in `evaluate`.
         world: `ideal`, `model`, a name that `read_world` knows, or a twin with its numbers.
         actuator: The controller's model of the arm's response (default: that of the training). A
             policy with several selects one on a twin, see `equipoise.control.actuator_choice`.
@@ -66,6 +70,7 @@ def simulate_run(
         ArmError: Home is a singular posture, or the masses of a twin's arm are unknown.
         SettingsError: The world is unknown.
     """
+    policy = read_policy(policy)
     setup = setup_of(policy, world, settings, actuator)
     pendulum, arm, settings, h = setup.pendulum, setup.arm, setup.settings, setup.h
     duration = settings.evaluation.duration if duration is None else duration
@@ -128,15 +133,21 @@ def simulate_run(
     )
 
 
+@checked
 def excite(
-    arm: Arm, world: str | World, pendulum: Pendulum, *, seed: int = 0, duration: float = 10.0
+    arm: Arm | StrPath | None = None,
+    world: str | World = "twin:nominal",
+    pendulum: Pendulum | StrPath | None = None,
+    *,
+    seed: Seed = 0,
+    duration: Duration = 10.0,
 ) -> RunLog:
     """Move every joint of a twin about home while the pendulum hangs, and record the response.
 
     Args:
-        arm: The arm with its home posture.
+        arm: The arm, its name or its URDF; by default the iiwa7.
         world: A name that `read_world` knows, or a twin with its numbers.
-        pendulum: The hanging pendulum.
+        pendulum: The hanging pendulum, or its file; by default the one that ships.
         seed: Master seed of jitter and noise.
         duration: Length of the record [s].
 
@@ -150,6 +161,7 @@ def excite(
     from equipoise.worlds.twin.excitation import PERIOD, excitation
     from equipoise.worlds.twin.twin import Twin
 
+    arm, pendulum = read_arm(arm), read_pendulum(pendulum)
     twin = world if isinstance(world, World) else read_world(world)
     parameters = pendulum_on(pendulum, twin.settings)
     simulated, sent = Twin(arm, parameters, twin.settings, seed=seed), excitation(arm, duration)

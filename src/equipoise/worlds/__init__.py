@@ -8,10 +8,10 @@ same way. Any other world is `MODULE:CLASS`.
 from importlib.metadata import entry_points
 from typing import Final
 
-from equipoise.artefacts import quoted
+from equipoise.artefacts import StrPath, quoted
 from equipoise.control.policy import TaskPolicy
 from equipoise.errors import SettingsError
-from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, read_actuator
 from equipoise.model.worlds import PREFIX, World
 from equipoise.settings import Settings
 from equipoise.user_code import guest_code, load_object
@@ -77,13 +77,13 @@ def setup_of(
     policy: TaskPolicy,
     world: str | World,
     settings: Settings | None = None,
-    actuator: Actuator | None = None,
+    actuator: Actuator | StrPath | None = None,
 ) -> Setup:
     """Return the setup of a policy in a world; settings and actuator replace those of its task.
 
     In a world with an ideal arm, such as `ideal`, the arm has no delay, also with a given actuator.
     """
-    carried = policy.actuators if actuator is None else (actuator,)
+    carried = policy.actuators if actuator is None else (read_actuator(actuator),)
     responses = (IDEAL_ACTUATOR,) if world_class(world).ideal_arm else carried
     return Setup(policy.pendulum, policy.arm, settings or policy.settings, responses, policy.h)
 

@@ -20,8 +20,9 @@ from pydantic import Field, ValidationError, model_validator
 from scipy.stats import binom, binomtest
 
 from equipoise import paper
+from equipoise.arguments import Workers, checked
 from equipoise.artefacts import Artefact, Name, Value, first_fault
-from equipoise.control.policy import TaskPolicy
+from equipoise.control.bound_policy import AnyPolicy, read_policy
 from equipoise.errors import InputError
 from equipoise.model.worlds import MODEL, read_world
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS
@@ -157,6 +158,7 @@ def trials_for(probability: float, confidence: float) -> int:
     )
 
 
+@checked
 def make_claim(
     probability: float = 0.99,
     confidence: float = 0.95,
@@ -208,17 +210,18 @@ def trial_seed(policy: str, claim: Claim) -> int:
     return int(hashlib.sha256(source.encode()).hexdigest()[:8], 16)
 
 
+@checked
 def certify(
-    policy: TaskPolicy,
+    policy: AnyPolicy,
     claim: Claim,
     *,
-    workers: int = 1,
+    workers: Workers = 1,
     done: Done = lambda _: None,
 ) -> Certificate:
     """Test a claim about a policy.
 
     Args:
-        policy: The policy.
+        policy: The policy; as in `evaluate`.
         claim: The claim, from `make_claim`.
         workers: Number of threads; the result does not depend on it.
         done: Called with the number of trials that have just finished.
@@ -226,6 +229,7 @@ def certify(
     Returns:
         The certificate, granted or refused.
     """
+    policy = read_policy(policy)
     changes = {"trials": claim.trials, "duration": claim.duration}
     trials = policy.settings.evaluation.model_copy(update=changes)
     evaluation = evaluate(

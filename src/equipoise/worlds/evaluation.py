@@ -15,8 +15,10 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.stats import binomtest
 
-from equipoise.artefacts import Artefact, Name, Seed, Value
+from equipoise.arguments import Workers, checked
+from equipoise.artefacts import Artefact, Name, Seed, StrPath, Value
 from equipoise.control.baselines import baselines
+from equipoise.control.bound_policy import AnyPolicy, read_policy
 from equipoise.control.policy import MAX_ACTUATORS, PolicyKernel, TaskPolicy
 from equipoise.model.actuator import Actuator
 from equipoise.model.random import TEST
@@ -146,15 +148,16 @@ class Evaluation(Artefact):
         return self.settings.evaluation.duration
 
 
+@checked
 def evaluate(
-    policy: TaskPolicy,
+    policy: AnyPolicy = None,
     settings: Settings | None = None,
     *,
     world: str | World = MODEL,
-    actuator: Actuator | None = None,
-    seed: int = 0,
+    actuator: Actuator | StrPath | None = None,
+    seed: Seed = 0,
     with_baselines: bool = True,
-    workers: int = 1,
+    workers: Workers = 1,
     done: Done = lambda _: None,
 ) -> Evaluation:
     """Evaluate a policy in a simulated world.
@@ -163,14 +166,16 @@ def evaluate(
     same trials, about a second per trial of a minute.
 
     Args:
-        policy: The policy with its task, such as a table or a result of `load_policy`.
+        policy: A policy with its task, such as a table; its file or name, as `load_policy` takes
+            it; or a function, as `bind_policy` takes it. By default the table that ships.
         settings: Number, length and starts of the trials, noise of the plant, the controller
             (default: the policy's).
         world: Name of a world, such as `ideal`, `model` or `twin:nominal`, or a twin with its
             numbers.
-        actuator: The controller's model of the arm's response (default: the policy's; in `ideal`
-            always the ideal one). A policy with several selects one in each trial on a twin, see
-            `equipoise.control.actuator_choice`; on a plant its first one holds.
+        actuator: The controller's model of the arm's response, its file, or `ideal` (default: the
+            policy's; in `ideal` always the ideal one). A policy with several selects one in each
+            trial on a twin, see `equipoise.control.actuator_choice`; on a plant the first one
+            holds.
         seed: Master seed of the trials.
         with_baselines: Run the baselines on the same trials.
         workers: Number of threads for compiled policies; the result does not depend on it.
@@ -180,6 +185,7 @@ def evaluate(
         SettingsError: The world is unknown.
         ArmError: The masses of the twin's arm are unknown.
     """
+    policy = read_policy(policy)
     setup = setup_of(policy, world, settings, actuator)
     pendulum, arm, settings, h = setup.pendulum, setup.arm, setup.settings, setup.h
     simulation = simulate(world, setup, seed=seed, stream=TEST)

@@ -7,7 +7,7 @@ import shutil
 
 import pytest
 
-from tests.program import wait_until
+from tests.program import LONGEST, wait_until
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 
@@ -15,6 +15,13 @@ needs_browser = pytest.mark.skipif(
     not (CHROMIUM and DRIVER), reason="Chromium and its driver are not installed"
 )
 pytest.importorskip("viser", reason="viser is not installed (extra console)")
+
+
+DRAW_SELDOM = """{
+const draw = window.requestAnimationFrame.bind(window);
+window.requestAnimationFrame = (act) => setTimeout(() => draw(act), 150);
+window.cancelAnimationFrame = clearTimeout;
+}"""
 
 
 def _aside():
@@ -26,7 +33,8 @@ def _aside():
 def browser(width=640, height=480):
     """Chromium without a screen, on the first core: a loop stays on the last one.
 
-    It draws without a graphics card: a larger window takes seconds for a picture.
+    It draws without a graphics card, a picture of a large window takes seconds: it draws seldom, to
+    have time for the rest.
     """
     from selenium import webdriver
 
@@ -41,6 +49,8 @@ def browser(width=640, height=480):
     options.set_capability("goog:loggingPrefs", {"performance": "ALL"})
     service = webdriver.ChromeService(DRIVER, popen_kw={"preexec_fn": _aside})
     page = webdriver.Chrome(options, service)
+    page.set_script_timeout(LONGEST)
+    page.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": DRAW_SELDOM})
     try:
         yield page
     finally:

@@ -109,3 +109,24 @@ def test_questions_and_stop(played):
             assert arrived - page.execute_script("return window.pressed") / 1e3 < STOP_LIMIT
         origin = address.partition("?")[0]
         assert all(url.startswith((origin, "data:", "blob:")) for url in requests(page))
+
+
+def test_on_a_phone_stop_lies_in_the_scene_and_the_panel_below(played):
+    _, address = played
+    with browser(500, 844) as page:
+        page.get(address)
+        wait_until(lambda: shown(page, "#equipoise-readings"), "readings")
+        width, height, *boxes = page.execute_script(
+            "const box = (css) => document.querySelector(css).getBoundingClientRect();"
+            "return [innerWidth, innerHeight, box('canvas'), box('#equipoise-stop'), "
+            "box('#equipoise-state')]"
+        )
+        scene, stop, state = boxes
+        assert scene["width"] == width
+        assert 0.3 * height < scene["height"] <= state["top"]
+        assert 0.0 <= stop["left"] < stop["right"] < width
+        assert scene["top"] < stop["top"] < stop["bottom"] < state["top"]
+        assert 0.0 <= state["left"] < state["right"] <= width
+        at = [stop["left"] + 0.5 * stop["width"], stop["top"] + 0.5 * stop["height"]]
+        script = "return document.elementFromPoint(...arguments).closest('button').id"
+        assert page.execute_script(script, *at) == STOP

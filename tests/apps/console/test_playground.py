@@ -58,9 +58,15 @@ def test_the_page_pushes_and_changes_the_rig(monkeypatch):
     page = PlayPage(server, SCENES["balance"])
     page.advance(0)
     assert "standing" in page._page._state.content
+    assert "shipped table" in page._page._state.content
     page._controls["delay"].value = 25.0
+    page._controls["policy"].value = "LQR"
     page._changed()
     assert page.playground.scene.delay == pytest.approx(0.025)
+    page.advance(0)
+    assert "shipped table" not in page._page._state.content
+    assert "after 43 ms: 25 ms transport + 18 ms servo" in page._page._state.content
+    assert not page._table.visible
     monkeypatch.setattr(page.playground, "push", pushes.append)
     for drawn in (0.05, -1.0):  # [m]
         event = {"start_position": (0.1, 0.0, 0.9), "end_position": (0.1 + drawn, 0.0, 0.9)}

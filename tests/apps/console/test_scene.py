@@ -17,10 +17,19 @@ def server():
     server.stop()
 
 
-def page_of(server, arm):
+def page_of(server, arm, plots=0):
     from equipoise.apps.console.scene import RigPage
 
-    return RigPage(server, "test", arm)
+    return RigPage(server, "test", arm, plots)
+
+
+def places_of(page):
+    moving = [mesh for mesh in page._bodies.values() if mesh is not page.pendulum]
+    return np.array([[*mesh.position, *mesh.wxyz] for mesh in moving])
+
+
+def unknown_in(page):
+    return re.findall(r">(\w) = —<", page._readings.content)
 
 
 @pytest.mark.parametrize("make", [iiwa7, iiwa14])
@@ -37,13 +46,30 @@ def test_the_pivot_is_where_the_kinematics_of_the_arm_have_it(server, make):
 
 
 @pytest.mark.parametrize("q", [None, np.full(7, np.nan)])
-def test_an_unknown_posture_keeps_the_last_one_and_is_named_unknown(server, q):
+def test_unknown_arm_and_pendulum_are_drawn_nowhere_and_stay_unnumbered(server, q):
     page = page_of(server, iiwa7())
-    page.show(np.array(iiwa7().home) + 0.05, 0.3)
-    before = [*page.pendulum.position, *page.pendulum.wxyz]
-    assert np.isnan(page.show(q, np.nan, np.nan))
-    assert [*page.pendulum.position, *page.pendulum.wxyz] == pytest.approx(before)
-    assert re.findall(r">(\w+ unknown)<", page._readings.content) == ["φ unknown", "x unknown"]
+    drawn = lambda: {n for n, mesh in page._bodies.items() if mesh.visible}  # noqa: E731
+    assert drawn() == {0}  # the table
+    assert unknown_in(page) == ["φ", "x"]
+    page.show(np.array(iiwa7().home) + 0.05, 0.3, 1.0)
+    assert drawn() == set(page._bodies)
+    assert unknown_in(page) == []
+    before = places_of(page)
+    assert np.isnan(page.show(q, 0.3, 1.0))
+    assert places_of(page) == pytest.approx(before)  # where it was last
+    assert (page.pendulum.visible, page._arrow.visible) == (False, False)
+    assert unknown_in(page) == ["x"]
+    page.show(iiwa7().home, np.nan)
+    assert not page.pendulum.visible
+    assert unknown_in(page) == ["φ"]
+
+
+def test_an_unknown_quantity_has_no_plot(server):
+    page = page_of(server, iiwa7(), plots=2)
+    assert [plot.visible for plot in page._plots] == [False, False]
+    page.draw(np.arange(3.0), np.array([[np.nan, 0.0, np.nan], [np.nan, 1.0, 2.0]]))
+    assert [plot.visible for plot in page._plots] == [False, True]
+    assert page._plots[1].data[0].tolist() == [1.0, 2.0]
 
 
 def test_the_pendulum_leans_towards_x_for_a_positive_angle_and_the_arrow_points_along_u(server):

@@ -2,12 +2,13 @@
 
 import os
 from math import nan
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from equipoise.apps.console.watch import RunWatch
-from equipoise.logs.recorder import push_event
+from equipoise.logs.recorder import CONNECTING, ENDED, push_event
 from equipoise.logs.shared import RunInfo, live_runs, open_recorder, share
 from equipoise.model.arms.iiwa import iiwa7
 from equipoise.outcomes import Phase
@@ -42,19 +43,29 @@ def asked(watch):
     return watch.question
 
 
+@pytest.fixture
+def clock(monkeypatch):
+    """The time of the machine [s], to be set."""
+    clock = SimpleNamespace(now=1.0)
+    monkeypatch.setattr("equipoise.apps.console.watch.time", clock)
+    clock.monotonic = lambda: clock.now
+    return clock
+
+
 def tick(recorder, time, phase, phi, late=0.001):
     state = PHASES.index(phase)
     observed = (0.0, 0.0, phi, 0.0, 0, 0.5, phi, 0.0, 0.0)
     recorder.tick.push(time, late, 0.001, state, *observed, HOME + 0.1, 0.0 * HOME)
 
 
-def test_an_observer_sees_all_and_takes_nothing(shared, watch):
+def test_an_observer_sees_all_and_takes_nothing(shared, watch, clock):
     recorder = shared[1]
     watch.observe()
     assert watch.phase is None
     tick(recorder, 1.0, Phase.HOMING, 3.0, late=0.004)
     tick(recorder, 1.01, Phase.BALANCING, 0.1)
     recorder.reply.push(1.0, nan, HOME, 0.0 * HOME, 1.0)
+    recorder.encoder.push(1.0, 7, 0, 0, 0, 1.0)
     push_event(recorder.event, 1.0, OperatorMessage("homing", "Moving"))
     watch.observe()
     assert (watch.phase, watch.phi, watch.late, watch.time) == (Phase.BALANCING, 0.1, 0.004, 1.01)
@@ -64,6 +75,50 @@ def test_an_observer_sees_all_and_takes_nothing(shared, watch):
     assert watch.events == []
     assert len(recorder.tick.take()) == 2
     assert len(recorder.event.take()) == 1
+
+
+def test_a_measurement_that_is_too_old_is_unknown(shared, watch, clock):
+    recorder = shared[1]
+    for now, has_posture, has_angle in ((1.0, True, True), (1.2, False, True), (1.4, True, False)):
+        clock.now = now
+        tick(recorder, now, Phase.BALANCING, 0.1)  # the estimate goes on
+        if has_posture:
+            recorder.reply.push(now, nan, HOME, 0.0 * HOME, now)
+        if has_angle:
+            recorder.encoder.push(now, 7, 0, 0, 0, now)
+        watch.observe()
+        assert (watch.q is not None, np.isfinite(watch.phi)) == (has_posture, has_angle)
+    clock.now += 0.02
+    watch.observe()
+    assert watch.q is not None  # none new yet, but not old
+
+
+def test_the_page_says_what_the_run_does_and_why_it_ended():
+    viser = pytest.importorskip("viser", reason="viser is not installed (extra console)")
+    from equipoise.apps.console.live import LivePage
+
+    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
+    page = LivePage(server)
+
+    def state_after(name, text):
+        push_event(recorder.event, 0.0, OperatorMessage(name, text))
+        watch.observe()
+        page.show(watch)
+        return page._page._state.content
+
+    assert "waiting for a run" in page._page._state.content
+    with share(RunInfo(title="test", pid=os.getpid(), arm=ARM, phases=PHASES)) as folder:
+        recorder, watch = open_recorder(folder, len(ARM.joints)), RunWatch(folder)
+        page.begin(watch)
+        assert "Compiling the loop" in state_after(CONNECTING, "Compiling the loop")
+        state = state_after(CONNECTING, "Connecting to kst://robot")
+        assert "kst://robot" in state
+        assert "Compiling" not in state
+    state = state_after(ENDED, "angle: the pendulum leans by 12 deg")
+    assert "ended" in state
+    assert state.count("leans by 12 deg") == 1
+    watch.close()
+    server.stop()
 
 
 def test_the_end_of_a_run_is_seen_and_its_memory_is_gone():

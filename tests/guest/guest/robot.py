@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from equipoise.errors import InputError, LinkError
+from equipoise.model.worlds import TwinSettings
 from equipoise.rig.interfaces import Request, checked_setpoint
 from equipoise.rig.plugins import Emulated, RobotPlugin
 from equipoise.rig.transports import SocketTransport, memory_pipe
@@ -50,7 +51,7 @@ class GuestRobot:
     def __init__(self, open_link, session, joints=JOINTS):
         self.joints, self._frames = joints, Frames(joints)
         self._open, self._clock, self._link = open_link, session.clock, None
-        self._requests, self._measured = deque(), None
+        self._requests, self._measured, self._failure = deque(), None, ""
 
     def connect(self):
         self._link = self._open()
@@ -69,7 +70,7 @@ class GuestRobot:
 
     def request(self, until):
         self._read()
-        while not self._requests and self._clock.now() < until - 5e-4:
+        while not self._requests and self._clock.now() < until:
             self._clock.wait_until(min(self._clock.now() + 1e-3, until))
             self._read()
         return self._requests[0] if self._requests else None
@@ -92,16 +93,12 @@ class GuestRobot:
             self._link = None
 
     def _send(self, kind, q=None):
-        if self._link is None:
-            raise LinkError("the guest's robot is not connected; connect first")
-        self._link.write(self._frames.pack(kind, q))
+        self._working().write(self._frames.pack(kind, q))
 
     def _read(self):
-        if self._link is None:
-            raise LinkError("the guest's robot is not connected; connect first")
-        for kind, q, torque in self._frames.feed(self._link.read()):
+        for kind, q, torque in self._frames.feed(self._working().read()):
             if kind == STOPPED:
-                raise LinkError(f"the guest's robot stopped: {UNANSWERED} requests had no answer")
+                self._fail(f"the guest's robot stopped: {UNANSWERED} requests had no answer")
             if kind == REQUEST:
                 self._requests.append(Request(self._clock.now(), tuple(q), tuple(torque)))
             else:
@@ -111,10 +108,19 @@ class GuestRobot:
         deadline = self._clock.now() + TIMEOUT
         while self._measured is None:
             if self._clock.now() > deadline:
-                raise LinkError(f"the guest's robot said nothing for {TIMEOUT:g} s; switch it on")
+                self._fail(f"the guest's robot said nothing for {TIMEOUT:g} s; switch it on")
             self._clock.wait_until(self._clock.now() + 1e-3)
             self._read()
         return self._measured
+
+    def _working(self):
+        if self._failure or self._link is None:
+            raise LinkError(self._failure or "the guest's robot is not connected; connect first")
+        return self._link
+
+    def _fail(self, why):
+        self._failure = why
+        raise LinkError(why)
 
 
 class GuestController:
@@ -189,7 +195,7 @@ def emulate(rig, arm, session, delay, seed):
 PLUGIN = RobotPlugin(
     open=open_robot,
     emulate=emulate,
-    servo={"transport": 0.0045},
+    servo=TwinSettings(transport=0.0045),
     failure="If this computer or the cable fails, the robot stops by itself within 24 ms.",
     restart="switch the robot's servo on",
 )

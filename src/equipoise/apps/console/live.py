@@ -23,7 +23,7 @@ from equipoise.apps.console.watch import RunWatch
 from equipoise.apps.console.web import serving
 from equipoise.apps.style import BLUE, GREEN, GREY, INK, ORANGE, VERMILION
 from equipoise.control.ticks import OK
-from equipoise.logs.recorder import LoggedEvent
+from equipoise.logs.recorder import ENDED, LoggedEvent
 from equipoise.logs.shared import live_runs
 from equipoise.outcomes import Phase
 from equipoise.rig.processes import HEARTBEAT_TIMEOUT
@@ -57,9 +57,14 @@ class LivePage:
         self._began = self._ended = nan
         self._page = RigPage(server, "Equipoise console", plots=len(PLOTS))
         self._asked = server.gui.add_html("", order=10, visible=False)
-        with server.gui.add_folder("Messages", order=60):
+        self._folder = server.gui.add_folder("Messages", order=60, visible=False)
+        with self._folder:
             self._listed = server.gui.add_html("")
-        self._page.describe("no run", GREY, ["Waiting for a run on this computer."])
+        self._page.describe(
+            "waiting for a run",
+            GREY,
+            ["Start one on this computer: equipoise deploy --robot ADDRESS. It appears here."],
+        )
 
     def begin(self, watch: RunWatch) -> None:
         """Show another run from its begin."""
@@ -68,6 +73,7 @@ class LivePage:
             self._page.show_arm(watch.info.arm)
             self._history.clear()
             self._messages.clear()
+            self._page.draw(np.zeros(0), np.zeros((len(PLOTS), 0)))
             self._began = self._ended = nan
 
     def show(self, run: RunWatch) -> None:
@@ -77,6 +83,7 @@ class LivePage:
             self._listed.content = messages_list(
                 (event.text or event.name, COLOURS.get(event.name, INK)) for event in self._messages
             )
+            self._folder.visible = bool(self._messages)
             x = self._page.show(run.q, run.phi, run.u)
             if isfinite(run.late):
                 late = 1e3 * max(run.late, 0.0)
@@ -107,6 +114,8 @@ class LivePage:
         name, colour, lines = "before the motion", BLUE, [run.info.title]
         if run.phase is not None:
             name, colour = run.phase.value, COLOURS.get(run.phase, BLUE)
+        elif not (run.question or run.ended):
+            lines += [event.text for event in self._messages][-1:]
         if isfinite(self._began):
             length = f" of {run.info.duration:g} s" if run.info.duration else ""
             lines.append(f"balanced {self._ended - self._began:.1f} s{length}")
@@ -115,6 +124,9 @@ class LivePage:
             lines.append(f"no tick for {run.silence:.2f} s; press the E-stop if the arm moves")
         if run.ended:
             name, colour = "ended", INK
+            ends = [event.text for event in self._messages if event.name == ENDED]
+            lines += ends or ["its process ended without a result"]
+            lines.append("The next run appears here.")
         self._page.describe(name, colour, lines)
 
     def _draw_plots(self) -> None:
@@ -122,7 +134,8 @@ class LivePage:
         while history[0][0] < history[-1][0] - SPAN:
             history.popleft()
         time, *rows = np.array(history).T
-        rows[0] = np.unwrap(rows[0][::-1], period=360.0)[::-1]  # the newest one stays
+        known = np.isfinite(rows[0])  # the newest one stays, the others are continuous
+        rows[0][known] = np.unwrap(rows[0][known][::-1], period=360.0)[::-1]
         self._page.draw(time - time[-1], np.array(rows))
 
     def _ask(self, question: LoggedEvent | None) -> None:

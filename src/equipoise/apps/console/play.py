@@ -12,7 +12,7 @@ import numpy.typing as npt
 from equipoise.apps.console.playground import SCENES, Playground, Scene
 from equipoise.apps.console.scene import RigPage
 from equipoise.apps.console.web import LOOPBACK, serving
-from equipoise.apps.style import GREEN, VERMILION
+from equipoise.apps.style import GREEN, GREY, VERMILION
 from equipoise.control.policy import TaskPolicy
 from equipoise.paper import U_MAX
 from equipoise.settings import BoxSettings
@@ -27,7 +27,7 @@ SLOW: Final = 12
 PUSH: Final = radians(15.0)
 """Change of the pendulum's rate by a button [rad/s]."""
 SLIDERS: Final = {
-    "delay": ("delay [ms]", 0.0, 60.0, 1.0, 1e-3),
+    "delay": ("transport [ms]", 0.0, 60.0, 1.0, 1e-3),
     "zero": ("zero error [deg]", -3.0, 3.0, 0.1, radians(1.0)),
     "friction": ("friction [1/s²]", 0.0, 2.0, 0.05, 1.0),
     "lean": ("start [deg]", -10.0, 10.0, 0.5, radians(1.0)),
@@ -49,9 +49,12 @@ class PlayPage:
             yours: The policy of the user.
         """
         self._lock, self._server = threading.RLock(), server
+        self._page = RigPage(server, "Equipoise playground")
+        compiling = "Compiling the twin: about 20 s the first time, then 3 s."
+        self._page.describe("starting", GREY, [compiling])
         self.playground = Playground(scene, yours)
         """The twin behind the page."""
-        self._page = RigPage(server, "Equipoise playground", self.playground.arm)
+        self._page.show_arm(self.playground.arm)
         self._page.pendulum.on_drag("left")(self._dragged)
         gui: Any = server.gui
         pushes = gui.add_button_group("Push", ("◀ push left", "push right ▶"), order=10)
@@ -75,7 +78,8 @@ class PlayPage:
             control.on_update(
                 lambda event: self._changed() if event.client_id is not None else None
             )
-        with gui.add_folder("The table: 270 boxes", order=51):
+        self._table = gui.add_folder("The table: 270 boxes", order=51)
+        with self._table:
             self._boxes = gui.add_image(self._picture(-1), format="png")
             gui.add_markdown(
                 "Angle to the right, its rate upwards; the nine groups are place and speed of the "
@@ -126,7 +130,8 @@ class PlayPage:
             self._page.show(twin.q, remainder(twin.phi, 2.0 * pi), twin.u)
             if picture % SLOW == 0:
                 name, colour = ("fallen", VERMILION) if twin.fallen else ("standing", GREEN)
-                self._page.describe(name, colour, (twin.scene.about, *twin.sentences()))
+                self._page.describe(name, colour, twin.sentences())
+                self._table.visible = twin.u_of_box is not None
                 self._boxes.image = self._picture(twin.box)
 
     def _picture(self, current: int) -> npt.NDArray[np.uint8]:
@@ -175,8 +180,8 @@ def play(
         OutsideError: The address or the port is not available.
     """
     with serving(address, port) as (server, url):
-        page = PlayPage(server, scene, yours)
         ready(url)
+        page = PlayPage(server, scene, yours)
         run(page, stopped)
 
 

@@ -41,7 +41,7 @@ class Scene(NamedTuple):
     predict: bool = True
     """Whether the policy sees the state at which its command takes effect."""
     delay: float = 0.010
-    """Transport delay of the robot's commands [s]."""
+    """Transport delay of the robot's commands, to which the servo's response adds [s]."""
     zero: float = 0.0
     """Error of the encoder's zero [rad]."""
     friction: float = 0.1
@@ -51,12 +51,11 @@ class Scene(NamedTuple):
 
 
 SCENES: Final = {
-    "balance": Scene(
-        "The shipped table on the digital twin. Push the pendulum: how much can it take?"
-    ),
+    "balance": Scene("Push the pendulum: how much can it take?"),
     "why-it-falls": Scene(
         "The same rig, but the policy sees the present, not the moment at which its command "
-        "arrives. Lower the delay: from where on does it stand? Then switch the prediction on.",
+        "arrives. Lower the transport delay: from where on does it stand? Then switch the "
+        "prediction on.",
         predict=False,
         delay=0.030,
     ),
@@ -69,13 +68,15 @@ SCENES: Final = {
         "A sticky pivot. The pendulum rests beside upright, and the policy hunts around it.",
         friction=1.0,
     ),
-    "lqr": Scene(
-        "A linear regulator instead of a table: it answers small angles with small accelerations. "
-        "The table has eight, so that it is never quite at rest.",
-        policy="LQR",
-    ),
+    "lqr": Scene("Compare with the shipped table: which one is at rest?", policy="LQR"),
 }
 """Scenes by name."""
+POLICIES: Final = {
+    "shipped table": "The shipped table: eight accelerations, so that it is never quite at rest.",
+    "LQR": "A linear regulator: it answers small angles with small accelerations.",
+    "yours": "Your policy.",
+}
+"""Sentence on each policy."""
 
 
 class Playground:
@@ -113,8 +114,8 @@ class Playground:
         setup = setup_of(policy, twin, settings, actuator)
         self.scene, self.policy, self.arm = scene, policy, policy.arm
         parameters, self.h = policy.pendulum.parameters(), policy.h
-        self.latency = horizon(policy.arm, actuator, controller.margin)
-        """Time from a measurement to the effect of the command that answers it [s]."""
+        self.latency = horizon(policy.arm, actuator, 0.0)
+        """Time from a command to its effect [s]: transport, then the response of the servo."""
         self.growth = exp(sqrt(parameters.w2) * self.latency)
         """Factor by which a lean grows within the latency [-]."""
         self._simulation = TwinSimulation(twin, setup, seed=0, stream=DEPLOYMENT)
@@ -165,8 +166,8 @@ class Playground:
                 self.box = int(box_indices(seen[None, :], self._boxes)[0])
                 self.used[self.box] = 1.0
 
-    def sentences(self) -> tuple[str, str]:
-        """Return how long it has stood and how far it moved, and what the latency does."""
+    def sentences(self) -> tuple[str, str, str, str]:
+        """Return the policy, the scene, the motion so far, and the effect of the latency."""
         stood = (self._fell if self.fallen else self._tick) * self.h
         motion = f"It has stood for {stood:.0f} s."
         if self.fallen:
@@ -174,8 +175,10 @@ class Playground:
         elif len(self._recent) > 1:
             x, phi = np.abs(np.array(self._recent)).max(axis=0)
             motion += f" In the last {RECENT:g} s: ±{degrees(phi):.1f}°, ±{1e3 * x:.0f} mm."
-        latency = (
-            f"A command takes {1e3 * self.latency:.0f} ms to act; meanwhile a lean grows by "
-            f"{100.0 * (self.growth - 1.0):.0f} %."
+        transport, latency = 1e3 * self.scene.delay, 1e3 * self.latency
+        effect = (
+            f"A command acts after {latency:.0f} ms: {transport:.0f} ms transport + "
+            f"{latency - transport:.0f} ms servo. "
+            f"Meanwhile a lean grows by {100.0 * (self.growth - 1.0):.0f} %."
         )
-        return motion, latency
+        return POLICIES[self.scene.policy], self.scene.about, motion, effect

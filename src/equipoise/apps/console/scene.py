@@ -72,12 +72,12 @@ class RigPage:
             self.show_arm(arm)
 
     def show_arm(self, arm: Arm) -> None:
-        """Show another arm, at home with a hanging pendulum, from the camera of the films."""
+        """Show the surroundings of another arm, from the camera of the films; `show` adds it."""
         if self._root is not None:
             self._root.remove()
-        scene, self._rig = self._server.scene, build_scene(arm)
-        model = self._rig.model
-        self._data, self._home = mujoco().MjData(model), self._rig.pivot
+        scene, rig = self._server.scene, build_scene(arm)
+        model, self._home = rig.model, rig.pivot
+        self._data = mujoco().MjData(model)
         self._root = scene.add_frame(NAME, show_axes=False)
         self._bodies = _add_bodies(scene, model)
         self.pendulum = self._bodies[model.body("pendulum").id]
@@ -86,35 +86,38 @@ class RigPage:
         size: Any = {"shaft_radius": 0.008, "head_radius": 0.018, "head_length": 0.03}
         nowhere = np.zeros((1, 2, 3), np.float32)
         self._arrow = scene.add_arrows(f"{NAME}/u", nowhere, colour, visible=False, **size)
-        for x, top in zip((-X_LIMIT, X_LIMIT), self._rig.posts, strict=True):
+        for x, top in zip((-X_LIMIT, X_LIMIT), rig.posts, strict=True):
             place = top + np.array([0.0, 0.0, 0.04])
             scene.add_label(f"{NAME}/post {x:+g}", f"{x:+g} m", position=place)
-        clients = self._server.get_clients().values()
-        for camera in (self._server.initial_camera, *(client.camera for client in clients)):
-            camera.fov, camera.look_at = float(np.radians(FOV_DEG)), self._rig.target
-            camera.position = self._rig.target - self._rig.distance(1.0) * camera_axes()[2]
-        self._q, self._phi = np.array(arm.home), pi
+        camera = self._server.initial_camera  # also of a page that is open already
+        camera.fov, camera.look_at = float(np.radians(FOV_DEG)), rig.target
+        camera.position = rig.target - rig.distance(1.0) * camera_axes()[2]
+        self._q: Floats | None = None
         self.show(None, nan)
 
     def show(self, q: Sequence[float] | Floats | None, phi: float, u: float = 0.0) -> float:
         """Show a posture and its readings; return the displacement of the flange [m].
 
         Args:
-            q: Joints, all of them [rad], shape (joints,). The last posture stays for None, or where
-                one of them is not finite, and its displacement is unknown.
-            phi: Angle of the pendulum from upright [rad]; the last one stays for NaN.
+            q: Joints, all of them [rad], shape (joints,). They are unknown for None, or where one
+                is not finite: the arm stays at its last posture, or hidden without one.
+            phi: Angle of the pendulum from upright [rad]. A pendulum whose angle or pivot is
+                unknown is hidden.
             u: Commanded acceleration of the flange, shown as an arrow [m/s^2].
         """
         known = q is not None and bool(np.all(np.isfinite(q)))
         self._q = np.array(q, np.float64) if known else self._q
-        self._phi = float(phi) if isfinite(phi) else self._phi
-        self._data.qpos[:] = [*self._q, self._phi]
-        mujoco().mj_kinematics(self._rig.model, self._data)
+        if self._q is not None:
+            self._data.qpos[:] = [*self._q, phi if isfinite(phi) else 0.0]
+        mujoco().mj_kinematics(self._data.model, self._data)
+        seen = known and isfinite(phi)
         for number, mesh in self._bodies.items():
             mesh.position = self._data.xpos[number].copy()
             mesh.wxyz = self._data.xquat[number].copy()
+            placed = seen if mesh is self.pendulum else self._q is not None
+            mesh.visible = placed or number == 0  # the table
         pivot = np.array(self._data.body("pendulum").xpos)
-        self._arrow.visible = pushing = bool(isfinite(u) and u)
+        self._arrow.visible = pushing = known and bool(isfinite(u) and u)
         if pushing:
             start = pivot - np.array([0.0, 0.0, ARROW_BELOW])
             end = start + np.array([ARROW_PER_U * u, 0.0, 0.0])
@@ -140,15 +143,17 @@ class RigPage:
 
         Args:
             time: Times [s], increasing, shape (n,).
-            rows: The quantities in the units of their titles, shape (plots, n); NaN is not drawn.
+            rows: The quantities in the units of their titles, shape (plots, n); NaN is not drawn,
+                nor is a plot with less than two known values.
         """
         for plot, values in zip(self._plots, rows, strict=True):
             known = np.isfinite(values)
-            if np.count_nonzero(known) > 1:
+            plot.visible = np.count_nonzero(known) > 1
+            if plot.visible:
                 plot.data = (time[known], values[known])
 
     def _add_plot(self, number: int, last: bool) -> Any:
-        """Add an empty plot; only the last one has a time axis."""
+        """Add a hidden plot; only the last one has a time axis."""
         title, colour, high, low = PLOTS[number]
         ends: Any = {"min": {"pad": 0.1, "mode": 1, "soft": low}}
         ends |= {"max": {"pad": 0.1, "mode": 1, "soft": high}}
@@ -166,6 +171,7 @@ class RigPage:
             height=84 + 24 * last,
             padding=(6, 16, 6, 0),
             order=50.0 + number,
+            visible=False,
         )
 
 
@@ -207,8 +213,8 @@ def _mesh(model: Any, number: int) -> Any:
 
 
 def shown(text: str) -> str:
-    """Return untrusted text for HTML."""
-    return escape(printable(text))
+    """Return untrusted text for HTML, without the bell of a terminal."""
+    return escape(printable(text.replace("\a", "")))
 
 
 def card(name: str, html: str, style: str = "") -> str:
@@ -236,8 +242,9 @@ def readings(phi: float, x: float) -> str:
         (f"x = {1e3 * x:+.1f} mm", x, X_LIMIT),
     ):
         colour = GREY if not isfinite(value) else VERMILION if abs(value) >= limit else INK
-        known = typeset(text) if isfinite(value) else f"{text[0]} unknown"
-        texts.append(f'<span style="color:{colour};margin-right:24px">{known}</span>')
+        known = typeset(text) if isfinite(value) else f"{text[0]} = —"
+        look = f"color:{colour};white-space:nowrap;margin-right:14px"
+        texts.append(f'<span style="{look}">{known}</span> ')
     return card("readings", "".join(texts), "font-size:18px;font-weight:600")
 
 

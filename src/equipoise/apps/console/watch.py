@@ -6,7 +6,7 @@ the run reads once per tick. One console at a time has that ring.
 
 import threading
 import time
-from math import isfinite, nan
+from math import inf, isfinite, nan
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy.typing as npt
 from equipoise.logs import shared
 from equipoise.logs.recorder import LoggedEvent, read_events
 from equipoise.outcomes import Phase
+from equipoise.rig.processes import HEARTBEAT_TIMEOUT
 
 Floats = npt.NDArray[np.float64]
 
@@ -43,10 +44,10 @@ class RunWatch:
         self.phase: Phase | None = None
         """Phase; None before the first tick."""
         self.q: Floats | None = None
-        """Measured joints [rad], shape (joints,); None while unknown."""
+        """Measured joints [rad], shape (joints,); None while unknown or too old."""
         self.phi, self.u = nan, 0.0
-        """Angle of the pendulum from upright [rad], NaN while unknown, and commanded acceleration
-        of the flange [m/s^2], 0 while no policy acts."""
+        """Angle of the pendulum from upright [rad], NaN while unknown or too old, and
+        commanded acceleration of the flange [m/s^2], 0 while no policy acts."""
         self.late = nan
         """Largest lateness of the new ticks [s]; NaN without any."""
         self.events: list[LoggedEvent] = []
@@ -62,24 +63,32 @@ class RunWatch:
             raise BlockingIOError("another console is attached to this run")
         self._recorder = shared.open_recorder(folder, len(self.info.arm.joints))
         self._seen: dict[str, int] = {}
+        self._measured = self._sampled = -inf  # times of the newest posture and encoder sample [s]
         self._speaking = threading.Lock()
 
     def observe(self) -> None:
         """Read the state of the run, and what is new since the last observation."""
         # Before the rows, so that the last ones are read.
-        self.ended = not shared.is_alive(self._folder)
-        ticks, replies, pulse = self._new("tick"), self._new("reply"), self._recorder.pulse
+        self.ended, now = not shared.is_alive(self._folder), time.monotonic()
+        ticks, replies, samples = self._new("tick"), self._new("reply"), self._new("encoder")
         self.events, self.question = read_events(self._new("event")), self._recorder.question()
-        self.silence = time.monotonic() - float(pulse["time"]) if pulse["ticks"] > 0 else 0.0
-        measured = replies["q"][np.isfinite(replies["q"]).all(axis=1)]
+        pulse = self._recorder.pulse
+        self.silence = now - float(pulse["time"]) if pulse["ticks"] > 0 else 0.0
+        measured = replies[np.isfinite(replies["q"]).all(axis=1)]
         if len(measured):
-            self.q = measured[-1]
+            self._measured, self.q = float(measured["time"][-1]), measured["q"][-1]
+        if len(samples):
+            self._sampled = float(samples["received"][-1])
         self.late = float(np.max(ticks["late"])) if len(ticks) else nan
         if len(ticks):
             last, phases = ticks[-1], self.info.phases
             self.time, self.phi = float(last["time"]), float(last["estimated_phi"])
             self.u = float(last["u"]) if isfinite(last["u"]) else 0.0
             self.phase = phases[last["state"]] if 0 <= last["state"] < len(phases) else None
+        if now - self._measured > HEARTBEAT_TIMEOUT:
+            self.q = None
+        if now - self._sampled > HEARTBEAT_TIMEOUT:
+            self.phi = nan
 
     def say(self, word: str, question: float = 0.0) -> None:
         """Send a word to the run; any thread may call this.

@@ -60,6 +60,21 @@ ICON: Final = (
     b"stroke-linecap='round'/%3E%3Ccircle cx='23' cy='6' r='4' fill='%23D55E00'/%3E%3C/svg%3E\" />"
 )
 """Icon of the pages: a pendulum on its track."""
+OWN: Final = b"""
+<style>
+  #equipoise-connecting { position: fixed; inset: 0; z-index: 99999; display: grid; padding: 24px;
+    place-content: center; text-align: center; background: #fff; font: 18px/1.5 system-ui; }
+  body:has(#equipoise-state) #equipoise-connecting { display: none; }
+  @media (max-width: 36em) { /* viser's panel covers the lower 60 % */
+    #root { height: 40% !important; }
+    #root [style*="20em"] { width: 100% !important; }
+    #root [style*="max-height: 60%"] { top: 40%; bottom: auto !important; }
+  }
+</style>
+<div id="equipoise-connecting" role="status"><b>Connecting to Equipoise</b>If this stays, the
+  program has ended: start it again, and open its new address.</div>
+"""
+"""HTML of each page: a cover until viser has filled its panel, and the layout on a phone."""
 
 
 class Gate:
@@ -141,7 +156,7 @@ class Gate:
         response = serve(request)
         body = re.sub(rb"<title>.*?</title>", b"<title>Equipoise</title>", response.body, count=1)
         body = re.sub(rb'<link\s+rel="icon".*?/>', ICON, body, count=1, flags=re.DOTALL)
-        response.body = body.replace(b"</body>", self._overlay + b"</body>")
+        response.body = body.replace(b"</body>", OWN + self._overlay + b"</body>")
         del response.headers["Content-Length"]
         response.headers["Content-Length"] = str(len(response.body))
         return response

@@ -20,7 +20,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from equipoise.artefacts import write_whole
+from equipoise.artefacts import quoted, write_whole
 from equipoise.errors import ArmError
 from equipoise.model.arms import compiler
 from equipoise.model.arms.arm import Arm, Inertial, Joint
@@ -40,12 +40,12 @@ PIVOT_OUTWARD: Final = 0.13
 front of the wrist, a ball of less than 0.1 m."""
 
 _MODELS: Final = {
-    7: (
+    "iiwa7": (
         (0.34, 0.40, 0.40, 0.126),
         (98.0, 98.0, 100.0, 130.0, 140.0, 180.0, 180.0),
         (176.0, 176.0, 110.0, 110.0, 110.0, 40.0, 40.0),
     ),
-    14: (
+    "iiwa14": (
         (0.36, 0.42, 0.40, 0.126),
         (85.0, 85.0, 100.0, 75.0, 130.0, 135.0, 135.0),
         (320.0, 320.0, 176.0, 176.0, 110.0, 40.0, 40.0),
@@ -57,7 +57,7 @@ limits [N m] of each size."""
 
 # fmt: off
 _LINKS: Final = {
-    7: (
+    "iiwa7": (
         ((0.0, 0.0, 0.1475), 3.394011, (0.0, -0.034819, 0.123299),
          (0.021383, 0.0, 0.0, 0.020403, 0.003797, 0.007563)),
         ((0.0, -0.0105, 0.1925), 4.031991, (0.0, 0.039793, 0.086944),
@@ -73,7 +73,7 @@ _LINKS: Final = {
         ((0.0, 0.0707, 0.091), 0.259474, (3e-06, -2e-06, 0.013782),
          (0.000171, 0.0, 0.0, 0.000171, 0.0, 0.000299)),
     ),
-    14: (
+    "iiwa14": (
         ((0.0, 0.0, 0.1475), 5.289529, (0.0, -0.033795, 0.132404),
          (0.042462, 0.0, 0.0, 0.042838, 0.006341, 0.01587)),
         ((0.0, -0.01, 0.2125), 5.688888, (0.000136, 0.047548, 0.076322),
@@ -95,24 +95,25 @@ _LINKS: Final = {
 link that it moves the mass [kg], the centre of mass [m], and xx, xy, xz, yy, yz, zz [kg m^2]."""
 
 
-def iiwa(size: Literal[7, 14]) -> Arm:
+def iiwa(size: Literal[7, 14, "iiwa7", "iiwa14"]) -> Arm:
     """Return an iiwa with joint 3 held straight and the pendulum beside its flange.
 
     CLIK regulates the bare flange, 0.126 m from the wrist: it keeps its orientation, so every point
     fixed to it moves alike. A media flange moves the pivot only, and needs no other policy.
 
     Args:
-        size: 7 or 14.
+        size: 7 or 14, or the name.
 
     Raises:
         ArmError: The size is unknown.
     """
-    if size not in _MODELS:
-        raise ArmError(f"there is no iiwa {size}; choose 7 or 14")
-    (base, upper_arm, forearm, hand), speeds_deg, torques = _MODELS[size]
+    name = f"iiwa{str(size).removeprefix('iiwa')}"
+    if name not in _MODELS:
+        raise ArmError(f"there is no iiwa {quoted(size)}; choose 7 or 14")
+    (base, upper_arm, forearm, hand), speeds_deg, torques = _MODELS[name]
     # d runs along the joint's own axis, which is the twisted z of the frame before it.
     along_y = (0.0, 0.0, -upper_arm, 0.0, forearm, 0.0, 0.0)
-    rows = zip(along_y, ALPHA_DEG, LIMIT_DEG, speeds_deg, torques, _LINKS[size], strict=True)
+    rows = zip(along_y, ALPHA_DEG, LIMIT_DEG, speeds_deg, torques, _LINKS[name], strict=True)
     joints: list[Joint] = []
     # Both frames of a link are fixed to it: their places at zero give one in the other.
     origin, rotation, published = np.zeros(3), np.eye(3), np.zeros(3)
@@ -137,7 +138,7 @@ def iiwa(size: Literal[7, 14]) -> Arm:
         )
         joints.append(joint)
     return Arm(
-        name=f"iiwa{size}",
+        name=name,
         joints=tuple(joints),
         held_joint=HELD_JOINT,
         flange_xyz=(0.0, 0.0, hand),

@@ -9,7 +9,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Final
 
-from equipoise.artefacts import quoted
+from equipoise.artefacts import StrPath, quoted
 from equipoise.errors import ArmError
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.chain import Triple
@@ -20,6 +20,17 @@ GROUP: Final = "equipoise.arms"
 """Entry point group of arms."""
 SUFFIXES: Final = (".urdf", ".xml")
 """File suffixes of URDFs."""
+
+
+def read_arm(given: Arm | StrPath | None) -> Arm:
+    """Return a given arm, that of a registered name or a URDF file, or by default the iiwa7.
+
+    Raises:
+        ArmError: There is no such arm.
+    """
+    if isinstance(given, Arm):
+        return given
+    return resolve_arm("iiwa7" if given is None else str(given))
 
 
 def resolve_arm(

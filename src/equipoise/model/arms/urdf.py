@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from equipoise.arguments import checked
 from equipoise.artefacts import MEBIBYTE, StrPath, read_bytes, shortened
 from equipoise.errors import ArmError
 from equipoise.model.arms.arm import Arm, Inertial, Joint
@@ -29,6 +30,7 @@ LARGEST_URDF: Final = 2 * MEBIBYTE
 """Size limit of a URDF [bytes]: humanoids with hands need less than 1 MB."""
 
 
+@checked
 def read_urdf(
     path: StrPath,
     *,

@@ -102,10 +102,10 @@ def make_servo_params(arm: Arm, settings: TwinSettings) -> ServoParams:
         ArmError: The masses of the arm's links are not known.
     """
     inner = INNERS.index(settings.inner)
-    reached = TRAJECTORY_TIME if inner == TRAJECTORY40 else settings.cycle * TICK
+    reached = TRAJECTORY_TIME if inner == TRAJECTORY40 else settings.cycle
     return ServoParams(
         inner=inner,
-        cycle=settings.cycle,
+        cycle=round(settings.cycle / TICK),
         shaped=settings.shaped,
         rate=1.0 / reached,
         share=float(lag_share(settings.lag)) / TICK,
@@ -127,7 +127,7 @@ def equivalent_actuator(settings: TwinSettings) -> Actuator:
     Args:
         settings: Times and variant.
     """
-    cycle, lag = settings.cycle * TICK, settings.lag
+    cycle, lag = settings.cycle, settings.lag
     if settings.inner == "pd":
         cycle, lag = 2.0 / settings.pd_frequency, 0.5 / settings.pd_frequency
     elif settings.inner == "trajectory40":

@@ -1,0 +1,78 @@
+"""Wrong arguments of public functions: one sentence, before any work."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import equipoise as eq
+from equipoise.errors import InputError
+from equipoise.model.pendulum import step
+
+PARAMETERS = eq.PendulumParameters(w2=70.2, k=7.16, c=0.1)
+SWING = {"theta0": 0.5, "duration": 1.0, "rate_hz": 100.0, "counts_per_rev": 8192}
+WRONG = (object(), float("nan"), float("inf"), -1, [], {}, np.zeros(3), b"x", "missing.json")
+"""Values that no argument of the table takes."""
+TASK = ("pendulum", "arm", "actuator", "settings")
+NUMBERS = ("seed", "workers")
+ARGUMENTS = {
+    eq.train: (*TASK, *NUMBERS, "learner", "world", "show"),
+    eq.train_to_target: (*TASK, *NUMBERS, "target", "learners", "world"),
+    eq.evaluate: ("policy", "settings", "actuator", *NUMBERS, "world", "with_baselines", "done"),
+    eq.simulate_run: ("policy", "settings", "actuator", "seed", "duration", "world"),
+    eq.excite: ("arm", "pendulum", "world", "seed", "duration"),
+    eq.load_policy: ("name", "pendulum", "arm", "settings"),
+    eq.make_claim: ("probability", "confidence", "duration", "world", "trials"),
+    eq.identify: ("trajectory",),
+    eq.identify_run: ("run",),
+    eq.iiwa: ("size",),
+    eq.read_world: ("name",),
+    eq.read_urdf: ("path",),
+    eq.read_swing: ("path",),
+}
+
+
+@pytest.mark.parametrize(
+    ("function", "name"),
+    [(function, name) for function, names in ARGUMENTS.items() for name in names],
+    ids=lambda value: getattr(value, "__name__", value),
+)
+def test_a_wrong_argument_gives_one_sentence(function, name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for value in WRONG:
+        with pytest.raises(InputError) as refusal:
+            function(**{name: value})
+        assert "\n" not in str(refusal.value)
+        assert len(str(refusal.value)) < 300
+
+
+@pytest.mark.parametrize("field", SWING)
+def test_a_swing_of_impossible_numbers_is_refused(field):
+    for value in ("x", float("nan"), float("inf"), [], None):
+        with pytest.raises(InputError, match=f"{field} is .*; expected"):
+            eq.simulate_swing(PARAMETERS, **(SWING | {field: value}))
+    with pytest.raises(InputError, match="parameters is .*; expected greater than"):
+        eq.simulate_swing(PARAMETERS._replace(w2=-40.0), **SWING)
+
+
+def test_integers_and_numbers_of_numpy_are_numbers():
+    ints = eq.PendulumParameters(w2=40, k=4, c=0)
+    floats = eq.PendulumParameters(w2=40.0, k=4.0, c=0.0)
+    assert step(0, 1, 0, 0.01, ints) == step(0.0, 1.0, 0.0, 0.01, floats)
+    given = SWING | {"duration": np.int64(1), "counts_per_rev": np.float64(8192.0)}
+    swings = (eq.simulate_swing(one, **given) for one in (ints, floats))
+    assert len({swing.sha256 for swing in swings}) == 1
+
+
+def test_names_and_files_stand_for_values(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    eq.shipped_pendulum().save("p.json")
+    eq.shipped_policy().save("policy.json")
+    assert eq.iiwa("iiwa14") == eq.iiwa(14)
+    bound = eq.bind_policy(lambda _: 0.0, pendulum="p.json", arm="iiwa14", actuator="ideal")
+    assert bound.arm == eq.iiwa(14)
+    assert bound.pendulum == eq.shipped_pendulum()
+    run = {"world": "ideal", "duration": 0.05}
+    by_name = eq.simulate_run(Path("policy.json"), **run)
+    assert by_name.digest == eq.simulate_run(eq.shipped_policy(), **run).digest
+    assert eq.simulate_run(lambda observation: 1.0, **run).u.tolist() == [1.0] * 5
