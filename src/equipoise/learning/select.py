@@ -22,8 +22,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
-from scipy.special import betaln, xlog1py, xlogy
-from scipy.stats import binom
+from scipy.special import bdtrc, betaln, xlog1py, xlogy
 
 from equipoise import paper
 from equipoise.control.grid import TRUNCATED, make_grid
@@ -155,7 +154,7 @@ def not_worse(steps: IntArray, error: float) -> list[bool]:
     """
     shorter = np.sum(steps < steps[0], axis=1)
     longer = np.sum(steps > steps[0], axis=1)
-    tail = binom.sf(shorter - 1, shorter + longer, 0.5)
+    tail = bdtrc(shorter - 1, shorter + longer, 0.5)
     return (tail > error).tolist()
 
 

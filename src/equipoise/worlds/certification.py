@@ -17,7 +17,7 @@ from bisect import bisect_left
 from typing import ClassVar, Final, Self
 
 from pydantic import Field, ValidationError, model_validator
-from scipy.stats import binom, binomtest
+from scipy.special import bdtrc
 
 from equipoise import paper
 from equipoise.arguments import Workers, checked
@@ -26,7 +26,7 @@ from equipoise.control.bound_policy import AnyPolicy, read_policy
 from equipoise.errors import InputError
 from equipoise.model.worlds import MODEL, read_world
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS
-from equipoise.worlds.evaluation import Done, Evaluation, evaluate
+from equipoise.worlds.evaluation import Done, Evaluation, evaluate, lower_bound
 
 ROUND_NUMBERS: Final = (
     *(digit * 10**power for power in range(6) for digit in (1, 2, 5)),
@@ -119,15 +119,9 @@ def least_successes(trials: int, probability: float, confidence: float) -> int:
     """
 
     def convinces(successes: int) -> bool:
-        return float(binom.sf(successes - 1, trials, probability)) <= 1.0 - confidence
+        return float(bdtrc(successes - 1, trials, probability)) <= 1.0 - confidence
 
     return bisect_left(range(trials + 1), True, key=convinces)
-
-
-def lower_bound(successes: int, trials: int, confidence: float) -> float:
-    """Return the exact (Clopper-Pearson) one-sided lower bound of the probability of a success."""
-    test = binomtest(successes, trials, alternative="greater")
-    return float(test.proportion_ci(confidence, method="exact").low)
 
 
 def trials_for(probability: float, confidence: float) -> int:
@@ -150,7 +144,7 @@ def trials_for(probability: float, confidence: float) -> int:
     better = 1.0 - (1.0 - probability) / 10.0
     for trials in ROUND_NUMBERS:
         least = least_successes(trials, probability, confidence)
-        if float(binom.sf(least - 1, trials, better)) >= 0.95:
+        if float(bdtrc(least - 1, trials, better)) >= 0.95:
             return trials
     raise InputError(
         f"a probability of {probability:.10g} at a confidence of {confidence:.10g} takes more than "

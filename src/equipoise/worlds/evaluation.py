@@ -13,7 +13,7 @@ from typing import Annotated, ClassVar, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, model_validator
-from scipy.stats import binomtest
+from scipy.special import betaincinv
 
 from equipoise.arguments import Workers, checked
 from equipoise.artefacts import Artefact, Name, Seed, StrPath, Value
@@ -52,6 +52,13 @@ class Summary(NamedTuple):
     """Number of trials by their outcome."""
 
 
+def lower_bound(successes: int, trials: int, confidence: float) -> float:
+    """Return the exact (Clopper-Pearson) one-sided lower bound of the probability of a success."""
+    if successes == 0:
+        return 0.0
+    return float(betaincinv(successes, trials - successes + 1, 1.0 - confidence))
+
+
 def exact_interval(count: int, of: int) -> tuple[float, float]:
     """Return the exact (Clopper-Pearson) 95 % interval of a share.
 
@@ -59,8 +66,7 @@ def exact_interval(count: int, of: int) -> tuple[float, float]:
         count: Number of successes.
         of: Number of trials, at least one.
     """
-    low, high = binomtest(count, of).proportion_ci(0.95, method="exact")
-    return float(low), float(high)
+    return lower_bound(count, of, 0.975), 1.0 - lower_bound(of - count, of, 0.975)
 
 
 class TrialResults(Value):
