@@ -93,7 +93,7 @@ def kernel_folder() -> Path:
 
 @contextmanager
 def watching_compilation(compiled: Callable[[str], None]) -> Generator[None]:
-    """Call `compiled` with the name of each function that Numba compiles in this context."""
+    """Call `compiled` with `FILE.NAME` of each function that Numba compiles in this context."""
 
     class _Listener(event.Listener):
         def on_start(self, event: event.Event) -> None:
@@ -101,7 +101,8 @@ def watching_compilation(compiled: Callable[[str], None]) -> Generator[None]:
 
         def on_end(self, event: event.Event) -> None:
             data: Any = event.data
-            compiled(data["dispatcher"].py_func.__name__)
+            function = data["dispatcher"].py_func
+            compiled(f"{Path(function.__code__.co_filename).stem}.{function.__name__}")
 
     with event.install_listener("numba:compile", _Listener()):
         yield
