@@ -214,7 +214,7 @@ def inlined(function: F) -> F:
     return _linked(function, linking.InlinedCompiler)
 
 
-def _linked(function: F, compiler: Any) -> Any:
+def _linked(function: Callable[..., Any], compiler: Any) -> Any:
     if disabled():
         return function
     options = OPTIONS | {

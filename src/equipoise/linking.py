@@ -11,7 +11,6 @@ Python's first call of such a function compiles it as a kernel. The file of a ke
 holds the machine code of the functions that it calls.
 """
 
-from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
 from llvmlite import binding as llvm
@@ -36,7 +35,12 @@ class LinkedDispatcher(CPUDispatcher):
         self.overloads[tuple(cres.signature.args)] = cres
 
 
-class _Inlined(codegen.JITCodeLibrary):
+class _Library(codegen.JITCodeLibrary):
+    symbol: str
+    """Name of the function in LLVM code."""
+
+
+class _Inlined(_Library):
     """LLVM code without optimisation and machine code."""
 
     def finalize(self) -> None:
@@ -47,7 +51,7 @@ class _Inlined(codegen.JITCodeLibrary):
         self._finalized = True
 
 
-class _Called(codegen.JITCodeLibrary):
+class _Called(_Library):
     """Machine code that callers find by its name."""
 
     def _get_module_for_linking(self) -> Any:
@@ -56,28 +60,28 @@ class _Called(codegen.JITCodeLibrary):
         return llvm.parse_assembly(str(self._codegen._create_empty_module(self.name)))
 
 
-def called(library: Any) -> Mapping[str, bytes]:
-    """Return the machine code of each function that a library calls, by name."""
-    if "called" not in vars(library):
-        library.called = {}
+def called(library: Any) -> dict[str, bytes]:
+    """Return the machine code of each function that a library calls, by its symbol."""
+    kept = vars(library)
+    if "called" not in kept:
+        found = {library.symbol: library._get_compiled_object()} if type(library) is _Called else {}
         for one in library._linking_libraries:
-            library.called |= called(one)
-        if isinstance(library, _Called):
-            library.called[library.symbol] = library._get_compiled_object()
-    return library.called
+            found |= called(one)
+        kept["called"] = found
+    return kept["called"]
 
 
-def load(context: Any, code: Mapping[str, bytes]) -> None:
-    """Load machine code of called functions that this process has not loaded."""
+def load(context: Any, code: dict[str, bytes]) -> None:
+    """Load the machine code of the functions that this process has not loaded."""
     engine = context.codegen()._engine
-    for name, machine_code in code.items():
-        if not engine.is_symbol_defined(name):
+    for symbol, machine_code in code.items():
+        if not engine.is_symbol_defined(symbol):
             engine._ee.add_object_file(llvm.ObjectFileRef.from_data(machine_code))
-            engine._defined_symbols.add(name)
+            engine._defined_symbols.add(symbol)
 
 
 class _Lowering(typed_passes.NativeLowering):
-    library: ClassVar[type[codegen.JITCodeLibrary]]
+    library: ClassVar[type[_Library]]
 
     def run_pass(self, state: Any) -> Literal[True]:
         context = state.targetctx

@@ -74,6 +74,8 @@ OTHER: Final = 0.12
 """Compilation of any other function, in the mean [s]."""
 FUNCTIONS: Final = 261
 """Number of all functions."""
+IMPORT: Final = 2.0
+"""Time from the start of the processes to the first function [s]."""
 
 
 def _marker() -> Path:
@@ -103,7 +105,8 @@ def warm_up(workers: int, show: Show = lambda *_: None) -> None:
     context, begin = multiprocessing.get_context("spawn"), time.monotonic()
     compiled: Any = context.Queue()
     waiting, running, left = list(JOBS), dict[str, Any](), dict(KERNELS)
-    total, done, last = sum(KERNELS.values()) + (FUNCTIONS - len(KERNELS)) * OTHER, 0.0, begin
+    done, last = len(JOBS) * IMPORT, begin + IMPORT
+    total = done + sum(KERNELS.values()) + (FUNCTIONS - len(KERNELS)) * OTHER
     try:
         while waiting or running:
             while waiting and len(running) < workers:
