@@ -14,6 +14,7 @@ from equipoise.reproduction.synthetic_swing import synthetic_swing
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 PIPELINE = "pipeline.py"
+LONG = (PIPELINE, "train_and_evaluate.py")
 SAY = {
     PIPELINE: "200 of 200 trials lasted 60 s",
     "identify_a_swing.py": "w2 = m g l / I",
@@ -43,7 +44,7 @@ def test_every_example_is_run():
 
 @pytest.mark.compiled_only
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.full if name == PIPELINE else ()) for name in SAY]
+    "name", [pytest.param(name, marks=pytest.mark.full if name in LONG else ()) for name in SAY]
 )
 def test_an_example_says_what_it_should(example, name, tmp_path):
     write_swing(tmp_path / "swing.csv", synthetic_swing(seed=3))

@@ -61,10 +61,12 @@ def said(program, **environment):
     return ran.stdout
 
 
+@pytest.mark.full
 def test_every_module_imports_without_what_only_unix_has():
     assert said(HIDE_MODULES + IMPORT_ALL) == ""
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("value", "hidden"),
     [("osmesa", HIDE_LIBRARIES), ("nonsense", "")],

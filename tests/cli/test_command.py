@@ -65,6 +65,7 @@ def test_a_result_is_text_or_one_object(capsys):
     assert found == fields | {"infinite": None, "interval": [0.25, 0.75]}
 
 
+@pytest.mark.full
 @pytest.mark.compiled_only
 def test_ctrl_c_ends_work_on_threads_and_leaves_no_file(tmp_path):
     process = subprocess.Popen(

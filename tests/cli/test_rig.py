@@ -37,6 +37,7 @@ def test_a_dry_run_ends_before_the_arm_moves_and_names_the_run_itself(equipoise)
     assert ran.out.endswith(f"next: equipoise {again} --out run-2.mcap\n")
 
 
+@pytest.mark.full
 def test_an_arm_that_fits_no_policy_leads_to_a_training_for_it(equipoise, pendulum, tmp_path):
     slow = Actuator.assumed("kst", delay=0.05, lag=0.008)
     policy = shipped_policy().model_copy(update={"pendulum": pendulum, "actuators": (slow,)})

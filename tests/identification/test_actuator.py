@@ -127,6 +127,7 @@ def test_a_slow_servo_is_found_with_or_without_the_shaping_law(law, cycle):
     assert actuator.fit.warnings == ()
 
 
+@pytest.mark.full
 def test_the_shaping_law_is_told_from_a_linear_lag_and_from_none():
     shaped = identified(recorded(duration=6.0))
     assert shaped.kind == "kst"

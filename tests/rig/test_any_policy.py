@@ -76,10 +76,7 @@ FAILURES = {
 
 @pytest.mark.parametrize(
     "fail",
-    [
-        fail if fail in (raises, is_late) else pytest.param(fail, marks=pytest.mark.slow)
-        for fail in FAILURES
-    ],
+    [fail if fail is raises else pytest.param(fail, marks=pytest.mark.full) for fail in FAILURES],
 )
 def test_a_policy_that_fails_ends_in_the_latched_stop_with_the_arm_at_rest(tmp_path, fail):
     failing = Failing(fail)

@@ -285,6 +285,7 @@ def test_a_loop_that_stands_still_is_told_within_100_ms(run, log):
     assert came_to_rest(log())
 
 
+@pytest.mark.full
 def test_a_log_that_fails_does_not_disturb_the_run_and_is_told_at_once(run, log, monkeypatch):
     def full_disk(*_):
         raise OSError(28, "No space left on device")
@@ -299,6 +300,7 @@ def test_a_log_that_fails_does_not_disturb_the_run_and_is_told_at_once(run, log,
     assert 0 < len(log().tables["tick"]) < 200
 
 
+@pytest.mark.full
 def test_where_the_operator_cannot_be_told_anything_the_arm_comes_to_rest(run, log):
     class Mute(Person):
         def live(self, phase, phi):

@@ -34,6 +34,7 @@ def test_the_first_difference_is_named_with_its_tick(run):
     assert replay(changed_table(run, "tick", u=u), shipped_policy()) == (number, ["u"])
 
 
+@pytest.mark.full
 def test_a_run_with_a_stall_replays_to_the_bit(tmp_path):
     scenario = Scenario(duration=1.5, out=tmp_path / "run.mcap")
     # The second setpoint of a tick is late, and is not sent.

@@ -67,6 +67,7 @@ def test_it_stands_on_the_twin_and_the_log_says_how(tmp_path):
     assert run.end.outcome == "lasted"
 
 
+@pytest.mark.full
 def test_a_run_that_is_told_no_actuator_selects_it_before_the_lift(tmp_path):
     own, out = POLICY.actuator, tmp_path / "run.mcap"
     slow = Actuator.assumed("kst", delay=0.01, lag=0.008, cycle=0.04)

@@ -173,6 +173,7 @@ def test_the_page_is_built_from_the_folder_alone(folder, monkeypatch):
     assert told[-1] == (PAGE, 1.0)
 
 
+@pytest.mark.full
 def test_without_opengl_the_page_says_why_the_film_is_missing(folder, monkeypatch):
     def fail(*_, **__):
         raise OutsideError("cannot draw pictures")
