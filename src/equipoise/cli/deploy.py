@@ -186,9 +186,10 @@ def _run_on_rig(
 
     request = _request(output, policy, run, task, rig, on_rig)
     out = place()
-    require(check_fit(request.policy, request.actuator, request.settings))
-    with guest_code(f"the driver of {request.robot}"):
-        devices = connect(request)  # checks the addresses; nothing is opened before the run
+    with output.busy("checking policy and addresses"):
+        require(check_fit(request.policy, request.actuator, request.settings))
+        with guest_code(f"the driver of {request.robot}"):
+            devices = connect(request)  # nothing is opened before the run
     if world_of(request.robot):
         with signals() as stopped, guest_code(f"the driver of {request.robot}"):
             end = run_virtually(request, out, TerminalOperator(output, stopped), rig=devices)
