@@ -173,3 +173,20 @@ def test_an_action_that_is_no_number_is_refused(action):
 def test_options_that_replay_no_trial_are_refused(options):
     with pytest.raises(InputError, match="options"):
         make("ideal").reset(options=options)
+
+
+def test_an_acceleration_beyond_the_papers_is_clipped():
+    ends = []
+    for u in (100.0, 2.0):
+        environment = make("ideal")
+        environment.reset(seed=SEED)
+        ends.append(environment.step([u])[0])
+    np.testing.assert_array_equal(*ends)
+
+
+@pytest.mark.parametrize("reward", [lambda *_: None, lambda *_: 1 / 0, lambda state: 0.0])
+def test_a_reward_that_fails_is_one_sentence(reward):
+    environment = make("ideal", reward=reward)
+    environment.reset(seed=SEED)
+    with pytest.raises(InputError, match="the reward raised .*; correct it"):
+        environment.step([0.0])

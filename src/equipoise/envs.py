@@ -31,6 +31,7 @@ from equipoise.model.random import ENVIRONMENT, TEST
 from equipoise.model.worlds import MODEL, World
 from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.settings import Settings
+from equipoise.user_code import guest_code
 from equipoise.worlds import Setup, Trial, predicted, simulate, world_class
 
 Reward = Callable[[Observation, float, Observation, bool], float]
@@ -59,7 +60,7 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
 
     ## Action Space
 
-    `Box(-2, 2, (1,), float64)`: acceleration u of the flange along x [m/s^2].
+    `Box(-2, 2, (1,), float64)`: acceleration u of the flange along x [m/s^2]; others are clipped.
     `discrete=True` makes it the paper's `Discrete(8)`: -2, -1.5, -1, -0.5, 0.5, 1, 1.5, 2 m/s^2.
 
     ## Observation Space
@@ -165,8 +166,9 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
         self.simulation = simulate(world, self.task, seed=0, stream=ENVIRONMENT)
         self._loop = self.simulation.loop()
 
+    @checked
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self, *, seed: Seed | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
         """Release the pendulum, and return the first observation and its info.
 
@@ -184,10 +186,11 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
         return predicted(self._loop), self._info("")
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Advance by one tick with the acceleration u [m/s^2].
+        """Advance by one tick with the acceleration u [m/s^2], at most that of the paper.
 
         Raises:
-            InputError: The action is of another shape or not finite, or no episode is running.
+            InputError: The action is of another shape or not finite, no episode is running, or the
+                reward raised an error or is no number.
         """
         if self._state is None:
             raise InputError("no episode is running: it has failed or not begun; call env.reset()")
@@ -200,9 +203,11 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
             u = nan
         if not isfinite(u):
             raise InputError(f"the action is {quoted(action)}; expected one of {self.action_space}")
+        u = min(max(u, -paper.U_MAX), paper.U_MAX)
         cause, self._u = self._loop.step(u), u
         failed, after = cause != TRUNCATED, Observation(*predicted(self._loop).tolist())
-        reward = float(self.reward(self._state, u, after, failed))
+        with guest_code("the reward"):
+            reward = float(self.reward(self._state, u, after, failed))
         self._state = None if failed else after
         info = self._info(TRIAL_OUTCOMES[cause] if failed else "")
         return predicted(self._loop), reward, failed, False, info

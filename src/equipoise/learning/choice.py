@@ -81,6 +81,9 @@ def load_learner(settings: LearningSettings) -> Learner:
             f"{settings.learner} is of type {type(learner).__name__}, expected a function "
             "update(tables, transition, params) or an equipoise.learning.learner.Learner; give one"
         )
+    tables: Any = learner.tables
+    if not isinstance(tables, int) or tables < 0:
+        raise InputError(f"{settings.learner}: tables is {tables!r}; expected 0 or more")
     return learner
 
 

@@ -24,6 +24,7 @@ from equipoise.outcomes import End, Outcome, describe
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import AngleSensor, Clock, Operator, Sample
 from equipoise.rig.run_controller import RunController
+from equipoise.user_code import format_error
 
 
 class LoopResult(NamedTuple):
@@ -141,7 +142,7 @@ def run_loop(
         _rest(robot, clock, recorder, h / 2.0)
         raise
     except BaseException as error:  # after any failure the arm has to come to rest
-        text = f"the controller failed ({type(error).__name__}: {error})"
+        text = f"the controller failed ({format_error(error)})"
         fault = End(Outcome.FAULT, {"text": text})
     if fault is not None:
         text = describe(fault) if stoppable else f"{describe(fault)}; {CANNOT_STOP}"

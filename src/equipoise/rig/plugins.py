@@ -141,7 +141,7 @@ def make_driver(
     point = _registered(kind, address)
     make, what = getattr(_load(point, kind), function), _name(point)
     if make is None:
-        raise InputError(f"{what} has no {function}, which {address} needs; choose another device")
+        raise InputError(f"{what} has no {function}, which {address} needs; {CURE}")
     with guest_code(what, CURE):
         made = make(*arguments)
         if function == "emulate" and not isinstance(made, Emulated):
