@@ -157,6 +157,7 @@ USES = {
 }
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", USES)
 @pytest.mark.parametrize("count", [30, pytest.param(2000, marks=pytest.mark.slow)])
 def test_extreme_numbers_with_a_fitting_digest_end_in_a_sentence(tmp_path, name, count):

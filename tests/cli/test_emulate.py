@@ -41,6 +41,7 @@ def readings(terminal, seconds):
     return [line for line in lines if not isinstance(line, Banner)]
 
 
+@pytest.mark.full
 def test_robot_and_board_answer_and_ctrl_c_ends_it_well(tmp_path):
     link = tmp_path / "encoder"
     options = ("--port", "0", "--encoder-link", str(link), "--json")

@@ -78,6 +78,7 @@ def test_a_missing_package_is_named(refused, files, monkeypatch):
     refused("play", saying="needs the package viser")
 
 
+@pytest.mark.full
 def test_a_device_that_is_not_there_is_the_outside_world(equipoise, monkeypatch, tmp_path):
     monkeypatch.setattr("sys.stdin", None)
     for arguments in (

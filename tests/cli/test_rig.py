@@ -19,6 +19,7 @@ pytestmark = pytest.mark.compiled_only
 URI = "serial:///dev/ttyACM0"
 
 
+@pytest.mark.full
 def test_a_run_on_a_twin_is_told_and_written(equipoise, tmp_path):
     ran = equipoise("deploy", "--robot", "twin:nominal", "--duration", 1, "--json")
     assert ran.code == 0, ran

@@ -91,6 +91,7 @@ def test_deploy_and_the_verbs_for_logs(equipoise, tmp_path):
     assert equipoise("deploy", "random", "--force").code == 1
 
 
+@pytest.mark.full
 def test_the_hints_lead_from_a_swing_to_a_replay(equipoise, tmp_path):
     truth = PendulumParameters(w2=70.2, k=7.15, c=0.05, coulomb=1.0)
     swing = simulate_swing(truth, theta0=1.0, duration=8.0, rate_hz=200.0, counts_per_rev=4096)

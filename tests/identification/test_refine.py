@@ -140,6 +140,7 @@ def test_the_same_arm_is_the_same_actuator_as_far_as_it_moves():
     assert found.actuator == ACTUATOR
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("numbers", "name", "truth"),
     [({"transport": 0.018}, "delay", 0.018), ({"lag": 0.016}, "lag of A1", 0.016)],

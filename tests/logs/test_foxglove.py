@@ -51,6 +51,7 @@ def messages(path):
     return [(s, c, m, json.loads(m.data)) for s, c, m in reader.iter_messages()]
 
 
+@pytest.mark.full
 def test_messages_of_a_rig_have_the_published_schemas(rig_log):
     found = [each for each in messages(rig_log) if each[1].topic in PUBLISHED]
     for schema, channel, _, content in found:

@@ -231,6 +231,7 @@ def test_a_signal_is_a_word_to_the_loop_and_the_log_is_complete(run, log, number
     assert signal.getsignal(number) == handler
 
 
+@pytest.mark.full
 def test_an_observer_reads_how_the_run_begins_and_why_it_ended(run):
     class Watched(Person):
         watch = None
@@ -321,6 +322,7 @@ def run_alone(out, pids):
     run_in_processes(REQUEST, out, person, person.live)
 
 
+@pytest.mark.full
 def test_a_loop_whose_parent_is_gone_comes_to_rest_and_nobody_is_left(tmp_path):
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()

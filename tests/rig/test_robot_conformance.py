@@ -141,6 +141,7 @@ BROKEN = {
 """Broken drivers, and words of the message that names the fault."""
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_broken_driver_fails_with_a_message_that_names_its_fault(name):
     broken, words = BROKEN[name]

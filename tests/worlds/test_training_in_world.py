@@ -36,6 +36,7 @@ FEW = [
 ]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("learner", ["q_learning", "sarsa", "double_q"])
 @pytest.mark.parametrize("actuator", [IDEAL_ACTUATOR, shipped_actuator()])
 def test_an_episode_in_a_world_teaches_what_it_teaches_compiled(learner, actuator):

@@ -111,6 +111,7 @@ def test_questions_and_stop(played):
         assert all(url.startswith((origin, "data:", "blob:")) for url in requests(page))
 
 
+@pytest.mark.slow
 def test_on_a_phone_stop_lies_in_the_scene_and_the_panel_below(played):
     _, address = played
     with browser(500, 844) as page:

@@ -22,6 +22,7 @@ def test_a_console_without_a_run_waits_until_it_is_ended():
         assert console.end() == 0
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("address", ["no where", "203.0.113.7"])
 def test_an_address_that_cannot_be_used_is_one_error(address):
     with program("console", "--listen", address) as console:

@@ -161,6 +161,7 @@ def folder(tmp_path_factory):
     return out
 
 
+@pytest.mark.full
 def test_the_page_is_built_from_the_folder_alone(folder, monkeypatch):
     monkeypatch.setitem(film.FORMATS, film.WEBP, (64, 64, 2.0))
     told = []
