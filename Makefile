@@ -40,7 +40,7 @@ cover:  ## every branch of safety rules, release, codecs and outcomes is tested;
 test:  ## the tests of every day, in three minutes
 	$(PYTHON) -m pytest -n 2
 
-full:  ## the rest of them: peers, browsers, notebooks, long runs
+full:  ## the rest of them: peers, notebooks, long runs
 	$(PYTHON) -m pytest -n 2 -m 'full and not slow'
 
 test-all: test full  ## every test but the full statistics

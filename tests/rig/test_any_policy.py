@@ -68,7 +68,7 @@ def is_late(policy):
 
 FAILURES = {
     raises: "the policy failed: Failing raised RuntimeError",
-    exits: "the policy failed: 1",
+    exits: "the policy failed: Failing raised SystemExit: 1",
     lambda policy: np.nan: "Failing returned nan",
     is_late: "the policy failed: it took 6.0 ms, expected at most 5.0 ms",
 }

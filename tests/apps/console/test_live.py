@@ -19,7 +19,7 @@ from equipoise.rig.run_controller import PHASES
 from tests.apps.console.browser import browser, needs_browser, press, requests, shown
 from tests.program import wait_until
 
-pytestmark = [needs_browser, pytest.mark.full]
+pytestmark = [needs_browser, pytest.mark.slow]
 
 ARM = iiwa7()
 STOP_LIMIT = 0.100  # from the press to the word of the run [s]
@@ -111,7 +111,6 @@ def test_questions_and_stop(played):
         assert all(url.startswith((origin, "data:", "blob:")) for url in requests(page))
 
 
-@pytest.mark.slow
 def test_on_a_phone_stop_lies_in_the_scene_and_the_panel_below(played):
     _, address = played
     with browser(500, 844) as page:
