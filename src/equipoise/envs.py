@@ -22,7 +22,7 @@ from equipoise.control.grid import TRUNCATED
 from equipoise.errors import InputError
 from equipoise.film import RigRenderer
 from equipoise.learning import rewards
-from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, read_actuator, shipped_actuator
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, read_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.resolve import read_arm
 from equipoise.model.elementary import Array
@@ -145,7 +145,7 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
             settings=settings,
             render_mode=render_mode,
         )
-        given = shipped_actuator() if actuator is None else read_actuator(actuator)
+        given = read_actuator(actuator)
         self.task = Setup(
             read_pendulum(pendulum),
             read_arm(arm),

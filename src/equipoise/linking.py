@@ -155,24 +155,16 @@ def reduce(result: Any) -> tuple[Any, ...]:
     result.fndesc.typemap = result.fndesc.calltypes = None
     library = result.library
     code = library._get_module_for_linking().as_bitcode()
-    return (
-        type(library) is _Called,
-        library.name,
-        code,
-        called(library),
-        library.symbol,
-        result.fndesc,
-        result.environment,
-        result.signature,
-    )
+    own = result.fndesc, result.environment, result.signature
+    return library.name, code, called(library), *own
 
 
 def rebuild(context: Any, payload: tuple[Any, ...]) -> Any:
     """Return a compiled function from what `reduce` returned."""
-    is_called, name, code, machine_code, symbol, *rest = payload
+    name, code, machine_code, *own = payload
     load(context, machine_code)
-    library: Any = (_Called if is_called else _Inlined)(context.codegen(), name)
+    library: Any = codegen.JITCodeLibrary(context.codegen(), name)
     library._final_module = library._shared_module = llvm.parse_bitcode(code)
-    library.called, library.symbol = machine_code, symbol
+    library.called = machine_code
     library._finalized = True
-    return _result(context, library, *rest)
+    return _result(context, library, *own)

@@ -31,7 +31,7 @@ from equipoise.control.policy import (
     shipped_policy,
 )
 from equipoise.errors import ArtefactError, InputError
-from equipoise.model.actuator import Actuator, read_actuator, shipped_actuator
+from equipoise.model.actuator import Actuator, read_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.resolve import read_arm
 from equipoise.model.pendulum import Pendulum, read_pendulum
@@ -215,7 +215,7 @@ def bind_policy(
         kernel=own.kernel if isinstance(own, KernelPolicy) else None,
         pendulum=read_pendulum(pendulum),
         arm=read_arm(arm),
-        actuators=(shipped_actuator() if actuator is None else read_actuator(actuator),),
+        actuators=(read_actuator(actuator),),
         settings=settings or Settings(),
     )
 

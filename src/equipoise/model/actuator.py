@@ -25,7 +25,7 @@ from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self
 from pydantic import Field, model_validator
 
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, StrPath, Value
-from equipoise.jit import PACKAGE, called, inlined
+from equipoise.jit import PACKAGE, called, inlined, kernel
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import BATCH_SIZE, Array, fma
 
@@ -305,7 +305,7 @@ class JointResponse(NamedTuple):
     the setpoint [rad]."""
 
 
-@called
+@kernel
 def track(
     stream_time: Array,
     stream_q: Array,
@@ -521,12 +521,14 @@ IDEAL_ACTUATOR: Final = Actuator.assumed("ideal")
 """Actuator of the paper: the arm reaches a setpoint immediately."""
 
 
-def read_actuator(given: Actuator | StrPath) -> Actuator:
-    """Return a given actuator, that of a file, or the ideal one, named `ideal`.
+def read_actuator(given: Actuator | StrPath | None) -> Actuator:
+    """Return a given actuator, that of a file, the ideal one (`ideal`), or by default the shipped.
 
     Raises:
         ArtefactError: The file holds no actuator.
     """
+    if given is None:
+        return shipped_actuator()
     if isinstance(given, Actuator):
         return given
     return IDEAL_ACTUATOR if given == "ideal" else Actuator.load(given)

@@ -179,11 +179,9 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> list[
     if not same:
         found += ", whose joints differ in geometry or limits"
     elif not np.allclose(arm.home, trained.home, rtol=1e-5, atol=1e-6):  # six digits suffice
-        same, homes = (
-            False,
-            [[float(f"{degrees(q):g}") for q in one.home] for one in (arm, trained)],
-        )
-        found = f"home_deg = {homes[0]}, the policy is for {homes[1]}"
+        same = False
+        home, other = ([float(f"{degrees(q):g}") for q in one.home] for one in (arm, trained))
+        found = f"home_deg = {home}, the policy is for {other}"
     fits = fitting_actuators(policy, actuator)
     nearest = policy.actuators[fits[0] if fits else 0]
     joint, room = _nearest_limit(arm, arm.home)
