@@ -1,8 +1,10 @@
 r"""Search over settings for the policy that lasts best, by Optuna.
 
-Each trial trains one learner with other settings and tests its policy. The tests vary the plant as
-the common settings (`--set`) say, so that all trials are tested alike even where they train on
-different variations. With `--storage` a sweep continues, on any number of machines::
+Each trial trains with other settings on several seeds and tests the policies; its value is the
+share of all tests that lasted. The tests vary the plant as the common settings (`--set`) say, so
+that all trials are tested alike even where they train on different variations. The best trial of
+many is best by chance, too: the finalists train and are tested again on seeds that the search has
+not seen. With `--storage` a sweep continues, on any number of machines::
 
     python experiments/sweep.py --vary learning.gamma=0.9:0.999 --storage sqlite:///sweep.sqlite3
     python experiments/sweep.py --vary learning.alpha_minimum=0.001:0.1:log \
@@ -18,7 +20,11 @@ import optuna
 from matplotlib.figure import Figure
 
 import equipoise as eq
-from equipoise.executors import available_cores
+from equipoise.executors import available_cores, completed
+
+
+SEEDS = 1000
+"""First seed of the search; the finalists have the seeds from twice that number on."""
 
 
 def suggested(trial: optuna.Trial, ranges: dict[str, str]) -> list[str]:
@@ -42,19 +48,24 @@ def suggested(trial: optuna.Trial, ranges: dict[str, str]) -> list[str]:
     return overrides
 
 
-def share_lasted(trial: optuna.Trial, ranges: dict[str, str], given: argparse.Namespace) -> float:
-    """Train with the settings of a trial, and return the share of its tests that lasted."""
+def share_lasted(overrides: list[str], seeds: range, given: argparse.Namespace) -> float:
+    """Train with settings on each seed, and return the share of all tests that lasted.
+
+    Raises:
+        EquipoiseError: The settings are invalid, or cannot be trained.
+    """
     common = eq.resolve(given.recipe, overrides=given.set)
-    try:
-        settings = eq.resolve(given.recipe, overrides=[*given.set, *suggested(trial, ranges)])
-        policy = eq.train(eq.shipped_pendulum(), eq.iiwa(7), settings, learner=trial.number)
-    except eq.EquipoiseError as error:
-        raise optuna.TrialPruned(str(error)) from None
+    settings = eq.resolve(given.recipe, overrides=[*given.set, *overrides])
     length: dict[str, Any] = {"trials": given.tests, "duration": given.duration}
     evaluation = common.evaluation.model_copy(update=length)
     tested = settings.model_copy(update={"plant": common.plant, "evaluation": evaluation})
-    found = eq.evaluate(policy, tested, world=given.world, with_baselines=False)
-    return found.results.summary().rate
+
+    def share(seed: int) -> float:
+        policy = eq.train(eq.shipped_pendulum(), eq.iiwa(7), settings, seed=seed)
+        found = eq.evaluate(policy, tested, world=given.world, seed=seed, with_baselines=False)
+        return found.results.summary().rate
+
+    return float(np.mean([each for _, each in completed(share, seeds, available_cores())]))
 
 
 def draw(study: optuna.Study) -> Figure:
@@ -83,6 +94,9 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--recipe", default="robust")
     parser.add_argument("--trials", type=int, default=40)
+    parser.add_argument("--seeds", type=int, default=1, help="trainings of each trial")
+    parser.add_argument("--finalists", type=int, default=5, help="trials that are trained again")
+    parser.add_argument("--final-seeds", type=int, default=10, help="trainings of each finalist")
     parser.add_argument("--world", default="model", help="world of the tests")
     parser.add_argument("--tests", type=int, default=200, help="tests of each policy")
     parser.add_argument("--duration", type=float, default=60.0, help="length of a test [s]")
@@ -92,17 +106,29 @@ def main() -> None:
     ranges = dict(text.split("=", 1) for text in given.vary)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(
-        direction="maximize", study_name="sweep", storage=given.storage, load_if_exists=True
+        direction="maximize",
+        study_name="sweep",
+        sampler=optuna.samplers.TPESampler(seed=0),
+        storage=given.storage,
+        load_if_exists=True,
     )
-    left = max(given.trials - len(study.trials), 0)
-    study.optimize(
-        lambda trial: share_lasted(trial, ranges, given), n_trials=left, n_jobs=available_cores()
-    )
+
+    def value(trial: optuna.Trial) -> float:
+        overrides = suggested(trial, ranges)
+        try:
+            return share_lasted(overrides, range(SEEDS, SEEDS + given.seeds), given)
+        except eq.EquipoiseError as error:
+            raise optuna.TrialPruned(str(error)) from None
+
+    study.optimize(value, n_trials=max(given.trials - len(study.trials), 0))
     done = study.get_trials(states=[optuna.trial.TrialState.COMPLETE])
     if not done:
         raise SystemExit("no trial has valid settings; check --vary and --set")
-    for trial in sorted(done, key=lambda trial: -trial.value)[:10]:
-        print(f"{trial.value:7.2%}  trial {trial.number}  {trial.params}")
+    fresh = range(2 * SEEDS, 2 * SEEDS + given.final_seeds)
+    for trial in sorted(done, key=lambda trial: -trial.value)[: given.finalists]:
+        overrides = [f"{name}={value}" for name, value in trial.params.items()]
+        final = share_lasted(overrides, fresh, given)
+        print(f"{trial.value:7.2%}, final {final:7.2%}  {trial.number}  {trial.params}", flush=True)
     draw(study).savefig(given.out, dpi=150)
 
 

@@ -186,9 +186,9 @@ class LearningSettings(Value):
     learner: Name = "q_learning"
     """Learning rule: the paper's `q_learning`, equation (1); `sarsa`, `watkins`, `double_q`, or
     MODULE:NAME of a custom one."""
-    reward: Name = "paper"
-    """Reward of a step: `paper`, which only a failure costs; `alive`, or MODULE:NAME of a custom
-    function. The paper does not give its reward."""
+    reward: Name = "failure"
+    """Reward of a step: `failure`, which only a failure costs; `alive`, `centred`, or MODULE:NAME
+    of a custom function. The paper does not give its reward."""
     episodes: int = Field(default=paper.EPISODES, ge=1, le=MAX_EPISODES)
     """Number of training episodes, as in the paper."""
     episode_duration: float = Field(default=10.0, ge=paper.STEP, le=LONGEST_TRIAL)

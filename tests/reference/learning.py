@@ -120,7 +120,7 @@ class Episode:
 TRACE_DECAY = 0.7
 
 REWARDS = {
-    "paper": lambda failed: -1.0 * failed,
+    "failure": lambda failed: -1.0 * failed,
     "alive": lambda failed: 1.0 - failed,
 }
 

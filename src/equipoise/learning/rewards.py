@@ -8,11 +8,13 @@ the acceleration [m/s^2]; `failed` says whether the step ended in failure.
 from collections.abc import Callable, Mapping
 from typing import Final
 
+from equipoise import paper
 from equipoise.control.controller import Observation
+from equipoise.control.grid import PHI_LIMIT
 
 
-def paper(state: Observation, u: float, next_state: Observation, failed: bool) -> float:
-    """Return the textbook reward, which the paper leaves open: only a failure costs, 1."""
+def failure(state: Observation, u: float, next_state: Observation, failed: bool) -> float:
+    """Return -1 for a failure, else 0, the textbook's reward."""
     return -1.0 if failed else 0.0
 
 
@@ -21,8 +23,16 @@ def alive(state: Observation, u: float, next_state: Observation, failed: bool) -
     return 0.0 if failed else 1.0
 
 
+def centred(state: Observation, u: float, next_state: Observation, failed: bool) -> float:
+    """Return -1 for a failure, else -0.01 for the distance from the goal, in units of the limits."""
+    if failed:
+        return -1.0
+    return -0.01 * ((next_state.x / paper.X_LIMIT) ** 2 + (next_state.phi / PHI_LIMIT) ** 2)
+
+
 REWARDS: Final[Mapping[str, Callable[[Observation, float, Observation, bool], float]]] = {
-    "paper": paper,
+    "failure": failure,
     "alive": alive,
+    "centred": centred,
 }
 """Rewards of the project by name, for `equipoise train --reward NAME`."""
