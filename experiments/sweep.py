@@ -22,7 +22,6 @@ from matplotlib.figure import Figure
 import equipoise as eq
 from equipoise.executors import available_cores, completed
 
-
 SEEDS = 1000
 """First seed of the search; the finalists have the seeds from twice that number on."""
 

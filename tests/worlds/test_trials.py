@@ -58,7 +58,7 @@ def drawn(count=100, seed=0, stream=TEST, spread=1.0, settings=SETTINGS):
 
 def outcome(trials):
     """Return the bits of what came of trials."""
-    return [column.tobytes() for column in (trials.steps, trials.cause, trials.sum_x2)]
+    return [column.tobytes() for column in (trials.steps, trials.cause, trials.sum_x2, trials.end)]
 
 
 # What is drawn

@@ -228,6 +228,8 @@ def run_trials(
                 continue
             i = row[n]
             trials.steps[i], trials.cause[i], trials.sum_x2[i] = tick[n], cause[n], sum_x2[n]
+            for j in range(4):
+                trials.end[i, j] = at(batch.state, j, n)
             if placed < len(rows):
                 row[n], number[n] = rows[placed], trials.number[rows[placed]]
                 tick[n], sum_x2[n] = 0, 0.0

@@ -186,6 +186,7 @@ class Simulation(ABC):
             for row in rows:
                 ended = run_trial(loop, acting, trials.trial(row), duration)
                 trials.steps[row], trials.cause[row], trials.sum_x2[row] = ended
+                trials.end[row] = loop.state()
                 done([row])
             return
         share = -(-len(rows) // (self.BATCH * workers)) * self.BATCH

@@ -43,6 +43,8 @@ class Trials(NamedTuple):
     """Result: cause of the end, shape (n,)."""
     sum_x2: Array
     """Result: sum of x^2 over the steps [m^2], shape (n,)."""
+    end: Array
+    """Result: true x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the end, shape (n, 4)."""
 
     def trial(self, row: int) -> Trial:
         """Return the conditions in one row."""
@@ -101,4 +103,5 @@ def draw_trials(
         steps=np.zeros(count, np.int64),
         cause=np.zeros(count, np.int64),
         sum_x2=np.zeros(count),
+        end=np.zeros((count, 4)),
     )

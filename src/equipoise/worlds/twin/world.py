@@ -90,6 +90,7 @@ class TwinSimulation(Simulation):
         for row in rows:
             result = loop.run(policy, trials.trial(row), max_steps)
             trials.steps[row], trials.cause[row], trials.sum_x2[row] = result
+            trials.end[row] = loop.state()
         self._idle.append(loop)
 
 
@@ -120,7 +121,9 @@ class TwinLoop(ClosedLoop):
         """Run a trial of a compiled policy; see `trial.run_trial`."""
         self._set(trial)
         _, _, phi, phi_dot = trial.start
-        return run_trial(self._trial, policy, phi, phi_dot, max_steps)
+        result = run_trial(self._trial, policy, phi, phi_dot, max_steps)
+        self._state[:] = self._twin.truth()
+        return result
 
     def reset(self, trial: Trial) -> None:
         """Release the pendulum under the conditions of a trial."""

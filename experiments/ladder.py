@@ -1,0 +1,108 @@
+"""Climb from the paper's method as printed to the default recipe, one change at a time.
+
+Each rung keeps the changes of the rungs before it. Policies of the same seeds are trained on each
+rung, and tested on a digital twin with the controller of that rung. Prints the table of
+`docs/deviations.md`; an hour on two cores::
+
+    python experiments/ladder.py --seeds 30 --trials 40
+"""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import equipoise as eq
+from equipoise.executors import available_cores, completed
+from equipoise.settings import changed
+from equipoise.worlds.evaluation import Summary, exact_interval
+
+CHANGES: dict[str, tuple[str, ...]] = {
+    "the literal recipe": (),
+    "+ the policy observes a prediction, the zero is estimated": ("controller",),
+    "+ trained behind the identified actuator, nonlinear pendulum": ("plant",),
+    "+ the table looks 0.5 s ahead": ("boxes",),
+    "+ an action is held until the state leaves its box": ("learning.hold_action",),
+    "+ every update is mirrored": ("learning.mirrored",),
+    "+ reward, rates, starts of the default": ("learning",),
+    "+ candidates are running averages": ("selection.averaging",),
+    "+ they race on plants that vary more: the default": ("selection",),
+}
+"""Sections and settings of recipe `robust` that each rung takes up."""
+
+
+def rungs(overrides: list[str]) -> dict[str, eq.Settings]:
+    """Return the settings of each rung, from recipe `paper` to recipe `robust`.
+
+    Args:
+        overrides: Single settings of every rung, such as `learning.episodes=1000`.
+    """
+    settings, default = eq.resolve("paper", overrides=overrides), eq.resolve(overrides=overrides)
+    found: dict[str, eq.Settings] = {}
+    for name, taken in CHANGES.items():
+        changes: dict[str, Any] = {}
+        for each in taken:
+            section, _, key = each.partition(".")
+            group = getattr(default, section)
+            keys = [key] if key else type(group).model_fields
+            changes |= {f"{section}.{one}": getattr(group, one) for one in keys}
+        settings = changed(settings, changes)
+        found[name] = settings
+    return found
+
+
+def main() -> None:
+    """Train and test each rung on every seed, and print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=30)
+    parser.add_argument("--trials", type=int, default=40, help="trials of each policy")
+    parser.add_argument("--duration", type=float, default=60.0, help="length of a trial [s]")
+    parser.add_argument("--world", default="twin:nominal")
+    parser.add_argument("--set", action="append", default=[], help="a setting of every rung")
+    parser.add_argument("--json", type=Path, help="file for the results")
+    given = parser.parse_args()
+    pendulum, arm, actuator = eq.shipped_pendulum(), eq.iiwa(7), eq.shipped_actuator()
+    length = {"evaluation.trials": given.trials, "evaluation.duration": given.duration}
+    rows: list[dict[str, Any]] = []
+    print("| change | share of 60 s | 95 % | worst, median seed | median survival |")
+    print("| --- | --- | --- | --- | --- |")
+    for name, rung in rungs(given.set).items():
+        settings = changed(rung, length)
+        # A controller that predicts nothing assumes an arm without delay.
+        known = actuator if settings.controller.predict else None
+
+        def result(seed: int, settings: eq.Settings = settings, known: Any = known) -> Summary:
+            policy = eq.train(pendulum, arm, settings, seed=seed)
+            there: dict[str, Any] = {"world": given.world, "actuator": known, "seed": seed}
+            return eq.evaluate(policy, settings, **there, with_baselines=False).results.summary()
+
+        found = [each for _, each in completed(result, range(given.seeds), available_cores())]
+        survived, trials = sum(s.survived for s in found), sum(s.trials for s in found)
+        low, high = exact_interval(survived, trials)
+        rates = [s.rate for s in found]
+        row = {
+            "change": name,
+            "seeds": given.seeds,
+            "trials": trials,
+            "lasted": survived,
+            "share": round(survived / trials, 4),
+            "low": round(low, 4),
+            "high": round(high, 4),
+            "worst": round(min(rates), 4),
+            "median_seed": round(float(np.median(rates)), 4),
+            "median": round(float(np.median([s.median for s in found])), 2),
+        }
+        rows.append(row)
+        print(
+            f"| {name} | {row['share']:.1%} | {low:.1%} to {high:.1%} "
+            f"| {row['worst']:.0%}, {row['median_seed']:.0%} | {row['median']:.1f} s |",
+            flush=True,
+        )
+    if given.json:
+        given.json.write_text(json.dumps({"world": given.world, "rows": rows}, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,266 @@
+r"""Measure the method of the paper as printed, in simulation and on robots, over many seeds.
+
+The recipe `paper` trains one policy for each seed. Each runs in the paper's own simulation (world
+`ideal`) and on digital twins with other transport delays, with and without the shaping law of the
+robot's server, with and without a zero error of the encoder.
+
+Which of these robots behaves as the authors' did? Their policy stood for 5 s and ended on the track
+at x = -0.22 m, leaning to the same side by 3.44 degrees. With the set E of trials that end on the
+track after 4 to 6 s, leaning to the side of the end by 1.72 to 6.88 degrees, and a uniform prior,
+
+.. math:: p(T) \propto P(E | T)
+
+is the posterior of the delay T. Only policies that stand in simulation count, as the authors' did.
+If 5 s were the longest of m attempts, P(E | T) of a policy is
+:math:`(F(6)^m - F(4)^m)\, P(E | 4 < t < 6)`, where F is the distribution of its survival t::
+
+    python experiments/literal.py --out literal.png                        # half an hour
+"""
+
+import argparse
+import json
+from collections.abc import Sequence
+from math import nan
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import equipoise as eq
+from equipoise import paper
+from equipoise.control.grid import TRACK, TRUNCATED
+from equipoise.executors import available_cores, completed
+from equipoise.model.random import TEST
+from equipoise.model.worlds import World
+from equipoise.worlds import setup_of, simulate
+from equipoise.worlds.evaluation import exact_interval
+
+DELAYS = (0.0, 2.5, 5.0, 7.5, 10.0, 12.5, 15.0, 20.0, 25.0, 30.0, 40.0)
+"""Transport delays [ms]."""
+STANDS = 0.95
+"""Share of 60 s trials that a policy has to last in simulation to count as balancing there."""
+SURVIVAL = (4.0, 6.0)
+"""Survival that counts as the paper's 5 s [s]."""
+LEAN = (0.5 * abs(paper.PHI_AT_FAILURE_DEG), 2.0 * abs(paper.PHI_AT_FAILURE_DEG))
+"""Lean at the end that counts as the paper's 3.44 degrees [deg]."""
+ATTEMPTS = (1, 10)
+"""Numbers of attempts of which the paper's is the longest."""
+COLOURS = {True: "tab:blue", False: "tab:orange"}
+"""Colour of robots with and without the shaping law."""
+LINES = {True: "-", False: "--"}
+"""Line of robots with and without a zero error."""
+
+
+class Robot(NamedTuple):
+    """A digital twin of the study: `twin:nominal` with other numbers."""
+
+    delay_ms: float
+    """Transport delay [ms]."""
+    shaped: bool
+    """Whether the robot's server shapes the setpoints."""
+    zero: bool
+    """Whether the encoder's zero varies from trial to trial."""
+
+    def world(self) -> World:
+        """Return the world."""
+        numbers: dict[str, Any] = {"transport": 1e-3 * self.delay_ms, "shaped": self.shaped}
+        if not self.zero:
+            numbers["zero_error"] = 0.0
+        return World(
+            "twin:robot", eq.read_world("twin:nominal").settings.model_copy(update=numbers)
+        )
+
+
+class Ends(NamedTuple):
+    """How the trials of one policy in one world ended."""
+
+    survival: np.ndarray
+    """Duration of each trial [s], shape (n,)."""
+    lasted: np.ndarray
+    """Whether it ended without a failure, shape (n,)."""
+    track: np.ndarray
+    """Whether it ended on the track, shape (n,)."""
+    lean: np.ndarray
+    """Lean at the end towards the side of the end [deg], shape (n,)."""
+
+    def as_the_paper(self, attempts: int) -> float:
+        """Return the probability that the longest of some attempts ends as the paper's run did."""
+        low, high = ((self.survival < limit) for limit in SURVIVAL)
+        inside = high & ~low
+        if not inside.any():
+            return 0.0
+        leans = (self.lean > LEAN[0]) & (self.lean < LEAN[1])
+        share = np.mean((leans & self.track)[inside])
+        return float((high.mean() ** attempts - low.mean() ** attempts) * share)
+
+
+def run(policy: eq.TabularPolicy, world: str | World, trials: int, duration: float) -> Ends:
+    """Run trials of a policy; their starts and noise depend on its seed."""
+    simulation = simulate(world, setup_of(policy, world), seed=policy.seed, stream=TEST)
+    rows = simulation.draw(trials)
+    simulation.run(policy, rows, range(trials), duration=duration)
+    lean = np.degrees(rows.end[:, 2]) * np.sign(rows.end[:, 0])
+    return Ends(paper.STEP * rows.steps, rows.cause == TRUNCATED, rows.cause == TRACK, lean)
+
+
+def median_interval(values: Sequence[float]) -> tuple[float, float]:
+    """Return the 95 % interval of a median, from the order statistics."""
+    ordered, n = sorted(values), len(values)
+    count = np.random.default_rng(0).binomial(n, 0.5, 100_000)
+    low, high = np.quantile(count, (0.025, 0.975))
+    return float(ordered[max(int(low) - 1, 0)]), float(ordered[min(int(high), n - 1)])
+
+
+def summary(found: Sequence[Ends]) -> dict[str, Any]:
+    """Return the distribution over the seeds of a world."""
+    medians = [float(np.median(each.survival)) for each in found]
+    failed = np.concatenate([~each.lasted for each in found])
+    track = np.concatenate([each.track for each in found])
+    lean = np.concatenate([each.lean for each in found])[track]
+    shares = [float(each.lasted.mean()) for each in found]
+    low, high = median_interval(medians)
+    result: dict[str, Any] = {
+        "seeds": len(found),
+        "trials": len(failed),
+        "median": round(float(np.median(medians)), 2),
+        "median_low": round(low, 2),
+        "median_high": round(high, 2),
+        "worst": round(min(medians), 2),
+        "best": round(max(medians), 2),
+        "lasted": round(float(np.mean(shares)), 4),
+        "best_tenth": round(float(np.sort(shares)[-max(len(shares) // 10, 1) :].min()), 4),
+        "track": round(float(track.sum() / max(failed.sum(), 1)), 4),
+        "lean": round(float(np.median(lean)), 2) if len(lean) else None,
+    }
+    for seconds in (5, 60):
+        count = sum(median >= seconds for median in medians)
+        ends = exact_interval(count, len(medians))
+        names = (f"stand_{seconds}", f"stand_{seconds}_low", f"stand_{seconds}_high")
+        values = (count / len(medians), *ends)
+        result |= {name: round(value, 4) for name, value in zip(names, values, strict=True)}
+    return result
+
+
+def posterior(likelihood: np.ndarray) -> tuple[float, float, float]:
+    """Return median and 95 % interval of the delay under a uniform prior [ms].
+
+    They are NaN where no trial ended as the paper's run did.
+    """
+    if not likelihood.any():
+        return nan, nan, nan
+    grid = np.linspace(DELAYS[0], DELAYS[-1], 1601)
+    density = np.interp(grid, DELAYS, likelihood)
+    cumulative = np.cumsum(density) / density.sum()
+    low, middle, high = np.interp((0.025, 0.5, 0.975), cumulative, grid).tolist()
+    return middle, low, high
+
+
+def inferred(found: dict[Robot, list[Ends]], stands: Sequence[int]) -> list[dict[str, Any]]:
+    """Return the posterior of the delay for each kind of robot and number of attempts."""
+    rows: list[dict[str, Any]] = []
+    kinds = [(shaped, zero) for shaped in (True, False) for zero in (True, False)]
+    for attempts in ATTEMPTS:
+        for shaped, zero in kinds:
+            likelihood = np.array(
+                [
+                    np.mean(
+                        [found[Robot(t, shaped, zero)][i].as_the_paper(attempts) for i in stands]
+                    )
+                    for t in DELAYS
+                ]
+            )
+            middle, low, high = posterior(likelihood)
+            rows.append(
+                {
+                    "attempts": attempts,
+                    "shaped": shaped,
+                    "zero": zero,
+                    "robot": f"{'KUKA server' if shaped else 'no'} shaping, zero "
+                    f"{'as referenced' if zero else 'exact'}",
+                    "policies": len(stands),
+                    "delay": round(middle, 1),
+                    "low": round(low, 1),
+                    "high": round(high, 1),
+                    "most_likely": DELAYS[int(likelihood.argmax())],
+                    "probability": round(float(likelihood.max()), 4),
+                    "likelihood": likelihood.round(5).tolist(),
+                }
+            )
+    return rows
+
+
+def draw(robots: list[dict[str, Any]], delays: list[dict[str, Any]]) -> Figure:
+    """Draw the survival against the delay, and the posterior of the delay."""
+    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for row in (each for each in delays if each["attempts"] == 1):
+        shaped, zero = row["shaped"], row["zero"]
+        look = {"color": COLOURS[shaped], "linestyle": LINES[zero], "label": row["robot"]}
+        points = [each for each in robots if (each["shaped"], each["zero"]) == (shaped, zero)]
+        left.plot(DELAYS, [each["median"] for each in points], marker="o", markersize=3, **look)
+        if zero:
+            low, high = ([each[name] for each in points] for name in ("worst", "best"))
+            left.fill_between(DELAYS, low, high, color=COLOURS[shaped], alpha=0.12)
+        density = np.array(row["likelihood"]) / max(np.trapezoid(row["likelihood"], DELAYS), 1e-12)
+        right.plot(DELAYS, density, **look)
+    left.axhline(paper.SECONDS_BALANCED, color="0.5", linewidth=0.8)
+    left.annotate("the paper's robot: 5 s", (40.0, 5.3), ha="right", fontsize=8, color="0.3")
+    left.set(yscale="log", xlabel="transport delay [ms]", ylabel="median survival of a seed [s]")
+    right.set(xlabel="transport delay [ms]", ylabel="density of the authors' delay [1/ms]", ylim=0)
+    left.legend(fontsize=8)
+    return figure
+
+
+def main() -> None:
+    """Train, run, infer, print the tables, and draw the figure."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--ideal-trials", type=int, default=200, help="per seed in simulation")
+    parser.add_argument("--trials", type=int, default=10, help="per seed and robot")
+    parser.add_argument("--duration", type=float, default=60.0, help="length of a trial [s]")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--json", type=Path, help="file for the results")
+    parser.add_argument("--out", default="literal.png", help="figure")
+    given = parser.parse_args()
+    settings, cores = eq.resolve("paper", overrides=given.set), available_cores()
+    seeds = range(given.first, given.first + given.seeds)
+
+    def of_seed(seed: int) -> tuple[eq.TabularPolicy, Ends]:
+        policy = eq.train(eq.shipped_pendulum(), eq.iiwa(7), settings, seed=seed)
+        return policy, run(policy, "ideal", given.ideal_trials, given.duration)
+
+    trained = dict(completed(of_seed, seeds, cores))
+    policies, ends = zip(*(trained[i] for i in range(given.seeds)), strict=True)
+    ideal = summary(ends)
+    print(f"simulation: {ideal}", flush=True)
+    found: dict[Robot, list[Ends]] = {}
+    rows: list[dict[str, Any]] = []
+    for shaped in (True, False):
+        for zero in (True, False):
+            for delay in DELAYS:
+                robot = Robot(delay, shaped, zero)
+
+                world = robot.world()
+
+                def on_robot(policy: eq.TabularPolicy, world: World = world) -> Ends:
+                    return run(policy, world, given.trials, given.duration)
+
+                ended = dict(completed(on_robot, policies, cores))
+                found[robot] = [ended[i] for i in range(given.seeds)]
+                rows.append(robot._asdict() | summary(found[robot]))
+                print(robot, rows[-1]["median"], rows[-1]["stand_5"], flush=True)
+    stands = [i for i, each in enumerate(ends) if each.lasted.mean() >= STANDS]
+    delays = inferred(found, stands or range(given.seeds))
+    for row in delays:
+        print(f"best of {row['attempts']}, {row['robot']}: {row['delay']} ms", end=" ")
+        print(f"[{row['low']}, {row['high']}], at most {row['probability']:.1%} of the trials")
+    draw(rows, delays).savefig(given.out, dpi=150)
+    if given.json:
+        values = {"ideal": ideal, "robots": rows, "delay": delays, "stands": len(stands)}
+        given.json.write_text(json.dumps(values, indent=1))
+
+
+if __name__ == "__main__":
+    main()
