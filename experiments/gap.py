@@ -19,9 +19,11 @@ authors' robot::
 """
 
 import argparse
+import json
 from collections.abc import Sequence
-from math import radians
-from typing import NamedTuple
+from math import degrees, radians
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -32,9 +34,6 @@ from equipoise.executors import available_cores
 from equipoise.model.worlds import CLEAN, EFFECTS, WORLDS, TwinSettings, World
 from equipoise.worlds.twin.servo_model import equivalent_actuator
 
-BEST_TABLE = ("every=20", "averaging=1", "late=1", "candidates=500")
-"""Selection of the paper's table with the longest survival on its own plant: the paper's balanced
-in simulation before it ran on the robot, and the last table of a training rarely does."""
 DELAYS = (0.0, 0.005, 0.010, 0.020, 0.030)
 """Transport delays [s]."""
 ZEROS = tuple(map(radians, (0.0, 0.25, 0.5, 0.75, 1.0)))
@@ -61,6 +60,11 @@ class Mean(NamedTuple):
     def __str__(self) -> str:
         """Return mean and interval as text."""
         return f"{self.mean:.1f} ± {self.half:.1f} s"
+
+    def row(self) -> dict[str, float]:
+        """Return mean and ends of the interval, for the results."""
+        ends = {"mean": self.mean, "low": self.mean - self.half, "high": self.mean + self.half}
+        return {name: round(value, 2) for name, value in ends.items()}
 
 
 def mean_of(seconds: Sequence[float]) -> Mean:
@@ -138,7 +142,20 @@ def curves(study: Study, number: str, values: Sequence[float]) -> dict[str, list
     return found
 
 
-def effects(study: Study) -> dict[str, tuple[Mean, Mean]]:
+class Effects(NamedTuple):
+    """Survival of the paper's table on its plant, and what each effect of a robot changes."""
+
+    plant: Mean
+    """Survival on the plant of its training."""
+    clean: Mean
+    """Survival on the clean twin."""
+    full: Mean
+    """Survival on the full twin."""
+    changes: dict[str, tuple[Mean, Mean]]
+    """Change by each effect: added alone to the clean twin, removed from the full one."""
+
+
+def effects(study: Study) -> Effects:
     """Return what each effect changes: added alone to the clean twin, removed from the full one."""
     full = study.twin.settings
     clean = full.model_copy(update=CLEAN)
@@ -155,7 +172,48 @@ def effects(study: Study) -> dict[str, tuple[Mean, Mean]]:
             mean_of(np.subtract(removed, as_is)),
         )
         print(f"{name}: alone {found[name][0]}, removed {found[name][1]}", flush=True)
-    return found
+    return Effects(plant, mean_of(at_best), mean_of(as_is), found)
+
+
+def lasted(survival: Sequence[float], given: argparse.Namespace) -> int:
+    """Return the number of trials that lasted."""
+    return sum(each >= given.duration for each in survival)
+
+
+def results(
+    delay: dict[str, list[Mean]],
+    zero: dict[str, list[Mean]],
+    found: Effects,
+    worlds: list[dict[str, Any]],
+) -> dict[str, Any]:
+    """Return all results for a file, by the names that the documents use."""
+
+    def named(curve: dict[str, list[Mean]], at: Sequence[str]) -> dict[str, Any]:
+        rows = {name: (mean.row() for mean in means) for name, means in curve.items()}
+        return {key(name): dict(zip(at, each, strict=False)) for name, each in rows.items()}
+
+    return {
+        "delay": named(delay, [f"{1e3 * each:.0f}ms" for each in DELAYS]),
+        "zero": named(zero, [f"{100 * degrees(each):.0f}" for each in ZEROS]),
+        "plant": found.plant.row(),
+        "clean": found.clean.row(),
+        "full": found.full.row(),
+        "effects": [
+            {"effect": name} | tagged("alone", alone) | tagged("removed", removed)
+            for name, (alone, removed) in found.changes.items()
+        ],
+        "worlds": {row["world"]: row for row in worlds},
+    }
+
+
+def key(name: str) -> str:
+    """Return a controller's name as a key of the results."""
+    return name.replace(",", "").replace(" ", "_")
+
+
+def tagged(side: str, mean: Mean) -> dict[str, float]:
+    """Return a mean as columns of a table."""
+    return {f"{side}_{name}": value for name, value in mean.row().items()}
 
 
 def draw(
@@ -197,22 +255,29 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=60.0, help="length of a trial [s]")
     parser.add_argument("--set", action="append", default=[], help="a setting of the paper's table")
     parser.add_argument("--quick", action="store_true", help="8 trials of 20 s, without worlds")
+    parser.add_argument("--json", type=Path, help="file for the results")
     parser.add_argument("--out", default="gap.png", help="figure")
     given = parser.parse_args()
     policy = eq.TabularPolicy.load(given.policy) if given.policy else eq.shipped_policy()
-    overrides = [*(f"selection.{choice}" for choice in BEST_TABLE), *given.set]
-    settings = eq.resolve("paper", overrides=overrides)
+    settings = eq.resolve("paper", overrides=given.set)
     paper = eq.train(policy.pendulum, policy.arm, settings, workers=available_cores())
     length = {"trials": given.trials, "duration": given.duration}
     if given.quick:
         length = {"trials": min(given.trials, 8), "duration": min(given.duration, 20.0)}
     study = Study(policy, paper, eq.read_world(given.world), length)
     delay, zero = curves(study, "transport", DELAYS), curves(study, "zero_offset", ZEROS)
-    draw(delay, zero, effects(study)).savefig(given.out, dpi=150)
+    found = effects(study)
+    draw(delay, zero, found.changes).savefig(given.out, dpi=150)
+    worlds: list[dict[str, Any]] = []
     for name in () if given.quick else WORLDS:
         world = eq.read_world(f"twin:{name}").settings
-        cells = (mean_of(study.survival(who, world)) for who in ("cured", "training actuator"))
-        print(f"{name}: {' with its actuator, '.join(map(str, cells))} with that of the training")
+        known, training = (study.survival(who, world) for who in ("cured", "training actuator"))
+        row = {"world": name, "trials": len(known), "mean": float(np.mean(training))}
+        row |= {"known": lasted(known, given), "training": lasted(training, given)}
+        worlds.append(row)
+        print(row, flush=True)
+    if given.json:
+        given.json.write_text(json.dumps(results(delay, zero, found, worlds), indent=1))
 
 
 if __name__ == "__main__":

@@ -26,7 +26,9 @@ CHANGES: dict[str, tuple[str, ...]] = {
     "+ the table looks 0.5 s ahead": ("boxes",),
     "+ an action is held until the state leaves its box": ("learning.hold_action",),
     "+ every update is mirrored": ("learning.mirrored",),
-    "+ reward, rates, starts of the default": ("learning",),
+    "+ reward and discount of the default": ("learning.reward", "learning.gamma"),
+    "+ its learning rate": tuple(f"learning.alpha_{x}" for x in ("initial", "decay", "minimum")),
+    "+ its exploration, starts, and length of an episode": ("learning",),
     "+ candidates are running averages": ("selection.averaging",),
     "+ they race on plants that vary more: the default": ("selection",),
 }
