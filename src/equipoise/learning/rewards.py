@@ -24,7 +24,7 @@ def alive(state: Observation, u: float, next_state: Observation, failed: bool) -
 
 
 def centred(state: Observation, u: float, next_state: Observation, failed: bool) -> float:
-    """Return -1 for a failure, else -0.01 for the distance from the goal, in units of the limits."""
+    """Return -1 for a failure, else at most -0.01 per axis for the distance from the middle."""
     if failed:
         return -1.0
     return -0.01 * ((next_state.x / paper.X_LIMIT) ** 2 + (next_state.phi / PHI_LIMIT) ** 2)
