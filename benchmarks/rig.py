@@ -60,6 +60,7 @@ def main() -> None:
     parser.add_argument("--port", type=int, default=30001)
     parser.add_argument("--console", choices=("client", "browser"), help="who watches")
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--json", type=Path, help="file of the results")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     given.lateness = {kind: {False: [], True: []} for kind in KINDS}
@@ -86,6 +87,8 @@ def main() -> None:
             "ratio_of_medians": float(np.median(beside) / np.median(without)),
         }
     print(json.dumps(total))
+    if given.json:
+        given.json.write_text(json.dumps(total))
 
 
 def _p999(late: np.ndarray) -> float:
