@@ -141,7 +141,9 @@ def run(section: dict[str, Any]) -> None:
     with TemporaryDirectory() as folder:
         written = Path(folder) / "values.json"
         environment = os.environ | {"JSON": str(written), "COMMIT": commit}
-        subprocess.run(section["command"], shell=True, check=True, cwd=ROOT, env=environment)
+        ended = subprocess.run(section["command"], shell=True, cwd=ROOT, env=environment)
+        if ended.returncode:
+            sys.exit(f"exit code {ended.returncode} of {section['command']}")
         values = rounded(json.loads(written.read_text()))
     section |= {"commit": commit, "date": date.today().isoformat(), "values": values}
 
