@@ -10,7 +10,7 @@ COVERING = $(patsubst %,tests/safety/test_%.py,rules trial dropouts plausibility
            tests/robots/kst/test_codec.py tests/robots/encoder/test_codec.py
 
 .DEFAULT_GOAL := help
-.PHONY: help install check lint quick plain cover test full test-all slow docs generated pictures screenshots demo bench
+.PHONY: help install check lint quick plain cover test full test-all slow docs generated pictures screenshots results demo bench
 
 help:  ## list these words
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -62,6 +62,9 @@ pictures:  ## make the pictures of README and documents again, in a minute
 
 screenshots:  ## take the pictures of playground, console and replay; needs Chromium
 	$(PYTHON) docs/figures/screenshots.py
+
+results:  ## measure the numbers of the pages again, in hours; one section: make results ONLY=map
+	$(PYTHON) docs/results.py run $(ONLY)
 
 demo:  ## a first look at the whole paper, in a minute
 	$(PYTHON) -m equipoise reproduce --quick

@@ -46,6 +46,8 @@ STALL = "the host stalled"
 ATTEMPTS = 4
 """Starts of a run that is compared, where the link is refused before anything moves."""
 KINDS = ("all_ticks", "machine_ran")
+RESAMPLES = 1000
+"""Number of bootstrap samples of the runs, for the 95 % interval of a ratio."""
 CONSOLE = re.compile(r"http://127\.0\.0\.1:\d+/\?token=\S+")
 EQUIPOISE = (sys.executable, "-u", "-m", "equipoise")
 
@@ -60,6 +62,7 @@ def main() -> None:
     parser.add_argument("--port", type=int, default=30001)
     parser.add_argument("--console", choices=("client", "browser"), help="who watches")
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--json", type=Path, help="file of the results")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     given.lateness = {kind: {False: [], True: []} for kind in KINDS}
@@ -75,17 +78,23 @@ def main() -> None:
                     break
     total = {"world": given.world, "runs": runs, "lasted": lasted}
     compared = given.console and all(given.lateness[KINDS[0]].values())
+    rng = np.random.default_rng(0)
     for kind in KINDS if compared else ():
-        without, beside = (
-            [1e3 * _p999(late) for late in given.lateness[kind][k]] for k in (False, True)
-        )
-        pooled = [1e3 * _p999(np.concatenate(given.lateness[kind][k])) for k in (False, True)]
+        late = given.lateness[kind]
+        without, beside = (_p999(np.concatenate(late[console])) for console in (False, True))
+        ratios: list[float] = []
+        for _ in range(RESAMPLES):
+            drawn = [rng.integers(len(late[k]), size=len(late[k])) for k in (False, True)]
+            ones = [_p999(np.concatenate([late[k][i] for i in drawn[k]])) for k in (False, True)]
+            ratios.append(ones[1] / ones[0])
         total[kind] = {
-            "p999_ms": dict(zip(("without", "with"), pooled, strict=True)),
-            "ratio": pooled[1] / pooled[0],
-            "ratio_of_medians": float(np.median(beside) / np.median(without)),
+            "p999_ms": {"without": 1e3 * without, "with": 1e3 * beside},
+            "ratio": beside / without,
+            "interval": np.quantile(ratios, (0.025, 0.975)).tolist(),
         }
     print(json.dumps(total))
+    if given.json:
+        given.json.write_text(json.dumps(total))
 
 
 def _p999(late: np.ndarray) -> float:

@@ -41,6 +41,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--json", type=Path, help="file of the results")
     given = parser.parse_args()
     arm, cores = iiwa(given.arm), available_cores()
     settings = resolve(
@@ -58,8 +59,7 @@ def main() -> None:
     elif world not in (MODEL, IDEAL):
         actuator = identify_run(excite(arm, given.world, pendulum, seed=0))
         actuator.save(file, command="identify")
-    lasted = 0
-    rates: list[float] = []
+    found: list[dict] = []
     for seed in range(given.first, given.first + given.seeds):
         begin = time.perf_counter()
         file = given.out / f"policy-{seed}.json"
@@ -87,38 +87,35 @@ def main() -> None:
             )
             evaluation.save(file, command="evaluate", inputs={"policy": policy.digest})
         summary = Evaluation.load(file).results.summary()
-        lasted += summary.survived
-        rates.append(summary.rate)
+        row = {
+            "seed": seed,
+            "survived": summary.survived,
+            "trials": summary.trials,
+            "learner": policy.learner,
+        }
+        found.append(row)
         test = policy.test
-        print(
-            json.dumps(
-                {
-                    "seed": seed,
-                    "survived": summary.survived,
-                    "trials": summary.trials,
-                    "causes": summary.outcomes,
-                    "learner": policy.learner,
-                    "own_test": None if test is None else test.model_dump(mode="json"),
-                    "train_s": round(trained),
-                    "all_s": round(time.perf_counter() - begin),
-                }
-            ),
-            flush=True,
-        )
-    trials = given.seeds * given.trials
-    print(
-        json.dumps(
-            {
-                "world": given.world,
-                "arm": arm.name,
-                "survived": lasted,
-                "trials": trials,
-                "interval": exact_interval(lasted, trials),
-                "seeds_at_99_percent": sum(rate >= 0.99 for rate in rates),
-                "worst_seed": min(rates),
-            }
-        )
-    )
+        more = {
+            "causes": summary.outcomes,
+            "own_test": None if test is None else test.model_dump(mode="json"),
+            "train_s": round(trained),
+            "all_s": round(time.perf_counter() - begin),
+        }
+        print(json.dumps(row | more), flush=True)
+    lasted, trials = sum(row["survived"] for row in found), given.seeds * given.trials
+    total = {
+        "world": given.world,
+        "arm": arm.name,
+        "seeds": given.seeds,
+        "survived": lasted,
+        "trials": trials,
+        "interval": exact_interval(lasted, trials),
+        "seeds_at_99_percent": sum(row["survived"] >= 0.99 * row["trials"] for row in found),
+        "worst": min(found, key=lambda row: row["survived"]),
+    }
+    print(json.dumps(total))
+    if given.json:
+        given.json.write_text(json.dumps(total | {"by_seed": found}))
 
 
 if __name__ == "__main__":

@@ -118,6 +118,7 @@ html_css_files = ["site.css"]
 html_extra_path = ["site/index.html"]
 pygments_style = "friendly"
 
+MARK = re.compile(r"<!--[=/]\S*?-->|<!--table=\S*?-->\n")
 LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)#:]+)\)")
 BACKTICKS = re.compile(r"(:[\w:]+:)?(?<!`)`([^`]+)`(?!`)(\w*)")
 NAME = re.compile(r"[A-Za-z_][\w.]*")
@@ -130,13 +131,13 @@ ARRAY = re.compile(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]")
 
 
 def add_contents(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Add the table of contents to the first page, and free links to folders of their targets."""
+    """Add the table of contents to the first page; remove marks of results and links to folders."""
 
     def freed(link: re.Match[str]) -> str:
         folder = Path(app.srcdir) / Path(docname).parent / link[2]
         return link[1] if folder.is_dir() else link[0]
 
-    source[0] = LINK.sub(freed, source[0])
+    source[0] = LINK.sub(freed, MARK.sub("", source[0]))
     if docname == root_doc:
         for part, pages in CONTENTS.items():
             lines = "\n".join(pages)

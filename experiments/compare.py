@@ -11,7 +11,9 @@ table are no learners but bounds. Every controller assumes the actuator of the t
 """
 
 import argparse
+import json
 import time
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -54,6 +56,8 @@ COLOURS = {
     "baseline": "tab:green",
     "given": "tab:red",
 }
+STORED = ("survived", "trials", "interval", "median")
+"""Fields of a summary in the file of results."""
 RUNS = 3
 """Number of runs on `model` for the root mean square of x."""
 
@@ -177,6 +181,7 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--quick", action="store_true", help="short searches")
     parser.add_argument("--out", default="compare.png", help="figure")
+    parser.add_argument("--json", type=Path, help="file of the results")
     given = parser.parse_args()
     rows = made_rows(given.rows, given.policies, given.set, given.quick)
     columns = columns_of(given.worlds, given.told)
@@ -188,12 +193,21 @@ def main() -> None:
     titles = [title for title, _, _ in columns]
     print(f"\n| row | {' | '.join(titles)} | rms x [mm] | made in | a decision |")
     print("| --- " * (len(titles) + 4) + "|")
+    made: list[dict] = []
     for name, row in rows.items():
         cells = [f"{found[name, t].rate:.0%} ({found[name, t].median:.1f} s)" for t in titles]
-        cells.append(f"{1e3 * rms_x(row.policy, given.duration):.1f}")
+        rms_mm = 1e3 * rms_x(row.policy, given.duration)
+        cells.append(f"{rms_mm:.1f}")
+        made.append({"name": Path(name).stem, "rms_x_mm": rms_mm})
+        for title in titles:
+            key = title.removeprefix("twin:").replace(", ", "_")
+            made[-1][key] = {field: getattr(found[name, title], field) for field in STORED}
         cells += [f"{row.wall:.0f} s", f"{1e6 * decision_time(row.policy):.1f} us"]
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
     draw(rows, titles, found).savefig(given.out, dpi=150)
+    if given.json:
+        about = {"trials": given.trials, "duration": given.duration, "seed": 0}
+        given.json.write_text(json.dumps(about | {"rows": made}))
 
 
 if __name__ == "__main__":

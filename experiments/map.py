@@ -8,7 +8,9 @@ boundary is that of `recoverable.py`, beyond which no controller recovers::
 """
 
 import argparse
+import json
 from math import ceil, inf, pi, sqrt
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -49,6 +51,13 @@ class MapSlice(NamedTuple):
     """Whether each start is inside the boundary, shape (m,)."""
     held: np.ndarray
     """Whether each trial lasted, shape (m,)."""
+
+    def share(self) -> dict:
+        """Return how many of the starts inside the boundary are held, with its 95 % interval."""
+        survived, trials = int(np.sum(self.held & self.inside)), int(np.sum(self.inside))
+        interval = exact_interval(survived, trials)
+        rate = survived / trials
+        return {"survived": survived, "trials": trials, "rate": rate, "interval": interval}
 
 
 def boundary(params: RecoveryParams, axes: tuple[int, int]) -> np.ndarray:
@@ -125,9 +134,9 @@ def draw(slices: dict[str, MapSlice], settings: eq.Settings) -> Figure:
             panel.scatter(*starts[which].T, s=size, linewidths=0.5, label=label, **look)
         closed = unit * np.concatenate((found.edge, found.edge[:1]))
         panel.plot(*closed.T, color="black", label="beyond: no controller recovers")
-        count, of = int(np.sum(found.held & found.inside)), int(np.sum(found.inside))
-        low, high = exact_interval(count, of)
-        panel.set_title(f"{title}\nheld: {count / of:.0%} [{low:.0%}, {high:.0%}] of the inside")
+        share = found.share()
+        low, high = share["interval"]
+        panel.set_title(f"{title}\nheld: {share['rate']:.0%} [{low:.0%}, {high:.0%}] of the inside")
         panel.set(xlabel=LABELS[axes[0]], ylabel=LABELS[axes[1]])
         if axes == (2, 3):
             e = settings.evaluation
@@ -151,6 +160,7 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=1600, help="starts of a slice")
     parser.add_argument("--duration", type=float, default=10.0, help="length of a trial [s]")
     parser.add_argument("--out", default="map.png", help="figure")
+    parser.add_argument("--json", type=Path, help="file of the results")
     given = parser.parse_args()
     policy = eq.load_policy(given.policy)
     slices = {
@@ -160,6 +170,9 @@ def main() -> None:
     for title, found in slices.items():
         print(f"{title}: {found.held.sum()} of {len(found.held)} starts held")
     draw(slices, policy.settings).savefig(given.out, dpi=150)
+    if given.json:
+        shares = [found.share() for found in slices.values()]
+        given.json.write_text(json.dumps({"starts": given.starts, "slices": shares}))
 
 
 if __name__ == "__main__":

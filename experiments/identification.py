@@ -1,0 +1,52 @@
+"""Identify the actuator of every named twin, and count the intervals that hold.
+
+Each log is ten seconds of motion about home, with a seed of its own. Delay and t_c are compared
+with those of the twin's servo; the lags are those of the loaded joints, which nothing else gives::
+
+    python experiments/identification.py --logs 10
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+import equipoise as eq
+from equipoise.worlds.twin.servo_model import equivalent_actuator
+
+WORLDS = ("nominal", "harsh", "light-rotors", "bare", "pd", "trajectory40", "smart60", "fri")
+
+
+def main() -> None:
+    """Identify all logs, and print a row for each world."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--worlds", nargs="+", default=list(WORLDS))
+    parser.add_argument("--logs", type=int, default=10, help="number of logs of each world")
+    parser.add_argument("--json", type=Path, help="file of the results")
+    given = parser.parse_args()
+    rows: list[dict] = []
+    held: list[bool] = []
+    for world in given.worlds:
+        true = equivalent_actuator(eq.read_world(f"twin:{world}").settings)
+        logs = [eq.excite("iiwa7", f"twin:{world}", seed=seed) for seed in range(given.logs)]
+        found = [eq.identify_run(log) for log in logs]
+        row: dict = {"name": world}
+        for name in ("cycle", "delay"):
+            estimates, value = [getattr(each, name) for each in found], getattr(true, name).value
+            held += [each.low <= value <= each.high for each in estimates]
+            fitted = 1e3 * np.array([each.value for each in estimates])
+            row[name] = {"true": 1e3 * value, "mean": fitted.mean(), "sd": fitted.std()}
+        lags = 1e3 * np.mean([[lag.value for lag in each.lags] for each in found], axis=0)
+        row["lags"] = [lags.min(), lags.max()]
+        rows.append(row)
+        print(json.dumps(row), flush=True)
+    print(f"intervals that hold: {sum(held)} of {len(held)}")
+    if given.json:
+        share = {"survived": sum(held), "trials": len(held), "rate": sum(held) / len(held)}
+        text = json.dumps({"logs": given.logs, "worlds_ms": rows, "intervals": share})
+        given.json.write_text(text)
+
+
+if __name__ == "__main__":
+    main()
