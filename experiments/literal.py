@@ -44,32 +44,39 @@ SURVIVAL = (4.0, 6.0)
 """Survival that counts as the paper's 5 s [s]."""
 LEAN = (0.5 * abs(paper.PHI_AT_FAILURE_DEG), 2.0 * abs(paper.PHI_AT_FAILURE_DEG))
 """Lean at the end that counts as the paper's 3.44 degrees [deg]."""
-ATTEMPTS = (1, 10)
-"""Numbers of attempts of which the paper's is the longest."""
-COLOURS = {True: "tab:blue", False: "tab:orange"}
-"""Colour of robots with and without the shaping law."""
-LINES = {True: "-", False: "--"}
-"""Line of robots with and without a zero error."""
+KINDS = {
+    "shaped_zero": (True, True),
+    "shaped": (True, False),
+    "unshaped_zero": (False, True),
+    "unshaped": (False, False),
+}
+"""Kinds of robots: with the shaping law of its server, with a zero error of the encoder."""
+READINGS = {"single": (1, True), "best_of_ten": (10, True), "either_side": (1, False)}
+"""Readings of the paper: number of attempts of which its run is the longest, and whether the lean
+at the end has to be to the side of the end."""
+LOOKS = {
+    "shaped_zero": {"color": "tab:blue", "linestyle": "-"},
+    "shaped": {"color": "tab:blue", "linestyle": "--"},
+    "unshaped_zero": {"color": "tab:orange", "linestyle": "-"},
+    "unshaped": {"color": "tab:orange", "linestyle": "--"},
+}
+"""Line of each kind."""
+LABELS = {
+    "shaped_zero": "shaping law, zero error",
+    "shaped": "shaping law",
+    "unshaped_zero": "zero error",
+    "unshaped": "neither",
+}
+"""Label of each kind."""
 
 
-class Robot(NamedTuple):
-    """A digital twin of the study: `twin:nominal` with other numbers."""
-
-    delay_ms: float
-    """Transport delay [ms]."""
-    shaped: bool
-    """Whether the robot's server shapes the setpoints."""
-    zero: bool
-    """Whether the encoder's zero varies from trial to trial."""
-
-    def world(self) -> World:
-        """Return the world."""
-        numbers: dict[str, Any] = {"transport": 1e-3 * self.delay_ms, "shaped": self.shaped}
-        if not self.zero:
-            numbers["zero_error"] = 0.0
-        return World(
-            "twin:robot", eq.read_world("twin:nominal").settings.model_copy(update=numbers)
-        )
+def robot(delay: float, kind: str) -> World:
+    """Return a robot: `twin:nominal` with another transport delay [ms], of a kind."""
+    shaped, zero = KINDS[kind]
+    numbers: dict[str, Any] = {"transport": 1e-3 * delay, "shaped": shaped}
+    if not zero:
+        numbers["zero_error"] = 0.0
+    return World("twin:robot", eq.read_world("twin:nominal").settings.model_copy(update=numbers))
 
 
 class Ends(NamedTuple):
@@ -84,13 +91,19 @@ class Ends(NamedTuple):
     lean: np.ndarray
     """Lean at the end towards the side of the end [deg], shape (n,)."""
 
-    def as_the_paper(self, attempts: int) -> float:
-        """Return the probability that the longest of some attempts ends as the paper's run did."""
+    def as_the_paper(self, attempts: int, same_side: bool) -> float:
+        """Return the probability that the longest of some attempts ends as the paper's run did.
+
+        Args:
+            attempts: Number of attempts.
+            same_side: Whether the lean has to be to the side of the end.
+        """
+        lean = self.lean if same_side else np.abs(self.lean)
         low, high = ((self.survival < limit) for limit in SURVIVAL)
         inside = high & ~low
         if not inside.any():
             return 0.0
-        leans = (self.lean > LEAN[0]) & (self.lean < LEAN[1])
+        leans = (lean > LEAN[0]) & (lean < LEAN[1])
         share = np.mean((leans & self.track)[inside])
         return float((high.mean() ** attempts - low.mean() ** attempts) * share)
 
@@ -156,37 +169,28 @@ def posterior(likelihood: np.ndarray) -> tuple[float, float, float]:
     return middle, low, high
 
 
-def inferred(found: dict[Robot, list[Ends]], stands: Sequence[int]) -> list[dict[str, Any]]:
-    """Return the posterior of the delay for each kind of robot and number of attempts."""
+def inferred(found: dict[str, list[list[Ends]]], stands: Sequence[int]) -> list[dict[str, Any]]:
+    """Return the posterior of the delay for each kind of robot and each reading.
+
+    Args:
+        found: Trials of each policy on each robot, by kind and delay.
+        stands: Indices of the policies that stand in simulation.
+    """
     rows: list[dict[str, Any]] = []
-    kinds = [(shaped, zero) for shaped in (True, False) for zero in (True, False)]
-    for attempts in ATTEMPTS:
-        for shaped, zero in kinds:
+    for kind, robots in found.items():
+        row: dict[str, Any] = {"name": kind, "label": LABELS[kind], "policies": len(stands)}
+        for reading, how in READINGS.items():
             likelihood = np.array(
-                [
-                    np.mean(
-                        [found[Robot(t, shaped, zero)][i].as_the_paper(attempts) for i in stands]
-                    )
-                    for t in DELAYS
-                ]
+                [np.mean([ends[i].as_the_paper(*how) for i in stands]) for ends in robots]
             )
             middle, low, high = posterior(likelihood)
-            rows.append(
-                {
-                    "attempts": attempts,
-                    "shaped": shaped,
-                    "zero": zero,
-                    "robot": f"{'KUKA server' if shaped else 'no'} shaping, zero "
-                    f"{'as referenced' if zero else 'exact'}",
-                    "policies": len(stands),
-                    "delay": round(middle, 1),
-                    "low": round(low, 1),
-                    "high": round(high, 1),
-                    "most_likely": DELAYS[int(likelihood.argmax())],
-                    "probability": round(float(likelihood.max()), 4),
-                    "likelihood": likelihood.round(5).tolist(),
-                }
-            )
+            row[reading] = {
+                "delay": round(middle, 1),
+                "interval": [round(low, 1), round(high, 1)],
+                "probability": round(float(likelihood.max()), 4),
+                "likelihood": likelihood.round(5).tolist(),
+            }
+        rows.append(row)
     return rows
 
 
@@ -194,21 +198,19 @@ def draw(robots: list[dict[str, Any]], delays: list[dict[str, Any]]) -> Figure:
     """Draw the survival against the delay, and the posterior of the delay."""
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for row in (each for each in delays if each["attempts"] == 1):
-        shaped, zero = row["shaped"], row["zero"]
-        look = {"color": COLOURS[shaped], "linestyle": LINES[zero], "label": row["robot"]}
-        points = [each for each in robots if (each["shaped"], each["zero"]) == (shaped, zero)]
-        left.plot(DELAYS, [each["median"] for each in points], marker="o", markersize=3, **look)
-        if zero:
-            low, high = ([each[name] for each in points] for name in ("worst", "best"))
-            left.fill_between(DELAYS, low, high, color=COLOURS[shaped], alpha=0.12)
-        density = np.array(row["likelihood"]) / max(np.trapezoid(row["likelihood"], DELAYS), 1e-12)
-        right.plot(DELAYS, density, **look)
+    for row in delays:
+        kind = row["name"]
+        medians = [each[kind]["median"] for each in robots]
+        left.plot(DELAYS, medians, marker="o", markersize=3, label=LABELS[kind], **LOOKS[kind])
+        likelihood = row["single"]["likelihood"]
+        density = np.array(likelihood) / max(np.trapezoid(likelihood, DELAYS), 1e-12)
+        right.plot(DELAYS, density, label=LABELS[kind], **LOOKS[kind])
     left.axhline(paper.SECONDS_BALANCED, color="0.5", linewidth=0.8)
     left.annotate("the paper's robot: 5 s", (40.0, 5.3), ha="right", fontsize=8, color="0.3")
     left.set(yscale="log", xlabel="transport delay [ms]", ylabel="median survival of a seed [s]")
-    right.set(xlabel="transport delay [ms]", ylabel="density of the authors' delay [1/ms]", ylim=0)
-    left.legend(fontsize=8)
+    right.set(xlabel="transport delay [ms]", ylabel="density of the authors' delay [1/ms]")
+    right.set_ylim(bottom=0.0)
+    right.legend(fontsize=8)
     return figure
 
 
@@ -235,30 +237,29 @@ def main() -> None:
     policies, ends = zip(*(trained[i] for i in range(given.seeds)), strict=True)
     ideal = summary(ends)
     print(f"simulation: {ideal}", flush=True)
-    found: dict[Robot, list[Ends]] = {}
-    rows: list[dict[str, Any]] = []
-    for shaped in (True, False):
-        for zero in (True, False):
-            for delay in DELAYS:
-                robot = Robot(delay, shaped, zero)
+    found: dict[str, list[list[Ends]]] = {kind: [] for kind in KINDS}
+    robots: list[dict[str, Any]] = []
+    for delay in DELAYS:
+        row: dict[str, Any] = {"delay": delay}
+        for kind in KINDS:
+            world = robot(delay, kind)
 
-                world = robot.world()
+            def on_robot(policy: eq.TabularPolicy, world: World = world) -> Ends:
+                return run(policy, world, given.trials, given.duration)
 
-                def on_robot(policy: eq.TabularPolicy, world: World = world) -> Ends:
-                    return run(policy, world, given.trials, given.duration)
-
-                ended = dict(completed(on_robot, policies, cores))
-                found[robot] = [ended[i] for i in range(given.seeds)]
-                rows.append(robot._asdict() | summary(found[robot]))
-                print(robot, rows[-1]["median"], rows[-1]["stand_5"], flush=True)
+            ended = dict(completed(on_robot, policies, cores))
+            found[kind].append([ended[i] for i in range(given.seeds)])
+            row[kind] = summary(found[kind][-1])
+            print(f"{delay:g} ms, {LABELS[kind]}: {row[kind]['median']} s", flush=True)
+        robots.append(row)
     stands = [i for i, each in enumerate(ends) if each.lasted.mean() >= STANDS]
     delays = inferred(found, stands or range(given.seeds))
     for row in delays:
-        print(f"best of {row['attempts']}, {row['robot']}: {row['delay']} ms", end=" ")
-        print(f"[{row['low']}, {row['high']}], at most {row['probability']:.1%} of the trials")
-    draw(rows, delays).savefig(given.out, dpi=150)
+        for reading in READINGS:
+            print(f"{row['label']}, {reading}: {row[reading]}")
+    draw(robots, delays).savefig(given.out, dpi=150)
     if given.json:
-        values = {"ideal": ideal, "robots": rows, "delay": delays, "stands": len(stands)}
+        values = {"ideal": ideal, "robots": robots, "delays": delays, "stands": len(stands)}
         given.json.write_text(json.dumps(values, indent=1))
 
 
