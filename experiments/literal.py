@@ -20,7 +20,6 @@ If 5 s were the longest of m attempts, P(E | T) of a policy is
 import argparse
 import json
 from collections.abc import Sequence
-from math import nan
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,7 +35,7 @@ from equipoise.model.worlds import World
 from equipoise.worlds import setup_of, simulate
 from equipoise.worlds.evaluation import exact_interval
 
-DELAYS = (0.0, 2.5, 5.0, 7.5, 10.0, 12.5, 15.0, 20.0, 25.0, 30.0, 40.0)
+DELAYS = (0.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0)
 """Transport delays [ms]."""
 STANDS = 0.95
 """Share of 60 s trials that a policy has to last in simulation to count as balancing there."""
@@ -155,18 +154,18 @@ def summary(found: Sequence[Ends]) -> dict[str, Any]:
     return result
 
 
-def posterior(likelihood: np.ndarray) -> tuple[float, float, float]:
+def posterior(likelihood: np.ndarray) -> dict[str, Any]:
     """Return median and 95 % interval of the delay under a uniform prior [ms].
 
-    They are NaN where no trial ended as the paper's run did.
+    They are None where no trial ended as the paper's run did.
     """
     if not likelihood.any():
-        return nan, nan, nan
+        return {"delay": None, "interval": None}
     grid = np.linspace(DELAYS[0], DELAYS[-1], 1601)
     density = np.interp(grid, DELAYS, likelihood)
     cumulative = np.cumsum(density) / density.sum()
     low, middle, high = np.interp((0.025, 0.5, 0.975), cumulative, grid).tolist()
-    return middle, low, high
+    return {"delay": round(middle, 1), "interval": [round(low, 1), round(high, 1)]}
 
 
 def inferred(found: dict[str, list[list[Ends]]], stands: Sequence[int]) -> list[dict[str, Any]]:
@@ -183,10 +182,7 @@ def inferred(found: dict[str, list[list[Ends]]], stands: Sequence[int]) -> list[
             likelihood = np.array(
                 [np.mean([ends[i].as_the_paper(*how) for i in stands]) for ends in robots]
             )
-            middle, low, high = posterior(likelihood)
-            row[reading] = {
-                "delay": round(middle, 1),
-                "interval": [round(low, 1), round(high, 1)],
+            row[reading] = posterior(likelihood) | {
                 "probability": round(float(likelihood.max()), 4),
                 "likelihood": likelihood.round(5).tolist(),
             }

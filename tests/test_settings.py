@@ -56,8 +56,8 @@ def test_settings_say_which_recipe_they_are():
     assert describe_recipe(resolve("paper")) == "paper"
     assert describe_recipe(resolve("robust")) == "robust"
     assert describe_recipe(resolve("paper", overrides=["evaluation.trials=3"])) == "paper"
-    changed = resolve("paper", overrides=["learning.gamma=0.9", "selection.every=20"])
-    said = "custom: paper with learning.gamma = 0.9, selection.every = 20"
+    changed = resolve("paper", overrides=["learning.gamma=0.9", "selection.every=30"])
+    said = "custom: paper with learning.gamma = 0.9, selection.every = 30"
     assert describe_recipe(changed) == said
 
 

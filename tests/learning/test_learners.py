@@ -121,7 +121,8 @@ def test_rewards_are_those_of_the_reference():
     assert set(REWARDS) == set(reference.REWARDS)
     for name, reward in REWARDS.items():
         for failed in (False, True):
-            assert reward(state, 0.4, state, failed) == reference.REWARDS[name](failed)
+            expected = reference.REWARDS[name](state.x, state.phi, failed)
+            assert reward(state, 0.4, state, failed) == expected
 
 
 # Guests

@@ -210,7 +210,7 @@ def test_the_test_of_a_policy_is_its_evaluation_with_other_seeds(pendulum, learn
     assert test.survived == causes["lasted"]
 
 
-def test_the_recipe_paper_selects_nothing(pendulum):
+def test_without_candidates_the_last_table_is_kept(pendulum):
     policy = train(pendulum, ARM, of_paper())
     assert policy.recipe.startswith("custom: paper with learning.episodes = 60, ")
     assert policy.checkpoints == ()
