@@ -20,8 +20,9 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TEST
-from equipoise.model.worlds import TwinSettings, World
+from equipoise.model.worlds import CLEAN, TwinSettings, World
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
+from equipoise.rig.simulate import simulate_run
 from equipoise.safety.rules import TRACK_LIMIT
 from equipoise.safety.stop import ramp
 from equipoise.settings import Settings
@@ -74,6 +75,14 @@ def test_a_regulator_stands_and_who_does_nothing_falls():
     for steps, cause, _ in run(STILL):
         assert cause == ANGLE
         assert 10 < steps < 60
+
+
+def test_behind_an_ideal_actuator_the_observed_velocity_is_the_slope_of_the_observed_x():
+    clean = World("twin:clean", TwinSettings().model_copy(update=CLEAN))
+    run = simulate_run("lqr", world=clean, actuator="ideal", duration=2.0)
+    moved = 0.005 * np.cumsum(run.x_dot[1:] + run.x_dot[:-1])  # exact for a u that is held
+    assert np.ptp(moved) > 0.02
+    np.testing.assert_allclose(run.x[1:] - run.x[0], moved, atol=1e-3)
 
 
 def test_outcomes_depend_on_seed_and_number_alone():

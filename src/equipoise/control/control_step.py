@@ -44,6 +44,7 @@ from equipoise.errors import ArmError, SettingsError
 from equipoise.jit import called, inlined, kernel
 from equipoise.model.actuator import (
     CYCLE,
+    IDEAL,
     Actuator,
     ActuatorParameters,
     DelayedSetpoint,
@@ -583,6 +584,10 @@ def advance_arm_model(controller: ControllerParams, state: ControllerState, lane
         target = state.setpoints[6 * s * BATCH_SIZE : 6 * (s + 1) * BATCH_SIZE]
         setpoint = DelayedSetpoint(target, target, share, False)
         follow_setpoint(q, dq, setpoint, share, controller.actuator, cycles, scratch, lanes)
+    if controller.actuator.kind == IDEAL:
+        # It jumps to each setpoint and then rests; the motion is that of the command.
+        for i in range(FREE_JOINTS * BATCH_SIZE):
+            dq[i] = state.dq[i]
     state.newest[0] = (state.newest[0] + 1) % HISTORY_TICKS
     entry = _entry(state.newest[0], 0)
     for i in range(6):
