@@ -14,7 +14,7 @@ is the posterior of the delay T. Only policies that stand in simulation count, a
 If 5 s were the longest of m attempts, P(E | T) of a policy is
 :math:`(F(6)^m - F(4)^m)\, P(E | 4 < t < 6)`, where F is the distribution of its survival t::
 
-    python experiments/literal.py --out literal.png                        # half an hour
+    python experiments/literal.py --out literal.png                        # an hour
 """
 
 import argparse
@@ -216,7 +216,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--ideal-trials", type=int, default=200, help="per seed in simulation")
-    parser.add_argument("--trials", type=int, default=10, help="per seed and robot")
+    parser.add_argument("--trials", type=int, default=5, help="per seed and robot")
     parser.add_argument("--duration", type=float, default=60.0, help="length of a trial [s]")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--json", type=Path, help="file for the results")
