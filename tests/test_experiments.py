@@ -16,7 +16,8 @@ from equipoise.worlds.twin.servo_model import equivalent_actuator
 
 pytestmark = pytest.mark.full
 
-EXPERIMENTS = Path(__file__).parents[1] / "experiments"
+ROOT = Path(__file__).parents[1]
+EXPERIMENTS = ROOT / "experiments"
 SHORT = (
     *("--set", "learning.episodes=40", "--set", "learning.episode_duration=1"),
     *("--set", "selection.every=20", "--set", "selection.round_trials=8"),
@@ -45,9 +46,9 @@ def experiment(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(EXPERIMENTS)
 
-    def run(name, *arguments):
+    def run(name, *arguments, folder=EXPERIMENTS):
         monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
-        runpy.run_path(str(EXPERIMENTS / f"{name}.py"), run_name="__main__")
+        runpy.run_path(str(folder / f"{name}.py"), run_name="__main__")
         return capsys.readouterr().out
 
     return run
@@ -69,6 +70,39 @@ def test_an_experiment_runs_and_writes_its_result(experiment, tmp_path, name):
     assert written.stat().st_size > 1000
     if name in WRITES:
         assert eq.TabularPolicy.load(written).settings.boxes.count == 270
+
+
+def form(value):
+    """The keys of a value, at all depths; of a list those of its first element."""
+    if isinstance(value, dict):
+        return {key: form(each) for key, each in value.items()}
+    return [form(value[0])] if isinstance(value, list) else None
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize(
+    ("section", "script", "arguments"),
+    [
+        pytest.param("compare", "experiments/compare", (), marks=pytest.mark.slow),
+        ("map", "experiments/map", ()),
+        ("identification", "experiments/identification", ("--worlds", "pd", "--logs", "1")),
+        (
+            "survival-model",
+            "benchmarks/twin",
+            (*SHORT, *TRIALS, "--world", "model", "--seeds", "1", "--learners", "1", "--out", "."),
+        ),
+    ],
+)
+def test_a_script_writes_the_values_that_the_pages_print(
+    experiment, tmp_path, section, script, arguments
+):
+    folder, name = script.split("/")
+    smallest = arguments or SMALLEST[name]
+    experiment(name, *smallest, "--json", "values.json", folder=ROOT / folder)
+    stored = json.loads((ROOT / "docs" / "results.json").read_text())[section]["values"]
+    written = form(json.loads((tmp_path / "values.json").read_text()))
+    stored = form(stored)
+    assert written == stored
 
 
 # Value iteration

@@ -80,9 +80,10 @@ def test_the_command_of_a_section_exists(section):
     for name, *words in commands(FILE[section]["command"].replace("> $JSON", "")):
         if name == "equipoise":
             parse(words)
+        elif name == "python":
+            assert (ROOT / words[0]).is_file()
         else:
             assert name in OTHERS
-            assert (ROOT / words[0]).is_file()
 
 
 # Results without a mark
@@ -118,8 +119,6 @@ ALLOWED = (
     "19 of 20 runs",
     "with the actuator of its training lasts 2.6 s on `pd`",
     "the same table lasted 100 of 100 trials",
-    "94 % of the",
-    "2 to 4 % with the rotors of `nominal`",
     "a table lasts 14 s without this",
     "lasts 1.7 s on the twin",
 )
