@@ -44,7 +44,7 @@ MARK = re.compile(r"<!--=([\w.,~-]+):?([^>\s]*)-->([^<\n]*)<!--/-->")
 TABLE = re.compile(
     r"^<!--table=([\w.,~-]+)((?:\|\S*?)+)-->\n(?:\|.*\n){2}((?:\|.*\n)*)", re.MULTILINE
 )
-STARTS = re.compile(r"^[ >*-]*<!--[=/].*", re.MULTILINE)
+STARTS = re.compile(r"^(?:[>*-] | )*<!--[=/].*", re.MULTILINE)
 REST = re.compile(r"<!--(?:[=/]|table).*")
 FIELD = re.compile(r"\{([^{}:]+):?([^}]*)\}")
 LEAF = re.compile(r"\{[^{}]*\}|\[[^\[\]{}]*\]")

@@ -41,6 +41,11 @@ def test_every_digit_that_is_edited_by_hand_is_found_and_named(page):
     assert edited
 
 
+@pytest.mark.parametrize("page", PAGES)
+def test_no_line_begins_with_a_percent_sign_which_the_site_leaves_out(page):
+    assert not re.search(r"^\s*%", PAGES[page], re.MULTILINE)
+
+
 @pytest.mark.parametrize("page", MARKED)
 def test_a_viewer_of_markdown_shows_no_trace_of_the_marks(page):
     shown = MarkdownIt("commonmark").enable("table").render
