@@ -128,8 +128,8 @@ def rounded(number: str) -> float:
     return float(f"{float(number):.6g}")
 
 
-def run(section: dict[str, Any]) -> None:
-    """Run the command of a section, and store its values."""
+def run(command: str) -> dict[str, Any]:
+    """Run the command of a section; return what the section holds then."""
     git = ("git", "-C", str(ROOT))
     commit = subprocess.check_output([*git, "rev-parse", "--short", "HEAD"], text=True).strip()
     code = ("src", "experiments", "benchmarks")
@@ -138,11 +138,12 @@ def run(section: dict[str, Any]) -> None:
     with TemporaryDirectory() as folder:
         written = Path(folder) / "values.json"
         environment = os.environ | {"JSON": str(written), "COMMIT": commit}
-        ended = subprocess.run(section["command"], shell=True, cwd=ROOT, env=environment)
+        ended = subprocess.run(command, shell=True, cwd=ROOT, env=environment)
         if ended.returncode:
-            sys.exit(f"exit code {ended.returncode} of {section['command']}")
+            sys.exit(f"exit code {ended.returncode} of {command}")
         values = json.loads(written.read_text(), parse_float=rounded)
-    section |= {"commit": commit, "date": date.today().isoformat(), "values": values}
+    today = date.today().isoformat()
+    return {"command": command, "commit": commit, "date": today, "values": values}
 
 
 def main() -> None:
@@ -152,10 +153,13 @@ def main() -> None:
     parser.add_argument("names", nargs="*", metavar="run SECTION", help="by default all sections")
     given = parser.parse_args()
     results = json.loads(FILE.read_text())
-    if given.names[:1] == ["run"]:
-        for name in given.names[1:] or results:
-            run(results[name])
-            write(results)
+    verb, *names = given.names or ["render"]
+    if given.names and (verb != "run" or not results.keys() >= set(names)):
+        parser.error(f"expected run and sections of {', '.join(results)}")
+    for name in names or results if verb == "run" else ():
+        section = run(results[name]["command"])
+        results = json.loads(FILE.read_text())  # edited while the command ran
+        write(results := results | {name: section})
     wrong: list[str] = []
     for path in PAGES:
         page, name = path.read_text(), path.relative_to(ROOT)
