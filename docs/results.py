@@ -5,8 +5,8 @@
     python docs/results.py run compare map   # run the commands of sections, store, render
 
 A section of the file is one command: `command`, `commit` and `date` of its run, and `values`. The
-command runs in a shell at the root of the repository and writes its values to $JSON; what it makes
-and reuses belongs below build/$COMMIT, so that no run reuses files of other code.
+command runs in a shell at the root of the repository and writes its values to $JSON. Its other
+files belong in the folder build/$COMMIT, so that no run reuses those of other code.
 
 A mark is a comment without spaces, so that it counts no words:
 
@@ -16,8 +16,9 @@ A mark is a comment without spaces, so that it counts no words:
   below the header of the page. A cell contains {PATH:FORMAT} of its object; its ~ is a space.
 
 PATH is the section and the keys below `values`, joined by dots, with ~ for a space; in a list the
-key is an index, or the `name` of an object. FORMAT is Python's; a space separates the percent sign.
-A list of numbers is `1 to 2`, an object with `survived` and `trials` `99 of 100`, null `-`.
+key is an index, the `name` of an object, or several with commas. FORMAT is Python's; a percent sign
+gets a space. A list of numbers is `1 to 2`, an object with `survived` and `trials` `99 of 100`,
+null `-`.
 """
 
 import argparse
@@ -39,16 +40,14 @@ PAGES = sorted(
     for pattern in ("*.md", "docs/**/*.md", "benchmarks/*.md", "course/*.md")
     for path in ROOT.glob(pattern)
 )
-MARK = re.compile(r"<!--=([\w.~-]+):?([^>\s]*)-->([^<\n]*)<!--/-->")
+MARK = re.compile(r"<!--=([\w.,~-]+):?([^>\s]*)-->([^<\n]*)<!--/-->")
 TABLE = re.compile(
-    r"^<!--table=([\w.~-]+)((?:\|\S*?)+)-->\n(?:\|.*\n){2}((?:\|.*\n)*)", re.MULTILINE
+    r"^<!--table=([\w.,~-]+)((?:\|\S*?)+)-->\n(?:\|.*\n){2}((?:\|.*\n)*)", re.MULTILINE
 )
-STARTS = re.compile(r"^[ >*-]*<!--[=/].*", re.MULTILINE)
+STARTS = re.compile(r"^(?:[>*-] | )*<!--[=/].*", re.MULTILINE)
 REST = re.compile(r"<!--(?:[=/]|table).*")
 FIELD = re.compile(r"\{([^{}:]+):?([^}]*)\}")
 LEAF = re.compile(r"\{[^{}]*\}|\[[^\[\]{}]*\]")
-DIGITS = 6
-"""Significant digits of a stored number."""
 
 
 def value_at(values: Any, path: str) -> Any:
@@ -56,7 +55,10 @@ def value_at(values: Any, path: str) -> Any:
     for key in path.replace("~", " ").split("."):
         if isinstance(values, list):
             named = {each.get("name"): each for each in values if isinstance(each, dict)}
-            values = named[key] if key in named else values[int(key)]
+            chosen = [
+                named[name] if name in named else values[int(name)] for name in key.split(",")
+            ]
+            values = chosen if "," in key else chosen[0]
         elif values is not None:
             values = values[key]
     return values
@@ -115,37 +117,33 @@ def differences(page: str, results: dict[str, Any]) -> list[str]:
     ]
 
 
-def rounded(value: Any) -> Any:
-    """Return a value with its numbers as they are stored."""
-    if isinstance(value, dict):
-        return {key: rounded(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [rounded(each) for each in value]
-    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
-
-
 def write(results: dict[str, Any]) -> None:
     """Write the file, an innermost object or list in one line."""
     text = json.dumps(results, indent=1, sort_keys=True, ensure_ascii=False)
     FILE.write_text(LEAF.sub(lambda leaf: " ".join(leaf[0].split()), text) + "\n")
 
 
-def run(section: dict[str, Any]) -> None:
-    """Run the command of a section, and store what it finds."""
+def rounded(number: str) -> float:
+    """Return a number with the digits that are stored."""
+    return float(f"{float(number):.6g}")
 
-    def git(*words: str) -> str:
-        return subprocess.check_output(["git", *words], cwd=ROOT, text=True).strip()
 
-    commit = git("rev-parse", "--short", "HEAD")
-    commit += "+changes" * bool(git("status", "--porcelain", "src", "experiments", "benchmarks"))
+def run(command: str) -> dict[str, Any]:
+    """Run the command of a section; return what the section holds then."""
+    git = ("git", "-C", str(ROOT))
+    commit = subprocess.check_output([*git, "rev-parse", "--short", "HEAD"], text=True).strip()
+    code = ("src", "experiments", "benchmarks")
+    commit += "+changes" * bool(subprocess.check_output([*git, "status", "--porcelain", *code]))
+    (ROOT / "build" / commit).mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory() as folder:
         written = Path(folder) / "values.json"
         environment = os.environ | {"JSON": str(written), "COMMIT": commit}
-        ended = subprocess.run(section["command"], shell=True, cwd=ROOT, env=environment)
+        ended = subprocess.run(command, shell=True, cwd=ROOT, env=environment)
         if ended.returncode:
-            sys.exit(f"exit code {ended.returncode} of {section['command']}")
-        values = rounded(json.loads(written.read_text()))
-    section |= {"commit": commit, "date": date.today().isoformat(), "values": values}
+            sys.exit(f"exit code {ended.returncode} of {command}")
+        values = json.loads(written.read_text(), parse_float=rounded)
+    today = date.today().isoformat()
+    return {"command": command, "commit": commit, "date": today, "values": values}
 
 
 def main() -> None:
@@ -155,21 +153,23 @@ def main() -> None:
     parser.add_argument("names", nargs="*", metavar="run SECTION", help="by default all sections")
     given = parser.parse_args()
     results = json.loads(FILE.read_text())
-    if given.names[:1] == ["run"]:
-        for name in given.names[1:] or results:
-            run(results[name])
-            write(results)
+    verb, *names = given.names or ["render"]
+    if given.names and (verb != "run" or not results.keys() >= set(names)):
+        parser.error(f"expected run and sections of {', '.join(results)}")
+    for name in names or results if verb == "run" else ():
+        section = run(results[name]["command"])
+        results = json.loads(FILE.read_text())  # edited while the command ran
+        write(results := results | {name: section})
     wrong: list[str] = []
     for path in PAGES:
+        page, name = path.read_text(), path.relative_to(ROOT)
         try:
-            page = path.read_text()
-            found = differences(page, results)
-            if found and not given.check:
-                found = []
-                path.write_text(render(page, results))
+            if given.check:
+                wrong += [f"{name}: {each}" for each in differences(page, results)]
+            elif (new := render(page, results)) != page:
+                path.write_text(new)
         except ValueError as error:
-            found = [str(error)]
-        wrong += [f"{path.relative_to(ROOT)}: {line}" for line in found]
+            wrong.append(f"{name}: {error}")
     sys.exit("\n".join(wrong) or None)
 
 

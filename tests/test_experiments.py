@@ -16,7 +16,8 @@ from equipoise.worlds.twin.servo_model import equivalent_actuator
 
 pytestmark = pytest.mark.full
 
-EXPERIMENTS = Path(__file__).parents[1] / "experiments"
+ROOT = Path(__file__).parents[1]
+EXPERIMENTS = ROOT / "experiments"
 SHORT = (
     *("--set", "learning.episodes=40", "--set", "learning.episode_duration=1"),
     *("--set", "selection.every=20", "--set", "selection.round_trials=8"),
@@ -47,9 +48,9 @@ def experiment(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(EXPERIMENTS)
 
-    def run(name, *arguments):
+    def run(name, *arguments, folder=EXPERIMENTS):
         monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
-        runpy.run_path(str(EXPERIMENTS / f"{name}.py"), run_name="__main__")
+        runpy.run_path(str(folder / f"{name}.py"), run_name="__main__")
         return capsys.readouterr().out
 
     return run
@@ -71,6 +72,41 @@ def test_an_experiment_runs_and_writes_its_result(experiment, tmp_path, name):
     assert written.stat().st_size > 1000
     if name in ("table_search", "value_iteration"):
         assert eq.TabularPolicy.load(written).settings.boxes.count == 270
+
+
+def paths(value, *above):
+    """The paths of all numbers; of a list of objects those of the first one."""
+    if isinstance(value, list) and isinstance(value[0], dict):
+        return paths(value[0], *above)
+    if isinstance(value, dict):
+        return {path for key, each in value.items() for path in paths(each, *above, key)}
+    return {above}
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize(
+    ("section", "script", "arguments"),
+    [
+        pytest.param(
+            *("compare", "experiments/compare", (*SHORT, *TRIALS, "--quick", "--told")),
+            marks=pytest.mark.slow,
+        ),
+        ("map", "experiments/map", SMALLEST["map"]),
+        ("identification", "experiments/identification", ("--worlds", "pd", "--logs", "1")),
+        (
+            *("survival-model", "benchmarks/twin"),
+            (*SHORT, *TRIALS, "--world", "model", "--seeds", "1", "--learners", "1", "--out", "."),
+        ),
+    ],
+)
+def test_a_script_writes_what_the_file_of_results_holds(
+    experiment, tmp_path, section, script, arguments
+):
+    folder, name = script.split("/")
+    experiment(name, *arguments, "--json", "values.json", folder=ROOT / folder)
+    written = json.loads((tmp_path / "values.json").read_text())
+    stored = json.loads((ROOT / "docs" / "results.json").read_text())[section]["values"]
+    assert paths(stored) <= paths(written)
 
 
 # Value iteration

@@ -99,7 +99,7 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
     | --- | --- | --- |
     | `world` | `"model"` | `ideal`, `model`, `twin:NAME`, `twin:FILE`, `MODULE:CLASS`, ... |
     | `discrete` | `False` | whether actions are indices of the paper's accelerations |
-    | `reward` | the paper's | see above |
+    | `reward` | `failure` | see above |
     | `pendulum`, `arm`, `actuator`, `settings` | those that ship | the task; values, names, files |
     | `render_mode` | `None` | `rgb_array`; `gymnasium.wrappers.HumanRendering` opens a window |
 
@@ -118,7 +118,7 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
         world: str | World = MODEL,
         *,
         discrete: bool = False,
-        reward: Reward = rewards.paper,
+        reward: Reward = rewards.failure,
         pendulum: Pendulum | StrPath | None = None,
         arm: Arm | StrPath | None = None,
         actuator: Actuator | StrPath | None = None,
