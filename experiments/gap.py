@@ -61,10 +61,9 @@ class Mean(NamedTuple):
         """Return mean and interval as text."""
         return f"{self.mean:.1f} ± {self.half:.1f} s"
 
-    def row(self) -> dict[str, float]:
-        """Return mean and ends of the interval, for the results."""
-        ends = {"mean": self.mean, "low": self.mean - self.half, "high": self.mean + self.half}
-        return {name: round(value, 2) for name, value in ends.items()}
+    def row(self) -> dict[str, Any]:
+        """Return mean and interval for the file of results."""
+        return {"mean": self.mean, "interval": [self.mean - self.half, self.mean + self.half]}
 
 
 def mean_of(seconds: Sequence[float]) -> Mean:
@@ -175,16 +174,16 @@ def effects(study: Study) -> Effects:
     return Effects(plant, mean_of(at_best), mean_of(as_is), found)
 
 
-def lasted(survival: Sequence[float], given: argparse.Namespace) -> int:
-    """Return the number of trials that lasted."""
-    return sum(each >= given.duration for each in survival)
+def lasted(survival: Sequence[float], given: argparse.Namespace) -> dict[str, int]:
+    """Return how many of the trials lasted."""
+    return {"survived": sum(t >= given.duration for t in survival), "trials": len(survival)}
 
 
 def results(
     delay: dict[str, list[Mean]],
     zero: dict[str, list[Mean]],
     found: Effects,
-    worlds: list[dict[str, Any]],
+    worlds: dict[str, Any],
 ) -> dict[str, Any]:
     """Return all results for a file, by the names that the documents use."""
 
@@ -199,21 +198,16 @@ def results(
         "clean": found.clean.row(),
         "full": found.full.row(),
         "effects": [
-            {"effect": name} | tagged("alone", alone) | tagged("removed", removed)
+            {"name": name, "alone": alone.row(), "removed": removed.row()}
             for name, (alone, removed) in found.changes.items()
         ],
-        "worlds": {row["world"]: row for row in worlds},
+        "worlds": worlds,
     }
 
 
 def key(name: str) -> str:
     """Return a controller's name as a key of the results."""
     return name.replace(",", "").replace(" ", "_")
-
-
-def tagged(side: str, mean: Mean) -> dict[str, float]:
-    """Return a mean as columns of a table."""
-    return {f"{side}_{name}": value for name, value in mean.row().items()}
 
 
 def draw(
@@ -268,14 +262,16 @@ def main() -> None:
     delay, zero = curves(study, "transport", DELAYS), curves(study, "zero_offset", ZEROS)
     found = effects(study)
     draw(delay, zero, found.changes).savefig(given.out, dpi=150)
-    worlds: list[dict[str, Any]] = []
+    worlds: dict[str, Any] = {}
     for name in () if given.quick else WORLDS:
         world = eq.read_world(f"twin:{name}").settings
         known, training = (study.survival(who, world) for who in ("cured", "training actuator"))
-        row = {"world": name, "trials": len(known), "mean": float(np.mean(training))}
-        row |= {"known": lasted(known, given), "training": lasted(training, given)}
-        worlds.append(row)
-        print(row, flush=True)
+        worlds[name] = {
+            "known": lasted(known, given),
+            "training": lasted(training, given),
+            "training_mean": float(np.mean(training)),
+        }
+        print(name, worlds[name], flush=True)
     if given.json:
         given.json.write_text(json.dumps(results(delay, zero, found, worlds), indent=1))
 

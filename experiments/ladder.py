@@ -4,7 +4,7 @@ Each rung keeps the changes of the rungs before it. Policies of the same seeds a
 rung, and tested on a digital twin with the controller of that rung. Prints the table of
 `docs/deviations.md`; an hour on two cores::
 
-    python experiments/ladder.py --seeds 30 --trials 40
+    python experiments/ladder.py --seeds 30 --trials 20
 """
 
 import argparse
@@ -59,7 +59,7 @@ def main() -> None:
     """Train and test each rung on every seed, and print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=30)
-    parser.add_argument("--trials", type=int, default=40, help="trials of each policy")
+    parser.add_argument("--trials", type=int, default=20, help="trials of each policy")
     parser.add_argument("--duration", type=float, default=60.0, help="length of a trial [s]")
     parser.add_argument("--world", default="twin:nominal")
     parser.add_argument("--set", action="append", default=[], help="a setting of every rung")
@@ -85,16 +85,14 @@ def main() -> None:
         low, high = exact_interval(survived, trials)
         rates = [s.rate for s in found]
         row = {
-            "change": name,
+            "name": name,
             "seeds": given.seeds,
             "trials": trials,
-            "lasted": survived,
-            "share": round(survived / trials, 4),
-            "low": round(low, 4),
-            "high": round(high, 4),
-            "worst": round(min(rates), 4),
-            "median_seed": round(float(np.median(rates)), 4),
-            "median": round(float(np.median([s.median for s in found])), 2),
+            "share": survived / trials,
+            "interval": [low, high],
+            "worst": min(rates),
+            "median_seed": float(np.median(rates)),
+            "median": float(np.median([s.median for s in found])),
         }
         rows.append(row)
         print(
