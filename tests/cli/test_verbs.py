@@ -4,6 +4,7 @@ import shlex
 import signal
 import threading
 
+import numpy as np
 import pytest
 
 from equipoise.artefacts import Estimate
@@ -82,13 +83,21 @@ def test_deploy_and_the_verbs_for_logs(equipoise, tmp_path):
     assert RunLog.load(tmp_path / "run.mcap").conditions.world == "twin:nominal"
     found = equipoise("deploy", "--duration=0.5", "--force", "--json").json
     assert found["lasted_s"] == 0.5
-    assert "evidence" in equipoise("log", "explain", "run.mcap").out
+    assert "x [mm]" in equipoise("log", "explain", "run.mcap").out
     found = equipoise("log", "explain", "run.mcap", "--json").json
-    assert found["cause"] in found["causes"]
+    x = 1e3 * RunLog.load(tmp_path / "run.mcap").x
+    assert found["x_mm"] == {
+        "rms": pytest.approx(np.sqrt(np.mean(x**2))),
+        "largest": pytest.approx(np.abs(x).max()),
+        "limit": 220.0,
+    }
     assert equipoise("log", "export", "run.mcap").code == 0
     made = {path.name for path in (tmp_path / "run-csv").iterdir()}
     assert made == {"encoder.csv", "reply.csv", "stream.csv", "tick.csv", "truth.csv"}
     assert equipoise("deploy", "random", "--force").code == 1
+    assert "evidence" in equipoise("log", "explain", "run.mcap").out
+    found = equipoise("log", "explain", "run.mcap", "--json").json
+    assert found["cause"] in found["causes"]
 
 
 @pytest.mark.full

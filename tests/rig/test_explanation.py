@@ -7,13 +7,22 @@ import pytest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.control.ticks import OperatorMessage
+from equipoise.identification.refine import read_motion
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.recorder import Recorder, push_event
 from equipoise.logs.run_log import RunLog
 from equipoise.logs.writer import RunWriter
+from equipoise.model.worlds import World, read_world
 from equipoise.outcomes import Outcome
-from equipoise.rig.explanation import RootCause, explain, root_causes, unexplained_rate
+from equipoise.rig.explanation import (
+    RootCause,
+    explain,
+    response_delay,
+    root_causes,
+    unexplained_rate,
+)
 from equipoise.rig.simulate import simulate_run
+from equipoise.settings import changed
 from tests.logs.made_up import changed_table
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
@@ -35,11 +44,15 @@ def fallen(run, turn):
     return dataclasses.replace(changed_table(run, "encoder", counts=counts), end=end)
 
 
+def motion(run):
+    return read_motion(run, run.conditions.arm)
+
+
 def test_a_run_in_which_nothing_goes_wrong_raises_no_suspicion(run):
     assert [each.cause for each in explain(run)] == [Outcome.LASTED]
     # Nor would it if it had ended: the unexplained rate stays where it is, to 1 deg/s over 80 ms.
     assert root_causes(run) == []
-    rate = unexplained_rate(run)[1]
+    rate = unexplained_rate(run, motion(run))[1]
     assert np.rad2deg(np.std(rate[16:] - rate[:-16])) < 3.0
 
 
@@ -47,7 +60,7 @@ def test_a_run_in_which_nothing_goes_wrong_raises_no_suspicion(run):
 def test_a_push_is_named_and_measured(run, size):
     # The rate changes at once, beside what gravity makes of the angle.
     pushed = fallen(run, lambda time: size * np.clip(time - 4.8, 0.0, None))
-    time, rate = unexplained_rate(pushed)
+    time, rate = unexplained_rate(pushed, motion(pushed))
     i = int(np.searchsorted(time, 4.8))
     assert abs(rate[i + 6] - rate[i - 6]) == pytest.approx(abs(size), rel=0.15)
     first = explain(pushed)[0]
@@ -57,9 +70,31 @@ def test_a_push_is_named_and_measured(run, size):
 def test_a_wrong_zero_is_named_and_measured(run):
     error = np.deg2rad(3.0)
     wrong = fallen(run, lambda time: error + 0.0 * time)
-    slope = np.polyfit(*unexplained_rate(wrong), 1)[0]
+    slope = np.polyfit(*unexplained_rate(wrong, motion(wrong)), 1)[0]
     assert abs(slope) / shipped_policy().pendulum.w2.value == pytest.approx(error, rel=0.15)
     assert explain(wrong)[0].cause is RootCause.ZERO
+
+
+PRESENT = changed(shipped_policy().settings, {"controller.predict": False})
+"""Settings of a controller that observes the present state."""
+
+
+@pytest.mark.parametrize(("world", "settings"), [("twin:nominal", PRESENT), ("twin:smart60", None)])
+def test_a_fall_behind_a_delay_is_explained_by_it(world, settings):
+    # The shipped table predicts the delay of nominal, 30 ms less than that of smart60.
+    fell = simulate_run(shipped_policy(), world=world, settings=settings, seed=7, duration=20.0)
+    assert fell.outcome in (Outcome.ANGLE, Outcome.TRACK)
+    assert explain(fell)[0].cause is RootCause.DELAY
+
+
+def test_the_delay_is_that_of_the_twin():
+    # A setpoint leads the tick by half a tick, and is held as long.
+    clean = read_world("twin:nominal").settings.model_copy(update={"shaped": False, "lag": 0.001})
+    for transport in (0.01, 0.03):
+        world = World("twin:clean", clean.model_copy(update={"transport": transport}))
+        fell = simulate_run(shipped_policy(), world=world, settings=PRESENT, duration=5.0)
+        expected = transport - 0.005 + 0.0025 + 0.001
+        assert response_delay(fell, motion(fell)) == pytest.approx(expected, abs=0.003)
 
 
 @pytest.mark.parametrize(

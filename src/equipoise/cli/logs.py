@@ -1,19 +1,30 @@
 """Verbs that read the log of a run: `equipoise log explain` and `log export`."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from equipoise import paper
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output
 from equipoise.cli.verb import Options, command, verb
 from equipoise.errors import InputError
 
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from equipoise.logs.run_log import RunLog
+
 
 @verb
 def explain(output: Output, run: Path) -> None:
-    """Explain why a run ended: causes with their evidence, the most likely first.
+    """Explain why a run ended, or how it stood.
 
-    Examines release, pushes, the encoder's zero, commands and safety rules,
-    and gives advice. A truncated log is read as far as it is readable.
+    Examines release, pushes, delay, the encoder's zero, commands and safety
+    rules: causes with their evidence, the most likely first, and advice. Of a
+    run that lasted, or that the operator ended: motion, limits, limit cycle. A
+    truncated log is read as far as it is readable.
     """
     from equipoise.logs.run_log import RunLog
     from equipoise.outcomes import Outcome, describe
@@ -24,6 +35,17 @@ def explain(output: Output, run: Path) -> None:
     then = command("log show", run)
     if end.outcome is Outcome.EXCITED:
         then = command("identify", run, makes="actuator.json")
+    if end.outcome in (Outcome.LASTED, Outcome.OPERATOR) and len(read.ticks):
+        found = _standing(read)
+    else:
+        found: dict[str, Any] = {
+            "cause": causes[0].cause,
+            "advice": causes[0].advice,
+            "causes": {
+                str(one.cause): {"score": one.score, "time_s": one.time, "evidence": one.evidence}
+                for one in causes
+            },
+        }
     output.result(
         warnings=[read.damage],
         outcome=end.outcome,
@@ -31,14 +53,36 @@ def explain(output: Output, run: Path) -> None:
         phase=None if read.conditions.simulated else read.last_phase and read.last_phase.value,
         whole=read.end is not None,
         lasted_s=causes[0].time and read.lasted,
-        cause=causes[0].cause,
-        advice=causes[0].advice,
-        causes={
-            str(one.cause): {"score": one.score, "time_s": one.time, "evidence": one.evidence}
-            for one in causes
-        },
+        **found,
         then=then,
     )
+
+
+def _standing(run: "RunLog") -> dict[str, Any]:
+    """Return how a run stood: root mean square and largest values, limits, limit cycle."""
+    from equipoise.rig.limit_cycle import limit_cycle
+
+    def extent(values: "npt.NDArray[np.float64]", limit: float | None) -> dict[str, Any]:
+        rms, largest = np.sqrt(np.mean(values**2)), np.abs(values).max()
+        return {"rms": float(rms), "largest": float(largest), "limit": limit}
+
+    arm = run.conditions.arm
+    limits = [joint.velocity for joint in arm.joints]
+    fastest = int(np.argmax(np.abs(run.dq).max(axis=0) / limits))
+    found: dict[str, Any] = {
+        "x_mm": extent(1e3 * run.x, 1e3 * paper.X_LIMIT),
+        "phi_deg": extent(np.degrees(run.estimated_phi), paper.PHI_LIMIT_DEG),
+        "flange_speed_m_s": extent(run.x_dot, run.end and run.end.max_speed),
+        "joint_speed_rad_s": {"joint": arm.joints[fastest].name}
+        | extent(run.dq[:, fastest], limits[fastest]),
+    }
+    if cycle := limit_cycle(run):
+        found |= {
+            "cycle_period_s": cycle.period,
+            "cycle_amplitude_mm": 1e3 * cycle.x,
+            "cycle_amplitude_deg": float(np.degrees(cycle.phi)),
+        }
+    return found
 
 
 class Film(Options):

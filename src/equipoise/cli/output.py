@@ -204,10 +204,11 @@ def _label(name: str) -> str:
     """Return the name of a field, with its unit in brackets.
 
     Example:
-        >>> _label("median_s"), _label("gap_at_start")
-        ('median [s]', 'gap at start')
+        >>> _label("median_s"), _label("speed_m_s"), _label("gap_at_start")
+        ('median [s]', 'speed [m/s]', 'gap at start')
     """
-    return re.sub("_(s|ms|deg|mm|m)$", r" [\1]", name).replace("_", " ")
+    unit = "_(rad_s|m_s|s|ms|deg|mm|m)$"
+    return re.sub(unit, lambda of: f" [{of[1].replace('_', '/')}]", name).replace("_", " ")
 
 
 def _tables(fields: Mapping[str, Any]) -> list[Table]:
@@ -238,7 +239,8 @@ def _text(value: Any) -> str:
         case float():
             return f"{value:.4g}"
         case Mapping():
-            return ", ".join(f"{printable(str(k))} {_text(v)}" for k, v in value.items())
+            known = ((printable(str(k)), _text(v)) for k, v in value.items() if v is not None)
+            return ", ".join(map(" ".join, known))
         case (float(low), float(high)):
             return f"{low:.4g} to {high:.4g}"
         case list() | tuple():

@@ -12,20 +12,24 @@ equation:
 It is constant in an undisturbed run. A push appears as a step. A zero error b of the encoder, or a
 base that is tilted by b, appears as a slope of :math:`-w_2 b`.
 
+**The delay.** The measured flange follows the integral of u after a delay. If the controller
+predicts over a time that is shorter by T, each command meets a lean that has grown by
+:math:`e^{\lambda T}`.
+
 **The outcome in the log.** A rule that names a root cause (a late tick, a contact) ranks high. A
 rule that names a symptom (the angle, the track) ranks last.
 """
 
 from contextlib import suppress
 from enum import StrEnum
-from math import degrees, radians
+from math import degrees, exp, radians
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.errors import ArtefactError, RecordingError
-from equipoise.identification.refine import read_motion
+from equipoise.identification.refine import ModelMotion, read_motion
 from equipoise.logs.run_log import RunLog
 from equipoise.outcomes import Outcome, describe
 from equipoise.worlds.reachability import diverging_angle, fall_rate, recoverable_angle
@@ -33,7 +37,12 @@ from equipoise.worlds.reachability import diverging_angle, fall_rate, recoverabl
 Array = npt.NDArray[np.float64]
 
 GRID_STEP: Final = 0.005
-"""Sampling period of the unexplained rate [s]."""
+"""Sampling period of the unexplained rate and of the delay [s]."""
+LATE: Final = 2.5
+"""Duration of the last part of a run, in which pushes and the delay are sought [s]."""
+SPAN: Final = 0.1
+"""Half width of the second difference of x that shows the delay [s]: a shorter one passes the noise
+of the joints, a longer one the lag at steady speed, which is longer than that of a change."""
 
 
 class RootCause(StrEnum):
@@ -47,18 +56,22 @@ class RootCause(StrEnum):
     """An impact on the pendulum."""
     ZERO = "zero error"
     """The encoder's zero is wrong, or shifted, or the base is tilted."""
+    DELAY = "unpredicted delay"
+    """The arm follows later than the controller predicts."""
 
 
 ADVICE: Final[dict[Outcome | RootCause, str]] = {
-    **dict.fromkeys((Outcome.LASTED, Outcome.OPERATOR, Outcome.DRY_RUN), "nothing has to be done"),
+    **dict.fromkeys((Outcome.LASTED, Outcome.OPERATOR, Outcome.DRY_RUN), "go on with the next run"),
     Outcome.EXCITED: "identify the actuator from this log with `equipoise identify`",
     RootCause.OUTSIDE: "release more gently and more upright, and take the hand straight away",
     **dict.fromkeys(
         (RootCause.SATURATION, Outcome.ANGLE),
-        "identify pendulum and actuator again (`equipoise refine`), or train larger actions",
+        "evaluate the policy on the twin; if it stands there, `equipoise refine` it with this log",
     ),
     RootCause.PUSH: "keep hands, cables and draughts away from the pendulum",
     RootCause.ZERO: "check the encoder's coupling and wires, level the base, and reference again",
+    RootCause.DELAY: "identify the arm (`equipoise deploy --excite`), and train with this "
+    "--actuator and controller.predict",
     Outcome.TRACK: "train a policy that stays on the track of the twin (`equipoise evaluate`)",
     **dict.fromkeys((Outcome.NUMBER, Outcome.COUNT), "keep this log and report it"),
     **dict.fromkeys(
@@ -91,7 +104,10 @@ ADVICE: Final[dict[Outcome | RootCause, str]] = {
 }
 """Advice for each cause; all other outcomes are limits of the joints."""
 SYMPTOMS: Final = frozenset(
-    {Outcome.ANGLE, Outcome.TRACK, Outcome.FAULT, Outcome.ERROR, Outcome.BROKEN_OFF}
+    {
+        *(Outcome.ANGLE, Outcome.TRACK, Outcome.SPEED),
+        *(Outcome.FAULT, Outcome.ERROR, Outcome.BROKEN_OFF),
+    }
 ) | (frozenset(Outcome) - ADVICE.keys())
 """Outcomes that name a symptom, not a root cause."""
 
@@ -140,20 +156,24 @@ def root_causes(run: RunLog) -> list[Cause]:
     found = [_outside(run)]
     # A run that is too short, or of an unknown arm, has no unexplained rate.
     with suppress(ArtefactError, RecordingError, ValueError):
-        time, rate = unexplained_rate(run)
+        moved = read_motion(run, run.conditions.arm)
+        found.append(_delay(run, moved))
+        time, rate = unexplained_rate(run, moved)
         found += [_push(run, time, rate), _zero(run, time, rate)]
     return [cause for cause in found if cause is not None]
 
 
-def unexplained_rate(run: RunLog) -> tuple[Array, Array]:
+def unexplained_rate(run: RunLog, moved: ModelMotion) -> tuple[Array, Array]:
     """Return M(t) of the module's docstring: times [s] and rates [rad/s], shape (n,) each.
 
+    Args:
+        run: Log of the run.
+        moved: Its measured motion.
+
     Raises:
-        ArtefactError: The run is of an unknown arm.
         RecordingError: The run is too short, or its samples exceed its ticks.
     """
     pendulum = run.conditions.pendulum
-    moved = read_motion(run, run.conditions.arm)
     if moved.time[-1] - moved.time[0] > 2.0 * run.lasted + 1.0:
         raise RecordingError("its samples reach far beyond its ticks")
     # A rate is fitted over at least three samples.
@@ -202,15 +222,66 @@ def _outside(log: RunLog) -> Cause | None:
     return Cause(RootCause.SATURATION, 0.4, time, where)
 
 
+def response_delay(log: RunLog, moved: ModelMotion) -> float | None:
+    """Return the delay T of the flange behind u in the last part of a run [s].
+
+    The second differences of the measured x and of the integral of u fit best at this delay.
+
+    Args:
+        log: Log of the run.
+        moved: Its measured motion.
+
+    Returns:
+        The delay; None for a run that is too short, or an arm that does not follow u.
+    """
+    h, end = log.conditions.h, float(moved.time[-1])
+    time = np.arange(max(end - LATE, float(moved.time[0])), end - SPAN, GRID_STEP)
+    if len(time) < 30:
+        return None
+    v = np.cumsum(np.append(0.0, h * log.u))
+    x = np.cumsum(np.append(0.0, 0.5 * h * (v[1:] + v[:-1])))
+    commanded = np.append(log.time, log.time[-1] + h)
+    measured = _second_difference(time, moved.time, moved.x)
+    delays = np.arange(0.0, 0.15, 0.001)
+    left = [np.std(measured - _second_difference(time - T, commanded, x)) for T in delays]
+    best = int(np.argmin(left))
+    return float(delays[best]) if left[best] < 0.5 * np.std(measured) else None
+
+
+def _second_difference(at: Array, time: Array, x: Array) -> Array:
+    """Return x(t + SPAN) - 2 x(t) + x(t - SPAN) of samples, constant beyond them [m]."""
+    later, now, earlier = (np.interp(at + shift, time, x) for shift in (SPAN, 0.0, -SPAN))
+    return later - 2.0 * now + earlier
+
+
+def _delay(log: RunLog, moved: ModelMotion) -> Cause | None:
+    """Detect a delay of the flange that is longer than the controller's prediction."""
+    delay = response_delay(log, moved)
+    # By the trapezoidal rule, the predicted change of phi is the mean rate times the horizon.
+    rate = 0.5 * (log.phi_dot + log.ticks["estimated_phi_dot"])
+    horizon = float(rate @ (log.phi - log.estimated_phi) / (rate @ rate))
+    # A prediction from the identified actuator is 5 ms too long at least (`controller.margin`).
+    if delay is None or not delay - horizon > 0.002:
+        return None
+    rest = delay - horizon
+    text = (
+        f"the flange followed u after {1e3 * delay:.0f} ms, and the controller predicted "
+        f"{1e3 * horizon:.0f} ms; in the other {1e3 * rest:.0f} ms a lean grows by "
+        f"{exp(fall_rate(log.conditions.pendulum) * rest) - 1.0:.0%}"
+    )
+    # With 20 ms a table falls within seconds; without a push such a run may show one up to 0.6.
+    return Cause(RootCause.DELAY, 0.6 + 0.2 * min(rest / 0.02, 1.0), log.lasted, text)
+
+
 def _push(log: RunLog, time: Array, rate: Array) -> Cause | None:
-    """Detect the largest step of the unexplained rate in the last 2.5 s."""
+    """Detect the largest step of the unexplained rate in the last part."""
     duration = 0.08  # [s]: of a push
     wide = round(duration / GRID_STEP)
     if len(time) <= wide + 2:
         return None
     steps = rate[wide:] - rate[:-wide]
     middle = time[wide // 2 : wide // 2 + len(steps)]
-    late = middle >= log.lasted - 2.5
+    late = middle >= log.lasted - LATE
     unusual = np.where(late, steps - np.median(steps), 0.0)
     i = int(np.argmax(np.abs(unusual)))
     size, when = float(unusual[i]), float(middle[i])
