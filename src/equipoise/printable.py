@@ -1,11 +1,13 @@
-r"""Escaping of untrusted text from files and networks for display.
+r"""Text for display: escapes in untrusted text from files and networks, names and values of fields.
 
 An escape sequence moves a terminal's cursor or changes its title, a bidirectional override reorders
 a name, a line break forges a line. Each such character is replaced by its Python escape, `\x1b`.
 Escaping is idempotent.
 """
 
-from typing import Final
+import re
+from collections.abc import Mapping
+from typing import Any, Final
 
 SPACES: Final = "\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}\N{THIN SPACE}"
 """Spaces in texts of Equipoise, which `str.isprintable` rejects."""
@@ -31,3 +33,34 @@ def printable(text: str, *, layout: bool = False) -> str:
         one if one.isprintable() or one in kept else one.encode("unicode_escape").decode()
         for one in text
     )
+
+
+def label(name: str) -> str:
+    """Return the name of a field, with its unit in brackets.
+
+    Example:
+        >>> label("median_s"), label("speed_m_s"), label("gap_at_start")
+        ('median [s]', 'speed [m/s]', 'gap at start')
+    """
+    unit = "_(rad_s|m_s|s|ms|deg|mm|m)$"
+    return re.sub(unit, lambda of: f" [{of[1].replace('_', '/')}]", name).replace("_", " ")
+
+
+def as_text(value: Any) -> str:
+    """Return a value as text; empty for None and for one without entries."""
+    match value:
+        case None:
+            return ""
+        case bool():
+            return "yes" if value else "no"
+        case float():
+            return f"{value:.4g}"
+        case Mapping():
+            known = ((printable(str(k)), as_text(v)) for k, v in value.items() if v is not None)
+            return ", ".join(map(" ".join, known))
+        case (float(low), float(high)):
+            return f"{low:.4g} to {high:.4g}"
+        case list() | tuple():
+            return "\n".join(map(as_text, value))
+        case _:
+            return printable(str(value))

@@ -1,13 +1,16 @@
 """Each verb once: what it writes, and its JSON object."""
 
+import math
 import shlex
 import signal
+import statistics
 import threading
+from collections import Counter
 
 import numpy as np
 import pytest
 
-from equipoise.artefacts import Estimate
+from equipoise.artefacts import Estimate, read_document
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.identification.recording import simulate_swing, write_swing
 from equipoise.logs.run_log import RunLog
@@ -166,11 +169,38 @@ def test_refine_writes_what_moved(equipoise, tmp_path):
 
 
 @pytest.mark.slow
-def test_reproduce_writes_a_report(equipoise, tmp_path):
-    ran = equipoise("reproduce", "--quick", "--set=learning.episodes=200", "--json")
+def test_reproduce_writes_a_report_and_ends_with_the_comparison(equipoise, tmp_path):
+    quick = ("reproduce", "--quick", "--set=learning.episodes=200")
+    ran = equipoise(*quick, "--json")
     assert ran.code in (0, 1), ran
     assert ran.json["report"] == "equipoise-report/report.html"
     assert (tmp_path / ran.json["report"]).read_text().startswith("<!doctype html>")
+    compared, folder = ran.json["comparison"], tmp_path / "equipoise-report"
+    robot = {name: cells["paper's robot"] for name, cells in compared.items()}
+    assert (robot["run_s"], robot["run_ended_by"]) == (5.0, "track")
+    assert (robot["x_at_its_end_m"], robot["lean_at_its_end_deg"]) == (-0.22, -3.44)
+    assert robot["simulation_median_s"] == "not stated"
+    for recipe, prefix in (("literal recipe", "literal-"), ("default recipe", "")):
+        found = {name: cells[recipe] for name, cells in compared.items()}
+        for where, file, long in (
+            ("simulation", "evaluation", 20.0),
+            ("robot_or_twin", "twin-evaluation", 5.0),
+        ):
+            trials = read_document(folder / f"{prefix}{file}.json")["body"]["results"]
+            seconds = trials["survival"]
+            assert found[f"{where}_trials"] == len(seconds)
+            assert found[f"{where}_median_s"] == pytest.approx(statistics.median(seconds))
+            assert found[f"{where}_stood_{long:g}s"] == sum(each >= long for each in seconds)
+            assert found[f"{where}_ended_by"] == Counter(trials["outcomes"])
+        run = RunLog.load(folder / f"{prefix}run.mcap")
+        lean = math.degrees(run.truth.phi[-1])
+        assert (found["run_s"], found["run_ended_by"]) == (run.lasted, run.outcome)
+        assert found["x_at_its_end_m"] == pytest.approx(run.truth.x[-1], abs=5.1e-4)
+        assert found["lean_at_its_end_deg"] == pytest.approx(lean, abs=5.1e-3)
+    text = equipoise(*quick, "--out", "again").out
+    (line,) = [line for line in text.splitlines() if line.startswith("lean at its end [deg]")]
+    leans = compared["lean_at_its_end_deg"].values()
+    assert line.split()[-3:] == [f"{lean:.4g}" for lean in leans]
 
 
 @pytest.mark.full

@@ -10,7 +10,7 @@ from equipoise.errors import ArtefactError, OutsideError, RecordingError
 from equipoise.identification.recording import Trajectory
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.urdf import read_urdf
-from equipoise.model.worlds import MODEL
+from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.reproduction.pipeline import QUICK, TWIN, reproduce, shortened
 from equipoise.reproduction.results import RECORD, SWING, load
 from equipoise.reproduction.synthetic_swing import (
@@ -40,9 +40,13 @@ SHORT = resolve(
 INPUTS = {
     "pendulum.json": ("swing", lambda results: results.swing.sha256),
     "policy.json": ("pendulum", lambda results: results.pendulum.digest),
-    "evaluation.json": ("policy", lambda results: results.policy.digest),
-    "twin-evaluation.json": ("policy", lambda results: results.policy.digest),
-    "without-prediction.json": ("policy", lambda results: results.policy.digest),
+    "evaluation.json": ("policy", lambda results: results.default.policy.digest),
+    "twin-evaluation.json": ("policy", lambda results: results.default.policy.digest),
+    "run.mcap": ("policy", lambda results: results.default.policy.digest),
+    "literal-policy.json": ("pendulum", lambda results: results.pendulum.digest),
+    "literal-evaluation.json": ("policy", lambda results: results.literal.policy.digest),
+    "literal-twin-evaluation.json": ("policy", lambda results: results.literal.policy.digest),
+    "literal-run.mcap": ("policy", lambda results: results.literal.policy.digest),
 }
 """Input of each file."""
 
@@ -60,26 +64,37 @@ def made(tmp_path_factory):
 @pytest.mark.compiled_only
 def test_the_folder_holds_every_value_and_they_belong_together(made):
     out, results, _ = made
-    assert sorted(path.name for path in out.iterdir()) == sorted(
-        [*INPUTS, SWING, "run.mcap", RECORD]
-    )
+    assert sorted(path.name for path in out.iterdir()) == sorted([*INPUTS, SWING, RECORD])
     again = load(out)
     assert again.record == results.record
-    assert again.policy.digest == results.policy.digest
-    assert again.run.digest == results.run.digest
     assert again.pendulum.fit.sha256 == again.swing.sha256
-    assert again.evaluation.world == MODEL
-    assert again.twin_evaluation.world == again.run.conditions.world == TWIN
-    assert again.run.conditions.actuator == shipped_actuator().digest
+    for recipe, simulation in ((again.default, MODEL), (again.literal, IDEAL)):
+        assert recipe.evaluation.world == simulation
+        assert recipe.twin_evaluation.world == recipe.run.conditions.world == TWIN
+    assert again.default.run.conditions.actuator == shipped_actuator().digest
+    assert again.literal.run.conditions.actuator == IDEAL
     for name, (of, digest) in INPUTS.items():
-        inputs = read_document(out / name)["provenance"]["inputs"]
-        assert inputs == {of: digest(results)}
+        if name.endswith(".json"):
+            inputs = read_document(out / name)["provenance"]["inputs"]
+            assert inputs == {of: digest(results)}
+
+
+@pytest.mark.compiled_only
+def test_both_recipes_run_the_same_trials_and_the_literal_one_is_as_printed(made):
+    _, results, _ = made
+    default, literal = results.default, results.literal
+    assert literal.policy.recipe == "paper"
+    assert literal.policy.settings.evaluation == default.policy.settings.evaluation
+    assert literal.policy.episodes == paper.EPISODES
+    assert literal.run.conditions.start == default.run.conditions.start
+    assert literal.run.conditions.pendulum.w2 == default.run.conditions.pendulum.w2
 
 
 @pytest.mark.compiled_only
 def test_the_stages_are_reported_in_their_order_and_end(made):
     _, results, told = made
-    stages = ["swing", "identify", "train", "evaluate", "evaluate twin", "no prediction", "deploy"]
+    of_recipe = ["train", "evaluate", "twin", "deploy"]
+    stages = ["swing", "identify", *of_recipe, *(f"literal {name}" for name in of_recipe)]
     assert list(results.record.stages) == stages
     shown = [name for name in dict.fromkeys(name for name, _, _ in told) if name in stages]
     assert shown == stages
@@ -114,8 +129,10 @@ def test_the_results_do_not_depend_on_the_number_of_workers(made, tmp_path):
 def test_an_arm_with_unknown_masses_runs_on_the_model(tmp_path):
     reproduce(tmp_path, arm=without_masses(read_urdf(ELBOW)), settings=SHORT, workers=1)
     results = load(tmp_path)
-    assert results.run.conditions.world == MODEL
-    assert results.twin_evaluation is None
+    assert results.default.run.conditions.world == MODEL
+    assert results.literal.run.conditions.world == IDEAL
+    assert results.default.twin_evaluation is results.literal.twin_evaluation is None
+    assert "no twin" in build(tmp_path).read_text(encoding="utf-8")
 
 
 @pytest.mark.compiled_only
@@ -174,10 +191,10 @@ def test_the_hand_of_the_simulated_swing_holds_and_releases():
 @pytest.mark.compiled_only
 def test_a_quick_reproduction_and_its_page(tmp_path):
     results = reproduce(tmp_path, quick=True)
-    summary = results.evaluation.results.summary()
+    summary = results.default.evaluation.results.summary()
     assert summary.trials == QUICK["evaluation.trials"]
     # Worse than half is worse than any of 20 seeds showed.
     assert summary.rate > 0.5
-    assert results.twin_evaluation.results.summary().rate > 0.5
-    assert results.run.outcome == "lasted"
+    assert results.default.twin_evaluation.results.summary().rate > 0.5
+    assert results.default.run.outcome == "lasted"
     assert build(tmp_path).stat().st_size > 100_000

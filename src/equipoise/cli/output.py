@@ -19,7 +19,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from equipoise.printable import printable
+from equipoise.printable import as_text, label, printable
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -96,7 +96,7 @@ class Output:
             print(whole.decode(), flush=True)
         else:
             shown = {name: each for one in given for name, each in _labelled(one).items()}
-            shown |= {_label(name): value for name, value in fields.items()}
+            shown |= {label(name): value for name, value in fields.items()}
             self.warn(*(shown.pop("warnings", None) or ()))
             self._words.print(*_tables(shown), sep="\n")
             if then:
@@ -200,17 +200,6 @@ def _labelled(value: "BaseModel") -> dict[str, Any]:
     return fields
 
 
-def _label(name: str) -> str:
-    """Return the name of a field, with its unit in brackets.
-
-    Example:
-        >>> _label("median_s"), _label("speed_m_s"), _label("gap_at_start")
-        ('median [s]', 'speed [m/s]', 'gap at start')
-    """
-    unit = "_(rad_s|m_s|s|ms|deg|mm|m)$"
-    return re.sub(unit, lambda of: f" [{of[1].replace('_', '/')}]", name).replace("_", " ")
-
-
 def _tables(fields: Mapping[str, Any]) -> list[Table]:
     """Return fields as lines of names and values, followed by a table for each nested mapping."""
     lines = Table.grid(padding=(0, 2, 0, 0))
@@ -220,10 +209,10 @@ def _tables(fields: Mapping[str, Any]) -> list[Table]:
     for name, value in fields.items():
         rows: Any = list(value.values()) if isinstance(value, Mapping) else []
         if rows and all(isinstance(row, Mapping) for row in rows):
-            titles = (name, *map(_label, rows[0]))
+            titles = (name, *map(label, rows[0]))
             tables.append(Table(*map(printable, titles), box=None, padding=(0, 2, 0, 0)))
             for title, row in zip(value, rows, strict=True):
-                tables[-1].add_row(printable(title), *map(_text, row.values()))
+                tables[-1].add_row(printable(label(title)), *map(_text, row.values()))
         elif text := _text(value):
             lines.add_row(f"  {printable(name)}", text)
     return [lines, *tables]
@@ -231,23 +220,8 @@ def _tables(fields: Mapping[str, Any]) -> list[Table]:
 
 def _text(value: Any) -> str:
     """Return the value of a field as text; empty for one that is unknown or has no entries."""
-    match value:
-        case None:
-            return ""
-        case bool():
-            return "yes" if value else "no"
-        case float():
-            return f"{value:.4g}"
-        case Mapping():
-            known = ((printable(str(k)), _text(v)) for k, v in value.items() if v is not None)
-            return ", ".join(map(" ".join, known))
-        case (float(low), float(high)):
-            return f"{low:.4g} to {high:.4g}"
-        case list() | tuple():
-            return "\n".join(map(_text, value))
-        case _ if hasattr(value, "interval"):
-            from equipoise.worlds.formatting import plus_minus
+    if hasattr(value, "interval"):
+        from equipoise.worlds.formatting import plus_minus
 
-            return f"{plus_minus(value.value, value.interval)} ({value.source})"
-        case _:
-            return printable(str(value))
+        return f"{plus_minus(value.value, value.interval)} ({value.source})"
+    return as_text(value)

@@ -1,8 +1,10 @@
 """Reproduction of the paper: swing, identification, training, evaluations, and a run.
 
-The policy is trained and evaluated on the training plant, with an actuator that was identified on
-the digital twin. Then it is evaluated on the twin, and one run there is recorded, as the paper
-recorded one on the robot. An arm with unknown masses has no twin: its run is on the model.
+The policy of the default recipe is trained and evaluated on the training plant, with an actuator
+that was identified on the digital twin; that of the literal recipe, `paper`, on the paper's own
+simulation. Then both are evaluated on the twin, and one run of each is recorded there, as the paper
+recorded one on the robot. An arm with unknown masses has no twin: each run is in the simulation of
+its training.
 
 Each stage takes the previous value and saves its own, so that any stage can be repeated from its
 files. `equipoise.apps.report.page.build` makes the page from the folder.
@@ -24,20 +26,22 @@ from equipoise.executors import Show, available_cores, counted
 from equipoise.identification.recording import Trajectory, read_swing, write_swing
 from equipoise.identification.swing import identify
 from equipoise.learning.target import LEARNERS, TARGET, train_to_target
+from equipoise.learning.train import train
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.resolve import read_arm
 from equipoise.model.pendulum import Pendulum
-from equipoise.model.worlds import MODEL
+from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.reproduction.results import (
     EVALUATION,
+    LITERAL,
     PENDULUM,
     POLICY,
     RECORD,
     RUN,
     SWING,
     TWIN_EVALUATION,
-    WITHOUT_PREDICTION,
+    RecipeResults,
     ReproductionRecord,
     Results,
     digests,
@@ -45,7 +49,7 @@ from equipoise.reproduction.results import (
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.reproduction.warm_up import TWIN, is_warm, warm_up
 from equipoise.rig.simulate import simulate_run
-from equipoise.settings import Settings, changed
+from equipoise.settings import Settings, changed, resolve
 from equipoise.worlds.evaluation import Evaluation, evaluate
 
 T = TypeVar("T")
@@ -62,7 +66,7 @@ QUICK: Final = {
 }
 """Maximum settings of a quick reproduction, which takes less than a minute."""
 TWIN_TRIALS: Final = 40
-"""Maximum number of trials of the second evaluation: a trial there takes thirty times as long."""
+"""Maximum number of trials on the twin: a trial there takes thirty times as long."""
 
 
 @checked
@@ -77,13 +81,13 @@ def reproduce(
     workers: Workers | None = None,
     report: Show = lambda *_: None,
 ) -> Results:
-    """Reproduce the paper from the swing to a run on the digital twin, and save every value.
+    """Reproduce the paper from the swing to runs on the digital twin, and save every value.
 
     Args:
         out: Folder of the files, created if missing.
         swing: A recorded free swing, or its file (default: a simulated one).
         arm: The arm, its name or its URDF (default: the iiwa7).
-        settings: Resolved settings (default: `Settings()`).
+        settings: Resolved settings (default: `Settings()`); the literal recipe takes its trials.
         seed: Master seed.
         quick: Whether it runs with fewer episodes and trials (`QUICK`).
         workers: Number of threads (default: all cores); the results do not depend on it.
@@ -97,7 +101,9 @@ def reproduce(
     swing = swing if swing is None or isinstance(swing, Trajectory) else read_swing(swing)
     settings = shortened(settings or Settings()) if quick else settings or Settings()
     workers = workers or available_cores()
-    world = TWIN if _has_twin(arm) else MODEL
+    has_twin = _has_twin(arm)
+    literal = resolve("paper").model_copy(update={"evaluation": settings.evaluation})
+    literal = shortened(literal) if quick else literal
     stages: dict[str, float] = {}
 
     def stage(name: str, work: Callable[[], T]) -> T:
@@ -125,12 +131,54 @@ def reproduce(
         lambda: identify(recorded, settings.identification),
         swing=recorded.sha256,
     )
-    # Without a selection, or with few episodes, the first learner is taken as it is.
-    selected = not quick and settings.selection.every > 0
-    policy = saved(
-        "train",
-        POLICY,
-        lambda: train_to_target(
+
+    def of_recipe(
+        prefix: str, simulation: str, trained: Callable[[Show], TabularPolicy]
+    ) -> RecipeResults:
+        title = prefix.replace("-", " ")
+        policy = saved(
+            f"{title}train",
+            prefix + POLICY,
+            lambda: trained(lambda name, *shown: report(title + name, *shown)),
+            pendulum=pendulum.digest,
+        )
+
+        def evaluated(name: str, file: str, world: str) -> Evaluation:
+            trials = settings.evaluation.trials
+            trials = min(TWIN_TRIALS, trials) if world == TWIN else trials
+            baselines = world == MODEL
+            total = trials * (1 + len(BUILT_IN) * baselines)
+            return saved(
+                name,
+                file,
+                lambda: evaluate(
+                    policy,
+                    changed(policy.settings, {"evaluation.trials": trials}),
+                    world=world,
+                    seed=seed,
+                    with_baselines=baselines,
+                    workers=workers,
+                    done=counted(name, total, report),
+                ),
+                policy=policy.digest,
+            )
+
+        evaluation = evaluated(f"{title}evaluate", prefix + EVALUATION, simulation)
+        on_twin = None
+        if has_twin:
+            on_twin = evaluated(f"{title}twin", prefix + TWIN_EVALUATION, TWIN)
+        run = saved(
+            f"{title}deploy",
+            prefix + RUN,
+            lambda: simulate_run(policy, world=TWIN if has_twin else simulation, seed=seed),
+            policy=policy.digest,
+        )
+        return RecipeResults(policy, evaluation, on_twin, run)
+
+    def train_default(show: Show) -> TabularPolicy:
+        # Without a selection, or with few episodes, the first learner is taken as it is.
+        selected = not quick and settings.selection.every > 0
+        return train_to_target(
             pendulum,
             arm,
             settings,
@@ -138,41 +186,13 @@ def reproduce(
             learners=LEARNERS if selected else 1,
             seed=seed,
             workers=workers,
-            show=report,
-        ),
-        pendulum=pendulum.digest,
-    )
-
-    of_policy = {"policy": policy.digest}
-
-    def evaluated(name: str, file: str, world: str, predict: bool = True) -> Evaluation:
-        model, most = world == MODEL, settings.evaluation.trials
-        trials = most if model else min(TWIN_TRIALS, most)
-        changes = {"evaluation.trials": trials}
-        if not predict:
-            changes["controller.predict"] = False
-        return saved(
-            name,
-            file,
-            lambda: evaluate(
-                policy,
-                changed(policy.settings, changes),
-                world=world,
-                seed=seed,
-                with_baselines=model,
-                workers=workers,
-                done=counted(name, trials * (1 + len(BUILT_IN) * model), report),
-            ),
-            **of_policy,
+            show=show,
         )
 
-    evaluation = evaluated("evaluate", EVALUATION, MODEL)
-    twin_evaluation = without_prediction = None
-    if world == TWIN:
-        twin_evaluation = evaluated("evaluate twin", TWIN_EVALUATION, TWIN)
-        without_prediction = evaluated("no prediction", WITHOUT_PREDICTION, TWIN, predict=False)
-    run = saved("deploy", RUN, lambda: simulate_run(policy, world=world, seed=seed), **of_policy)
+    def train_literal(show: Show) -> TabularPolicy:
+        return train(pendulum, arm, literal, seed=seed, workers=workers, show=show)
 
+    by_recipe = of_recipe("", MODEL, train_default), of_recipe(LITERAL, IDEAL, train_literal)
     record = ReproductionRecord(
         quick=quick,
         seed=seed,
@@ -183,16 +203,7 @@ def reproduce(
         files={},
         stages=stages,
     )
-    results = Results(
-        record,
-        recorded,
-        pendulum,
-        policy,
-        evaluation,
-        twin_evaluation,
-        without_prediction,
-        run,
-    )
+    results = Results(record, recorded, pendulum, *by_recipe)
     record = record.model_copy(update={"files": digests(results)})
     record.save(out / RECORD, command="reproduce", inputs=record.files)
     return results._replace(record=record)

@@ -2,10 +2,11 @@
 
 The report uses these files only::
 
-    swing.csv  pendulum.json  policy.json  evaluation.json  run.mcap  reproduction.json
-    twin-evaluation.json  without-prediction.json
+    swing.csv  pendulum.json  reproduction.json
+    policy.json  evaluation.json  twin-evaluation.json  run.mcap
+    literal-policy.json  literal-evaluation.json  literal-twin-evaluation.json  literal-run.mcap
 
-The files of the last line are missing for an arm without a digital twin.
+Both evaluations on the twin are missing for an arm without a digital twin.
 """
 
 from pathlib import Path
@@ -24,8 +25,9 @@ PENDULUM: Final = "pendulum.json"
 POLICY: Final = "policy.json"
 EVALUATION: Final = "evaluation.json"
 TWIN_EVALUATION: Final = "twin-evaluation.json"
-WITHOUT_PREDICTION: Final = "without-prediction.json"
 RUN: Final = "run.mcap"
+LITERAL: Final = "literal-"
+"""Prefix of the files of the literal recipe."""
 RECORD: Final = "reproduction.json"
 
 
@@ -52,6 +54,19 @@ class ReproductionRecord(Artefact):
     """Duration of each stage [s], including the compilation in a first run."""
 
 
+class RecipeResults(NamedTuple):
+    """Results of one recipe."""
+
+    policy: TabularPolicy
+    """The trained policy."""
+    evaluation: Evaluation
+    """Trials in the simulation of the training; of the default recipe, also those of baselines."""
+    twin_evaluation: Evaluation | None
+    """Trials on the digital twin; None for an arm without a twin."""
+    run: RunLog
+    """One run, on the digital twin if the arm has one."""
+
+
 class Results(NamedTuple):
     """All results of a reproduction."""
 
@@ -61,17 +76,10 @@ class Results(NamedTuple):
     """The free swing."""
     pendulum: Pendulum
     """The identified pendulum."""
-    policy: TabularPolicy
-    """The trained policy."""
-    evaluation: Evaluation
-    """Trials of the policy and of the baselines on the training plant."""
-    twin_evaluation: Evaluation | None
-    """Trials of the policy on the digital twin; None for an arm without a twin."""
-    without_prediction: Evaluation | None
-    """The same without the prediction of the state, which delay and lag then leave behind; None for
-    an arm without a twin."""
-    run: RunLog
-    """One run of the policy, on the digital twin if the arm has one."""
+    default: RecipeResults
+    """Results of the default recipe, or of the given settings."""
+    literal: RecipeResults
+    """Results of the literal recipe, `paper`."""
 
 
 def load(out: Path) -> Results:
@@ -83,18 +91,21 @@ def load(out: Path) -> Results:
     """
     record = ReproductionRecord.load(out / RECORD)
 
-    def on_twin(name: str) -> Evaluation | None:
-        return Evaluation.load(out / name) if name in record.files else None
+    def of_recipe(prefix: str) -> RecipeResults:
+        on_twin = prefix + TWIN_EVALUATION
+        return RecipeResults(
+            policy=TabularPolicy.load(out / f"{prefix}{POLICY}"),
+            evaluation=Evaluation.load(out / f"{prefix}{EVALUATION}"),
+            twin_evaluation=Evaluation.load(out / on_twin) if on_twin in record.files else None,
+            run=RunLog.load(out / f"{prefix}{RUN}"),
+        )
 
     results = Results(
         record=record,
         swing=read_swing(out / SWING),
         pendulum=Pendulum.load(out / PENDULUM),
-        policy=TabularPolicy.load(out / POLICY),
-        evaluation=Evaluation.load(out / EVALUATION),
-        twin_evaluation=on_twin(TWIN_EVALUATION),
-        without_prediction=on_twin(WITHOUT_PREDICTION),
-        run=RunLog.load(out / RUN),
+        default=of_recipe(""),
+        literal=of_recipe(LITERAL),
     )
     found = digests(results)
     for name, recorded in record.files.items():
@@ -108,13 +119,10 @@ def load(out: Path) -> Results:
 
 def digests(results: Results) -> dict[str, str]:
     """Return the digest of each value, by the name of its file."""
-    values = {
-        PENDULUM: results.pendulum,
-        POLICY: results.policy,
-        EVALUATION: results.evaluation,
-        TWIN_EVALUATION: results.twin_evaluation,
-        WITHOUT_PREDICTION: results.without_prediction,
-        RUN: results.run,
-    }
-    found = {name: value.digest for name, value in values.items() if value is not None}
-    return {SWING: results.swing.sha256, **found}
+    found = {SWING: results.swing.sha256, PENDULUM: results.pendulum.digest}
+    names = POLICY, EVALUATION, TWIN_EVALUATION, RUN
+    for prefix, values in (("", results.default), (LITERAL, results.literal)):
+        for name, value in zip(names, values, strict=True):
+            if value is not None:
+                found[prefix + name] = value.digest
+    return found

@@ -27,7 +27,7 @@ from equipoise.settings import Settings, changed
 from equipoise.worlds.evaluation import evaluate
 
 TWIN: Final = "twin:nominal"
-"""World of the reproduction's second evaluation and of its run."""
+"""World of the reproduction's evaluations on the twin and of its runs."""
 SECONDS: Final = 0.5
 """Length of trials and runs [s]: long enough for every branch of a tick."""
 LITTLE: Final = {

@@ -15,14 +15,6 @@ def format_end(outcome: Outcome) -> str:
     }.get(outcome, f"ended by {outcome}")
 
 
-def percent(share: float) -> str:
-    """Return a share as a percentage; a share below 1 never rounds up to 100 %."""
-    text = f"{100.0 * share:.1f}"
-    if text == "100.0" and share < 1.0:
-        text = ">99.9"
-    return f"{text.removesuffix('.0')} %"
-
-
 def plus_minus(value: float, interval: tuple[float, float]) -> str:
     """Return a value with the half width of its interval, to two digits of the latter."""
     half = max(interval[1] - value, value - interval[0])

@@ -20,6 +20,7 @@ LABELS = {
     "learning-curve": ["mean duration [s]", "episodes", "kept: episode"],
     "policy": ["φ [°]", "dφ/dt [°/s]", "x from −0.22 to −0.08 m"],
     "survival": ["time since the release [s]", "trials still standing [%]", "90 %", "LQR"],
+    "literal-run": ["Literal recipe: fell over after 1.5 s", "observation", "A7"],
     "run": ["u [m/s²]", "joints, change [°]", "φ [°]", "x [m]", "dx/dt [m/s]", "observation", "A7"],
 }
 
@@ -106,7 +107,7 @@ def test_the_picture_of_the_policy_has_its_commands_where_the_boxes_are(results,
                 assert (x, y) != (0.5, 0.5) or np.ravel_multi_index(box, (6, 5, 3, 3)) >= 7
         framed += len(panel.patches)
     assert numbers == 270 - 7
-    assert framed == len(set(results.run.box.tolist()))
+    assert framed == len(set(results.default.run.box.tolist()))
 
 
 def test_the_survival_curve_counts_the_trials_that_still_stand(drawn):
@@ -120,20 +121,27 @@ def test_the_survival_curve_counts_the_trials_that_still_stand(drawn):
     assert [at(2.99), at(3.0), at(19.9), at(20.0), at(60.0)] == [100.0, 95.0, 95.0, 90.0, 90.0]
 
 
-def test_a_run_is_drawn_as_observed_and_as_it_was(results, drawn):
-    run, axes = results.run, np.array(drawn["run"].axes).reshape(6, 2)
-    values, edges, _ = axes[0, 0].patches[0].get_data()
-    np.testing.assert_array_equal(values, run.u[:500])
-    np.testing.assert_allclose(edges, 0.01 * np.arange(501), atol=1e-12)
+@pytest.mark.parametrize(("name", "until"), [("run", 500), ("literal-run", 150)])
+def test_a_run_is_drawn_as_observed_and_as_it_was(results, drawn, name, until):
+    run = results.default.run if name == "run" else results.literal.run
+    axes = drawn[name].axes
+    values, edges, _ = axes[0].patches[0].get_data()
+    np.testing.assert_array_equal(values, run.u[:until])
+    np.testing.assert_allclose(edges, 0.01 * np.arange(until + 1), atol=1e-12)
     curves = (
         (run.phi, run.truth.phi, np.degrees(1.0)),
         (run.phi_dot, run.truth.phi_dot, np.degrees(1.0)),
         (run.x, run.truth.x, 1.0),
         (run.x_dot, run.truth.x_dot, 1.0),
     )
-    for panels, (seen, was, unit) in zip(axes[2:], curves, strict=True):
-        for panel, shown in zip(panels, (slice(500), slice(None)), strict=True):
-            drawn_lines = [line.get_ydata() for line in panel.lines if len(line.get_xdata()) > 2]
-            np.testing.assert_allclose(drawn_lines, unit * np.array([was[shown], seen[shown]]))
-    limits = {line.get_ydata()[0] for line in axes[2, 0].lines if len(line.get_ydata()) == 2}
+    for panel, (seen, was, unit) in zip(axes[2:], curves, strict=True):
+        drawn_lines = [line.get_ydata() for line in panel.lines if len(line.get_xdata()) > 2]
+        np.testing.assert_allclose(drawn_lines, unit * np.array([was[:until], seen[:until]]))
+    limits = {line.get_ydata()[0] for line in axes[2].lines if len(line.get_ydata()) == 2}
     assert {-11.0, 11.0, -5.0, -1.0, 0.0, 1.0, 5.0} <= limits
+
+
+def test_the_runs_of_both_recipes_have_the_same_axes(drawn):
+    for one, other in zip(drawn["run"].axes, drawn["literal-run"].axes, strict=True):
+        assert one.get_xlim() == other.get_xlim() == (0.0, 5.0)
+        np.testing.assert_allclose(one.get_ylim(), other.get_ylim())

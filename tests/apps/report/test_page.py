@@ -3,6 +3,7 @@
 import re
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
 from equipoise import film, paper
@@ -10,6 +11,7 @@ from equipoise.apps.report import page as page_module
 from equipoise.apps.report.page import FIGURES, PAGE, build, page
 from equipoise.errors import ArtefactError, OutsideError
 from equipoise.identification.recording import write_swing
+from equipoise.model.actuator import shipped_actuator
 from equipoise.model.worlds import MODEL, TwinSettings
 from equipoise.outcomes import Outcome
 from equipoise.reproduction import results as files
@@ -18,6 +20,8 @@ from tests.apps.report import made_up
 
 HOSTILE = "<script>alert('x')</script>&\x1b[2J.csv"
 IMAGES = dict.fromkeys([*FIGURES, "film"], "data:image/svg+xml;base64,AA==")
+DELAY = f"{round(1e3 * shipped_actuator().delay.value, 1):g}"
+ENDS = (1.49 - made_up.AHEAD, 59.99 - made_up.AHEAD)
 EMPTY = {"meta", "img", "br", "path", "rect", "circle", "wbr"}
 
 
@@ -91,16 +95,43 @@ def test_texts_from_outside_are_escaped():
     assert "<b>bold</b> & <i>" in words
 
 
+def test_the_comparison_states_the_paper_and_both_recipes(plain):
+    head, *lines = re.findall("<tr>(.*?)</tr>", plain.partition("</table>")[0])
+    table = [
+        [Reader(cell).text for cell in re.findall("<t[hd].*?</t[hd]>", line)] for line in lines
+    ]
+    assert head.count("<th>") == 4
+    # Clopper-Pearson of 18 of 20, 10 of 20 and 20 of 20, from any table.
+    assert table == [
+        ["delay in training [ms]", "not stated", "0", DELAY],
+        ["simulation trials", "not stated", "20", "20"],
+        ["simulation median [s]", "not stated", "45", "60"],
+        ["simulation stood 60s", "not stated", "10", "18"],
+        ["simulation interval", "not stated", "0.272 to 0.728", "0.683 to 0.9877"],
+        ["simulation ended by", "not stated", "track 10, lasted 10", "track 2, lasted 18"],
+        ["robot or twin trials", "1", "20", "20"],
+        ["robot or twin median [s]", "5", "5.5", "60"],
+        ["robot or twin stood 5s", "1", "20", "20"],
+        ["robot or twin interval", "not stated", "0.8316 to 1", "0.8316 to 1"],
+        ["robot or twin ended by", "track 1", "track 20", "lasted 20"],
+        ["run [s]", "5", "1.5", "60"],
+        ["run ended by", "track", "angle", "lasted"],
+        # The made-up true state at the last tick is that of `AHEAD` before.
+        [
+            "lean at its end [deg]",
+            "-3.44",
+            *(f"{round(np.degrees(0.05 * np.sin(8 * t)), 2):g}" for t in ENDS),
+        ],
+        ["x at its end [m]", "-0.22", *(f"{round(0.12 * np.sin(t), 3):g}" for t in ENDS)],
+    ]
+
+
 def test_the_numbers_are_those_of_the_results_and_of_the_paper(plain):
     words = Reader(plain).text
     for number in (
-        "18 of 20",
-        "5.5 s",
-        "68.3 % to 98.8 %",  # Clopper-Pearson for 18 of 20, from any table
         f"around {paper.FREE_SWING_PERIOD:g} s",
         "270 boxes × 8 accelerations",
         f"{paper.EPISODES:,}",
-        "x passed -0.22 m",
     ):
         assert number in words, number
 
@@ -110,7 +141,7 @@ def test_the_numbers_are_those_of_the_results_and_of_the_paper(plain):
     [
         ({"quick": True}, "Quick run"),
         ({"missing": "no OpenGL"}, "no OpenGL"),
-        ({"lasted": 20.0, "cause": Outcome.TRACK}, "left the track after 20 s"),
+        ({"lasted": 20.0, "cause": Outcome.TRACK}, "stood 20 s of at most 60 s"),
         ({"warnings": ["friction is odd"]}, "friction is odd"),
     ],
 )
@@ -141,23 +172,20 @@ def folder(tmp_path_factory):
     found = found._replace(
         swing=swing,
         pendulum=policy.pendulum,
-        policy=policy,
-        evaluation=made_up.evaluation(policy),
-        twin_evaluation=made_up.twin_evaluation(policy),
-        without_prediction=made_up.twin_evaluation(policy, 20 * (5.5,)),
-        run=made_up.run(policy, lasted=8.0, cause=Outcome.TRACK, world="twin:nominal"),
+        default=files.RecipeResults(
+            policy=policy,
+            evaluation=made_up.evaluation(policy),
+            twin_evaluation=made_up.twin_evaluation(policy),
+            run=made_up.run(policy, lasted=8.0, cause=Outcome.TRACK, world="twin:nominal"),
+        ),
     )
     record = found.record.model_copy(update={"files": dict(files.digests(found))})
-    for value, name in (
-        (found.pendulum, files.PENDULUM),
-        (found.policy, files.POLICY),
-        (found.evaluation, files.EVALUATION),
-        (found.twin_evaluation, files.TWIN_EVALUATION),
-        (found.without_prediction, files.WITHOUT_PREDICTION),
-        (found.run, files.RUN),
-        (record, files.RECORD),
-    ):
-        value.save(out / name, command="test")
+    found.pendulum.save(out / files.PENDULUM, command="test")
+    record.save(out / files.RECORD, command="test")
+    names = files.POLICY, files.EVALUATION, files.TWIN_EVALUATION, files.RUN
+    for prefix, recipe in (("", found.default), (files.LITERAL, found.literal)):
+        for name, value in zip(names, recipe, strict=True):
+            value.save(out / f"{prefix}{name}", command="test")
     return out
 
 
@@ -185,11 +213,16 @@ def test_without_opengl_the_page_says_why_the_film_is_missing(folder, monkeypatc
     assert "The film of the run is missing: cannot draw pictures." in Reader(text).text
 
 
-def test_a_file_of_another_reproduction_is_refused(folder, tmp_path):
+@pytest.mark.parametrize("prefix", ["", files.LITERAL])
+def test_a_file_of_another_reproduction_is_refused(folder, tmp_path, prefix):
     for path in folder.iterdir():
         if path.is_file():
             (tmp_path / path.name).write_bytes(path.read_bytes())
+    name = f"{prefix}{files.EVALUATION}"
     other = made_up.evaluation(files.TabularPolicy.load(folder / files.POLICY), falls=(1.0,))
-    other.save(tmp_path / files.EVALUATION, command="test")
+    other.save(tmp_path / name, command="test")
+    with pytest.raises(ArtefactError):
+        build(tmp_path)
+    (tmp_path / name).unlink()
     with pytest.raises(ArtefactError):
         build(tmp_path)

@@ -18,6 +18,7 @@ from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
 from equipoise.outcomes import Outcome
 from equipoise.worlds.evaluation import Evaluation, TrialResults
+from equipoise.worlds.formatting import format_end
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -192,58 +193,73 @@ def time_line(run: RunLog, until: float) -> "Figure":
 
 
 @styled()
-def run_figure(run: RunLog) -> "Figure":
-    """Draw a run as in the paper's figures 4 to 7: its first 5 s, as there, and all of it.
+def run_figure(recipe: str, run: RunLog, beside: RunLog) -> "Figure":
+    """Draw a run as in the paper's figures 4 to 7: the first 5 s, as there.
 
     The rows are command, joints, pendulum and flange, with the edges of the boxes and the failure
     limits. Where a simulation has the true state beside the policy's observation, both are drawn.
 
     Args:
+        recipe: Title: the recipe of the policy.
         run: A run with a policy.
+        beside: The run of the figure beside it, which gets the same axes.
 
     Raises:
         RecordingError: No policy ran.
     """
     run.require_balancing()
-    boxes, deg = run.conditions.settings.boxes, np.rad2deg
-    true = truth(run)
+    until, boxes = paper.SECONDS_BALANCED, run.conditions.settings.boxes
     rows = (
-        ("φ [°]", deg(run.phi), deg(true.phi), boxes.phi_deg, paper.PHI_LIMIT_DEG),
-        ("dφ/dt [°/s]", deg(run.phi_dot), deg(true.phi_dot), boxes.phi_dot_deg, None),
-        ("x [m]", run.x, true.x, boxes.x, paper.X_LIMIT),
-        ("dx/dt [m/s]", run.x_dot, true.x_dot, boxes.x_dot, None),
+        ("φ [°]", boxes.phi_deg, paper.PHI_LIMIT_DEG),
+        ("dφ/dt [°/s]", boxes.phi_dot_deg, None),
+        ("x [m]", boxes.x, paper.X_LIMIT),
+        ("dx/dt [m/s]", boxes.x_dot, None),
     )
-    spans = [(paper.SECONDS_BALANCED, f"the first {paper.SECONDS_BALANCED:g} s, as in the paper")]
-    if run.lasted > 1.5 * paper.SECONDS_BALANCED:
-        spans.append((run.lasted, f"all {run.lasted:g} s"))
-    figure = new_figure(9.0, "Recorded run (the paper's figures 4 to 7)")
-    axes: Any = figure.subplots(6, len(spans), sharex="col", sharey="row", squeeze=False)
-    for column, (until, title) in enumerate(spans):
-        shown = run.time < until
-        time = run.time[shown]
-        edges = np.append(time, time[-1] + run.conditions.h)
-        axes[0, column].set_title(title)
-        axes[0, column].stairs(run.u[shown], edges, baseline=None, **OBSERVED_LINE)
-        for j, name in enumerate(run.conditions.joints):
-            moved, colour = deg(run.q[shown, j] - run.q[0, j]), JOINT_COLOURS[j % 7]
-            axes[1, column].plot(time, moved, color=colour, label=plain(name))
-        for panel, (_, observed, actual, inner, limit) in zip(axes[2:, column], rows, strict=True):
-            panel.grid(visible=False, axis="y")
-            for edge in inner:
-                panel.axhline(edge, color=style.GREY, linewidth=0.6, linestyle=(0, (1, 2)))
-            for end in (-limit, limit) if limit else ():
-                panel.axhline(end, color=style.INK, linewidth=1.0, linestyle=(0, (6, 2)))
-            panel.plot(time, actual[shown], label="true state", **TRUE_LINE)
-            panel.plot(time, observed[shown], label="observation", **OBSERVED_LINE)
-        axes[-1, column].set_xlabel("time [s]")
-        axes[-1, column].set_xlim(0.0, until)
-    axes[0, 0].set_ylabel("u [m/s²]")
-    axes[0, 0].set_yticks(paper.ACTIONS, [typeset(f"{action:+g}") for action in paper.ACTIONS])
-    axes[1, 0].set_ylabel("joints, change [°]")
-    for panel, (label, *_) in zip(axes[2:, 0], rows, strict=True):
+    time = run.time[run.time < until]
+    edges = np.append(time, time[-1] + run.conditions.h)
+    figure = new_figure(8.8, f"{recipe}: {format_end(run.outcome)} after {run.lasted:g} s")
+    axes: Any = figure.subplots(6, 1, sharex=True, height_ratios=(3, 2, 2, 2, 2, 2))
+    axes[0].stairs(run.u[run.time < until], edges, baseline=None, **OBSERVED_LINE)
+    axes[0].set_yticks(paper.ACTIONS, [typeset(f"{action:+g}") for action in paper.ACTIONS])
+    axes[0].set_ylabel("u [m/s²]")
+    joints, *states = _curves(run, until)
+    for joint, (name, moved) in enumerate(zip(run.conditions.joints, joints.T, strict=True)):
+        axes[1].plot(time, moved, color=JOINT_COLOURS[joint % 7], label=plain(name))
+    axes[1].set_ylabel("joints, change [°]")
+    for panel, (label, inner, limit), curves in zip(axes[2:], rows, states, strict=True):
+        panel.grid(visible=False, axis="y")
+        for edge in inner:
+            panel.axhline(edge, color=style.GREY, linewidth=0.6, linestyle=(0, (1, 2)))
+        for end in (-limit, limit) if limit else ():
+            panel.axhline(end, color=style.INK, linewidth=1.0, linestyle=(0, (6, 2)))
+        panel.plot(time, curves[:, 0], label="true state", **TRUE_LINE)
+        panel.plot(time, curves[:, 1], label="observation", **OBSERVED_LINE)
         panel.set_ylabel(label)
-    figure.align_ylabels(axes[:, 0])
-    names: Any = [axes[row, 0].get_legend_handles_labels() for row in (1, 2)]
+    for panel, curves in zip(axes[1:], _curves(beside, until), strict=True):
+        panel.update_datalim([(0.0, curves.min()), (0.0, curves.max())])
+        panel.autoscale_view()
+    for panel in axes if run.lasted < until else ():
+        panel.axvline(run.lasted, color=style.VERMILION)
+    axes[-1].set_xlabel("time [s]")
+    axes[-1].set_xlim(0.0, until)
+    figure.align_ylabels(axes)
+    names: Any = [panel.get_legend_handles_labels() for panel in axes[1:3]]
     handles, labels = (names[0][part] + names[1][part] for part in (0, 1))
     figure.legend(handles, labels, loc="outside lower center", ncols=5)
     return figure
+
+
+def _curves(run: RunLog, until: float) -> list[Array]:
+    """Return what the panels below the command show before a time [s], each of shape (n, curves).
+
+    They are the change of the joints [deg], then the true and the observed phi [deg], phi_dot
+    [deg/s], x [m] and x_dot [m/s].
+    """
+    shown, true, deg = run.time < until, truth(run), np.rad2deg
+    return [
+        deg(run.q - run.q[0])[shown],
+        np.column_stack((deg(true.phi), deg(run.phi)))[shown],
+        np.column_stack((deg(true.phi_dot), deg(run.phi_dot)))[shown],
+        np.column_stack((true.x, run.x))[shown],
+        np.column_stack((true.x_dot, run.x_dot))[shown],
+    ]

@@ -22,10 +22,8 @@ from equipoise.apps.style import save
 from equipoise.artefacts import Provenance, read_document, write_whole
 from equipoise.errors import OutsideError
 from equipoise.film import write_film
-from equipoise.model.worlds import MODEL
-from equipoise.printable import printable
+from equipoise.printable import as_text, label, printable
 from equipoise.reproduction.results import RECORD, Results, load
-from equipoise.worlds.formatting import percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,19 +32,20 @@ PAGE: Final = "report.html"
 FILM_SECONDS: Final = 8.0
 """Maximum length of the film on the page [s]; the paper's run took 5 s."""
 FIGURES: Final[dict[str, Callable[[Results], "Figure"]]] = {
-    "time-line": lambda r: figures.time_line(r.run, film_seconds(r)),
+    "time-line": lambda r: figures.time_line(r.default.run, film_seconds(r)),
     "swing": lambda r: figures.free_swing(r.swing, r.pendulum),
-    "learning-curve": lambda r: figures.learning_curve(r.policy),
-    "survival": lambda r: figures.survival(r.evaluation),
-    "policy": lambda r: policy_picture(r.policy, r.run),
-    "run": lambda r: figures.run_figure(r.run),
+    "learning-curve": lambda r: figures.learning_curve(r.default.policy),
+    "survival": lambda r: figures.survival(r.default.evaluation),
+    "policy": lambda r: policy_picture(r.default.policy, r.default.run),
+    "literal-run": lambda r: figures.run_figure("Literal recipe", r.literal.run, r.default.run),
+    "run": lambda r: figures.run_figure("Default recipe", r.default.run, r.literal.run),
 }
 """Drawing functions of the figures, by the names of their files."""
 
 
 def film_seconds(results: Results) -> float:
     """Return the length of the film [s]."""
-    return min(results.run.lasted, FILM_SECONDS)
+    return min(results.default.run.lasted, FILM_SECONDS)
 
 
 def build(out: Path, report: Callable[[str, float], None] = lambda _, __: None) -> Path:
@@ -71,7 +70,7 @@ def build(out: Path, report: Callable[[str, float], None] = lambda _, __: None) 
     film, missing = out / "figures" / "film.webp", ""
     report(film.name, len(FIGURES) / (len(FIGURES) + 2.0))
     try:
-        write_film(results.run, film, end=film_seconds(results))
+        write_film(results.default.run, film, end=film_seconds(results))
         images["film"] = _data_uri("webp", film.read_bytes())
     except OutsideError as error:  # OpenGL may be missing
         missing = str(error)
@@ -100,20 +99,21 @@ def page(
         trim_blocks=True,
         finalize=_printable,
     )
-    environment.filters |= {"prose": _prose, "percent": percent}
+    environment.filters["prose"] = _prose
     return environment.get_template("report.html.j2").render(
         results=results,
-        run=results.run,
-        policy=results.policy,
-        settings=results.policy.settings,
-        evaluations=[e for e in (results.evaluation, results.twin_evaluation) if e],
-        without=results.without_prediction,
-        on_twin=results.run.conditions.world != MODEL,
+        run=results.default.run,
+        policy=results.default.policy,
+        settings=results.default.policy.settings,
         provenance=provenance,
         images=images,
         missing=missing,
         paper=paper,
         rows=rows,
+        compared=[
+            (label(name), *map(as_text, cells.values()))
+            for name, cells in rows.comparison(results).items()
+        ],
         degrees=np.rad2deg,
         css=Markup(package.joinpath("page.css").read_text("utf-8")),
         sketch=Markup(package.joinpath("sketch.svg").read_text("utf-8")),
