@@ -14,6 +14,7 @@ import argparse
 import json
 import time
 from pathlib import Path
+from statistics import median
 
 from equipoise.control.policy import TabularPolicy
 from equipoise.executors import available_cores
@@ -91,6 +92,7 @@ def main() -> None:
             "seed": seed,
             "survived": summary.survived,
             "trials": summary.trials,
+            "median_s": summary.median,
             "learner": policy.learner,
         }
         found.append(row)
@@ -110,6 +112,7 @@ def main() -> None:
         "survived": lasted,
         "trials": trials,
         "interval": exact_interval(lasted, trials),
+        "median_s": median(row["median_s"] for row in found),
         "seeds_at_99_percent": sum(row["survived"] >= 0.99 * row["trials"] for row in found),
         "worst": min(found, key=lambda row: row["survived"]),
     }
