@@ -60,6 +60,8 @@ LOOKS = {
     "unshaped": {"color": "tab:orange", "linestyle": "--"},
 }
 """Line of each kind."""
+TICKS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 60.0)
+"""Ticks of the survival [s]."""
 LABELS = {
     "shaped_zero": "shaping law, zero error",
     "shaped": "shaping law",
@@ -209,6 +211,8 @@ def draw(robots: list[dict[str, Any]], delays: list[dict[str, Any]]) -> Figure:
     left.axhline(paper.SECONDS_BALANCED, color="0.5", linewidth=0.8)
     left.annotate("the paper's robot: 5 s", (40.0, 5.3), ha="right", fontsize=8, color="0.3")
     left.set(yscale="log", xlabel="transport delay [ms]", ylabel="median survival of a seed [s]")
+    left.set_yticks(TICKS, [f"{tick:g}" for tick in TICKS])
+    left.set_yticks([], minor=True)
     right.set(xlabel="transport delay [ms]", ylabel="density of the authors' delay [1/ms]")
     right.set_ylim(bottom=0.0)
     right.legend(fontsize=8)
