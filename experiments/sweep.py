@@ -13,6 +13,7 @@ not seen. With `--storage` a sweep continues, on any number of machines::
 
 import argparse
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -100,6 +101,7 @@ def main() -> None:
     parser.add_argument("--tests", type=int, default=200, help="tests of each policy")
     parser.add_argument("--duration", type=float, default=60.0, help="length of a test [s]")
     parser.add_argument("--storage", help="database of Optuna, e.g. sqlite:///sweep.sqlite3")
+    parser.add_argument("--json", type=Path, help="file for the finalists")
     parser.add_argument("--out", default="sweep.png", help="figure")
     given = parser.parse_args()
     ranges = dict(text.split("=", 1) for text in given.vary)
@@ -124,10 +126,20 @@ def main() -> None:
     if not done:
         raise SystemExit("no trial has valid settings; check --vary and --set")
     fresh = range(2 * SEEDS, 2 * SEEDS + given.final_seeds)
+    finalists: list[dict[str, Any]] = []
     for trial in sorted(done, key=lambda trial: -trial.value)[: given.finalists]:
-        overrides = [f"{name}={value}" for name, value in trial.params.items()]
-        final = share_lasted(overrides, fresh, given)
+        final = share_lasted(
+            [f"{name}={value}" for name, value in trial.params.items()], fresh, given
+        )
+        row = {"name": trial.number, "searched": trial.value, "final": final}
+        finalists.append(row | {"settings": trial.params})
         print(f"{trial.value:7.2%}, final {final:7.2%}  {trial.number}  {trial.params}", flush=True)
+    if given.json:
+        length = {
+            name: getattr(given, name) for name in ("trials", "seeds", "tests", "final_seeds")
+        }
+        best = max(finalists, key=lambda row: row["final"])
+        given.json.write_text(json.dumps(length | {"finalists": finalists, "best": best}, indent=1))
     draw(study).savefig(given.out, dpi=150)
 
 
