@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 
 import equipoise as eq
+from equipoise.model.worlds import WORLDS
 from equipoise.worlds.twin.servo_model import equivalent_actuator
-
-WORLDS = ("nominal", "harsh", "light-rotors", "bare", "pd", "trajectory40", "smart60", "fri")
 
 
 def main() -> None:
