@@ -1,15 +1,16 @@
-"""Simulated rig: the twin with an operator's hand and button, in time.
+"""Simulated rig: an arm and a pendulum in MuJoCo with an operator's hand and button, in time.
 
-On it an emulated cabinet and an emulated encoder board run. Virtual time drives it by
-`clock.attach(bench.advance)`, real time by calls of `advance` with the time: the rig catches up in
-whole milliseconds. Equal seeds and equal acts at equal times give equal motion.
+The arm is that of a twin (`SimulatedRig`) with an emulated cabinet, or of another simulator.
+Virtual time drives it by `clock.attach(bench.advance)`, real time by calls of `advance` with the
+time: the rig catches up in whole milliseconds. Equal seeds and equal acts at equal times give equal
+motion.
 
 Each fault of the bodies is a method: `push`, `touch`, `slip`, and `stop` of the arm.
 """
 
 from collections.abc import Callable, Sequence
 from math import pi, radians
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -28,44 +29,45 @@ DEFLECTION: Final = radians(50.0)
 """Angle from hanging at which the pendulum is held for a free swing [rad]."""
 
 
-class SimulatedRig:
-    """Arm, pendulum, hand and button, in time."""
+class Mechanism(NamedTuple):
+    """Arm and pendulum in MuJoCo."""
+
+    data: Any
+    """State of MuJoCo."""
+    flange: int
+    """Number of the flange's body."""
+    pendulum: int
+    """Number of the pendulum's body, whose x axis is across the rod and z along it."""
+    phi: int
+    """Index of phi, the pendulum's angle from upright relative to the flange, in qpos and qvel."""
+    step: Callable[[], object]
+    """Advances the mechanism by a millisecond."""
+
+
+class Bench:
+    """A mechanism with the hand and the button of an operator, in time."""
 
     def __init__(
         self,
-        arm: Arm,
+        mechanism: Mechanism,
         pendulum: PendulumParameters,
         settings: TwinSettings,
         *,
         seed: int = 0,
         start: float = 0.0,
-        q: Sequence[float] | Array | None = None,
-        phi: float = pi,
     ) -> None:
-        """Set up a rig, the arm at rest.
+        """Stand at a mechanism.
 
         Args:
-            arm: The arm with its home posture.
-            pendulum: The pendulum, with the friction that acts in the twin.
+            mechanism: Arm and pendulum.
+            pendulum: The pendulum.
             settings: The world's numbers.
             seed: Seed of all random numbers.
             start: Start time [s].
-            q: Free joints [rad], shape (6,); home if not given.
-            phi: Angle of the pendulum from upright [rad]; it hangs if not given.
-
-        Raises:
-            ArmError: The masses of the arm's links are not known.
         """
         self.settings = settings
         """The world's numbers."""
-        self.seed = seed
-        """Seed of all random numbers."""
-        self.joints = len(arm.joints)
-        """Number of joints of the arm."""
-        self.twin = Twin(arm, pendulum, settings, seed=seed)
-        self.twin.reset(q, phi)
-        self.body = SimulatedArm(self.twin, arm, settings)
-        """Arm that an emulated cabinet moves and measures."""
+        self._mechanism = mechanism
         self._reach = rod_centre(pendulum.w2)
         inertia = settings.pendulum_mass * GRAVITY * self._reach / pendulum.w2
         self.hand = Hand(inertia, self._reach)
@@ -85,9 +87,8 @@ class SimulatedRig:
         """Advance in milliseconds to a time [s]."""
         due = round((now - self._start) / TICK)
         while self._ticks < due:
-            self.body.tick()
             self._grasp()
-            advance(self.twin.kernel, 1)
+            self._mechanism.step()
             self._ticks += 1
             for work in self._watching:
                 work()
@@ -99,21 +100,17 @@ class SimulatedRig:
     @property
     def phi(self) -> float:
         """Angle of the pendulum from upright, relative to the flange, beyond a turn [rad]."""
-        return float(self.twin.kernel.bodies.qpos[self.joints])
+        return float(self._mechanism.data.qpos[self._mechanism.phi])
 
     @property
     def phi_dot(self) -> float:
         """Rate of that angle [rad/s]."""
-        return float(self.twin.kernel.bodies.qvel[self.joints])
+        return float(self._mechanism.data.qvel[self._mechanism.phi])
 
     @property
     def theta(self) -> float:
         """Angle that an encoder measures: from hanging, relative to the flange [rad]."""
         return pi - self.phi + self._slip
-
-    def truth(self) -> TrueState:
-        """Return the true state of flange and pendulum."""
-        return self.twin.truth()
 
     @property
     def button(self) -> bool:
@@ -161,8 +158,8 @@ class SimulatedRig:
         Args:
             force: Force in base axes [N], shape (3,); zero ends the contact.
         """
-        flange = self.twin.kernel.bodies.flange
-        self.twin.data.xfrc_applied[flange, :3] = np.asarray(force, np.float64)
+        force = np.asarray(force, np.float64)
+        self._mechanism.data.xfrc_applied[self._mechanism.flange, :3] = force
 
     def slip(self, angle: float) -> None:
         """Slip the encoder on its spindle, which adds an offset to its angle from now on [rad]."""
@@ -170,13 +167,66 @@ class SimulatedRig:
 
     def _grasp(self) -> None:
         """Apply the force of the hand at the middle of the rod, across it."""
+        data, pendulum = self._mechanism.data, self._mechanism.pendulum
         if self.hand.idle:
             if self._touching:
-                self.twin.data.xfrc_applied[self.twin.kernel.bodies.pendulum, :3] = 0.0
+                data.xfrc_applied[pendulum, :3] = 0.0
                 self._touching = False
             return
-        bodies = self.twin.kernel.bodies
         torque = self.hand.torque(self.now, self.phi, self.phi_dot)
-        across = bodies.xmat[bodies.pendulum, 0::3]
-        self.twin.data.xfrc_applied[bodies.pendulum, :3] = torque / self._reach * across
+        across = data.xmat[pendulum, 0::3]
+        data.xfrc_applied[pendulum, :3] = torque / self._reach * across
         self._touching = True
+
+
+class SimulatedRig(Bench):
+    """A twin with hand and button, in time."""
+
+    def __init__(
+        self,
+        arm: Arm,
+        pendulum: PendulumParameters,
+        settings: TwinSettings,
+        *,
+        seed: int = 0,
+        start: float = 0.0,
+        q: Sequence[float] | Array | None = None,
+        phi: float = pi,
+    ) -> None:
+        """Set up a rig, the arm at rest.
+
+        Args:
+            arm: The arm with its home posture.
+            pendulum: The pendulum, with the friction that acts in the twin.
+            settings: The world's numbers.
+            seed: Seed of all random numbers.
+            start: Start time [s].
+            q: Free joints [rad], shape (6,); home if not given.
+            phi: Angle of the pendulum from upright [rad]; it hangs if not given.
+
+        Raises:
+            ArmError: The masses of the arm's links are not known.
+        """
+        self.joints = len(arm.joints)
+        """Number of joints of the arm."""
+        self.twin = Twin(arm, pendulum, settings, seed=seed)
+        self.twin.reset(q, phi)
+        self.body = SimulatedArm(self.twin, arm, settings)
+        """Arm that an emulated cabinet moves and measures."""
+        bodies = self.twin.kernel.bodies
+        mechanism = Mechanism(
+            self.twin.data,
+            bodies.flange,
+            bodies.pendulum,
+            self.joints,
+            self._step,
+        )
+        super().__init__(mechanism, pendulum, settings, seed=seed, start=start)
+
+    def truth(self) -> TrueState:
+        """Return the true state of flange and pendulum."""
+        return self.twin.truth()
+
+    def _step(self) -> None:
+        self.body.tick()
+        advance(self.twin.kernel, 1)
