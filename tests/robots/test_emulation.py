@@ -24,8 +24,9 @@ class Stage:
 
     def __init__(self):
         self.clock, self.said, self.plan = VirtualClock(), [], []
-        self.emulation = Emulation(ARM, PENDULUM, TwinSettings(), self.clock, say=self.said.append)
-        self.port = 0
+        parts = ARM, PENDULUM, TwinSettings(), self.clock
+        self.emulation = Emulation("kst", *parts, port=0, say=self.said.append)
+        self.port = int(self.emulation.hardware.address.rpartition(":")[2])
 
     def at(self, time, act):
         self.plan.append((time, act))
@@ -36,11 +37,7 @@ class Stage:
                 self.plan.pop(0)[1]()
             return self.clock.now() >= until
 
-        self.emulation.run("127.0.0.1", 0, stop, listening=self.listens)
-
-    def listens(self, port):
-        assert self.port == 0
-        self.port = port
+        self.emulation.run(stop)
 
     def connect(self):
         self.client = socket.create_connection(("127.0.0.1", self.port), timeout=5.0)
@@ -80,7 +77,7 @@ def test_one_client_is_answered_and_the_server_started_again_after_its_end():
 
 def test_a_client_that_vanishes_leaves_the_servo_on_until_the_word_start():
     stage, running = Stage(), []
-    bench = stage.emulation.bench
+    bench = stage.emulation.hardware.bench
     stage.at(0.1, stage.connect)
     stage.at(0.2, stage.send(b"startDirectServoJoints\n"))
     stage.at(0.5, lambda: stage.client.close())
@@ -98,11 +95,11 @@ def test_a_host_that_stalls_is_told_and_time_is_made_up_for():
     stage.run(1.0)
     assert len(stage.said) == 1
     assert "stalled" in stage.said[0]
-    assert stage.emulation.bench.now == pytest.approx(1.0, abs=0.003)
+    assert stage.emulation.hardware.bench.now == pytest.approx(1.0, abs=0.003)
 
 
 def test_a_port_in_use_is_an_error():
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        emulation = Stage().emulation
+        parts = ARM, PENDULUM, TwinSettings(), VirtualClock()
         with pytest.raises(OutsideError):
-            emulation.run("127.0.0.1", taken.getsockname()[1], lambda: False, print)
+            Emulation("kst", *parts, port=taken.getsockname()[1])

@@ -14,14 +14,16 @@ from equipoise.cli.verb import Options, command, verb
 class Emulated(Options):
     """The emulated rig."""
 
+    robot: str = "kst"
+    """kst; or franka, by franky-sim, with --arm a URDF of the FR3."""
     world: str = "twin:nominal"
     """twin:nominal, twin:harsh, or twin:FILE."""
     arm: str = "iiwa7"
     """iiwa7, iiwa14, another registered arm, a URDF or a rig.toml."""
     pendulum: Path | None = None
     """Pendulum; by default the shipped one."""
-    port: opt.Port = 30001
-    """Port of the robot; 0 selects a free one."""
+    port: opt.Port | None = None
+    """Port of a KST server (default: 30001); 0 selects a free one."""
     encoder_link: Path | None = None
     """Further name of the encoder's terminal."""
     seed: opt.Seed = 0
@@ -32,7 +34,7 @@ class Emulated(Options):
 def emulate(output: Output, *, emulated: Emulated) -> None:
     """Emulate robot, pendulum and encoder, until Ctrl-C; type what the hand does.
 
-    A KST server answers on a port of this machine, an encoder board on a
+    The robot answers at an address of this machine, an encoder board on a
     pseudo-terminal. The arm begins beside its home. Type lift where a run asks
     for it, and release once it is armed.
     """
@@ -42,7 +44,7 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     from equipoise.rig.clocks import SystemClock
     from equipoise.robots.emulation import Emulation
 
-    began, host = time.monotonic(), "127.0.0.1"
+    began = time.monotonic()
 
     def say(words: str) -> None:
         output.tell(f"{time.monotonic() - began:8.1f} s  {words}")
@@ -50,28 +52,28 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
 
     settings = read_world(emulated.world).settings
     emulation = Emulation(
+        emulated.robot,
         opt.read_arm(emulated.arm),
         pendulum_on(read_pendulum(emulated.pendulum), settings),
         settings,
         SystemClock(),
+        port=emulated.port,
         seed=emulated.seed,
         link=emulated.encoder_link,
         say=say,
     )
     encoder = f"serial://{(emulated.encoder_link or emulation.terminal.path).absolute()}"
 
-    def ready(number: int) -> None:
-        # The emulated cabinet takes the first core: the loop of the run stays on the last one.
-        realtime.prepare(core=0)
-        address = f"kst://{host}:{number}"
-        # The shipped table is for the defaults.
-        yours = None if emulated.arm == "iiwa7" and emulated.pendulum is None else "POLICY"
-        task = {"arm": None if emulated.arm == "iiwa7" else emulated.arm}
-        task |= {"pendulum": emulated.pendulum}
-        links = {"robot": address, "encoder": encoder}
-        then = command("deploy", yours, **links, **task, makes="run.mcap")
-        output.result(robot=address, encoder=encoder, actions=sorted(emulation.acts), then=then)
-        output.stream.flush()
+    # The shipped table is for the defaults.
+    yours = None if emulated.arm == "iiwa7" and emulated.pendulum is None else "POLICY"
+    task = {"arm": None if emulated.arm == "iiwa7" else emulated.arm}
+    task |= {"pendulum": emulated.pendulum}
+    links = {"robot": emulation.hardware.address, "encoder": encoder}
+    then = command("deploy", yours, **links, **task, makes="run.mcap")
+    # The emulated cabinet takes the first core: the loop of the run stays on the last one.
+    realtime.prepare(core=0)
+    output.result(robot=links["robot"], encoder=encoder, actions=sorted(emulation.acts), then=then)
+    output.stream.flush()
 
     with signals() as stopped:
 
@@ -81,4 +83,4 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
                     emulation.acts.get(word, lambda word=word: say(f"unknown action {word!r}"))()
             return stopped.is_set()
 
-        emulation.run(host, emulated.port, stop, listening=ready)
+        emulation.run(stop)

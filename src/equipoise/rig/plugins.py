@@ -15,16 +15,17 @@ in the same way. `equipoise.rig.connection` is the only module that opens device
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from inspect import getattr_static
-from typing import Any, Final, Generic, Literal, NamedTuple, TypeVar
+from typing import Any, Final, Generic, Literal, NamedTuple, Protocol, TypeVar
 
 from pydantic import ValidationError
 
 from equipoise.artefacts import Share, Value, first_fault
 from equipoise.errors import InputError
 from equipoise.model.arms.arm import Arm
+from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
-from equipoise.rig.interfaces import AngleSensor, Clock, PacedRobot, Robot, Transport
-from equipoise.rig.simulated_rig import SimulatedRig
+from equipoise.rig.interfaces import AngleSensor, Array, Clock, PacedRobot, Robot, Transport
+from equipoise.rig.simulated_rig import Bench, SimulatedRig
 from equipoise.user_code import guest_code
 
 Device = TypeVar("Device", bound=Robot | PacedRobot | AngleSensor)
@@ -61,6 +62,43 @@ class Emulated(NamedTuple, Generic[Device]):
     """Makes another driver on a transport, for tests that damage bytes."""
 
 
+class Bodies(NamedTuple):
+    """Bodies of a rig that is to be emulated in real time."""
+
+    arm: Arm
+    """The arm with its home posture."""
+    pendulum: PendulumParameters
+    """The true pendulum."""
+    settings: TwinSettings
+    """Settings of the world."""
+    q: Array
+    """Free joints at the start [rad], shape (6,)."""
+    start: float
+    """Start time [s]."""
+    seed: int
+    """Seed of all random numbers."""
+
+
+class Hardware(Protocol):
+    """Emulated robot on this machine, in real time."""
+
+    address: str
+    """Address of the robot."""
+    acts: dict[str, Callable[[], object]]
+    """Actions at the robot, by the word that triggers them."""
+
+    @property
+    def bench(self) -> Bench:
+        """Bench with the arm."""
+        ...
+
+    def advance(self, now: float) -> None:
+        """Advance bench and robot to a time [s]; called each millisecond."""
+
+    def close(self) -> None:
+        """Switch the robot off."""
+
+
 class RobotPlugin(Value):
     """A kind of robot, by the scheme of its addresses."""
 
@@ -71,6 +109,9 @@ class RobotPlugin(Value):
     """Returns the driver in front of an emulator. Arguments: the simulated rig whose `body` the
     emulator moves and measures, the arm, the driver's session, the delay of the link each way [s],
     and a seed. None without an emulator."""
+    hardware: Callable[[Bodies, int | None, Callable[[str], None]], Hardware] | None = None
+    """Switches emulated hardware on, in real time. Arguments: the bodies, the port (0 for a free
+    one, None for the usual one), and what receives a text for each event. None without hardware."""
     link_share: Share = 0.5
     """Share of the twin's reply age that the emulated link takes each way [-]. The rest of the
     twin's transport time stays in the servo."""

@@ -2,7 +2,7 @@
 
 The board counts an angle on its own clock, and can have the faults of real boards. Its inputs are
 bytes and times, its outputs bytes: it runs in virtual time behind a memory pipe and in real time on
-a pseudo-terminal (`equipoise.robots.emulation`).
+a pseudo-terminal (`equipoise.robots.encoder.terminal`).
 
 Not modelled: single edges of the two lines (their faults are set by attributes), the bounce of the
 button, the transmission time of a line, and a full buffer.

@@ -17,6 +17,7 @@ from equipoise.rig.plugins import Emulated, RobotPlugin, Session
 from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.rig.transports import memory_pipe
 from equipoise.robots.kst.codec import PORT
+from equipoise.robots.kst.hardware import KstHardware
 from equipoise.robots.kst.robot import KstRobot, dial
 from equipoise.robots.kst.server_emulator import KstServer
 
@@ -107,6 +108,7 @@ def _rates_along_track(arm: Arm) -> Iterator[Array]:
 PLUGIN: Final = RobotPlugin(
     open=open_robot,
     emulate=emulate,
+    hardware=KstHardware,
     flange_speed=flange_speed,
     failure=(
         "A KST server has no watchdog: if this computer or the cable fails, the arm goes on to its "
