@@ -1,0 +1,1 @@
+"""Franka Research 3 behind its Franka Control Interface, in velocity mode."""

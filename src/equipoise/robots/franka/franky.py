@@ -1,0 +1,310 @@
+"""A controller and an arm of other authors, `franky-sim`, with a pendulum on the flange.
+
+`franky-sim` serves libfranka's network protocol in front of an FR3 in MuJoCo. It accepts any
+command; this module adds the controller's checks of lost packets, velocities, accelerations and
+jerks, its reflex and its user stop, the external torques, and the pendulum with hand and button.
+
+Not modelled: the Franka Hand stays on the flange, the position-dependent velocity limits, brakes,
+self-collision, and collision thresholds.
+"""
+
+# pyright: reportMissingImports=false, reportUntypedBaseClass=false
+# An optional package without types.
+
+import copy
+from collections.abc import Callable, Iterable
+from typing import Any, Final
+from xml.etree import ElementTree
+
+import numpy as np
+from franky_sim.franka_robot_protocol import MoveStatus, RobotCommand, RobotMode, UDPCommand
+from franky_sim.franka_robot_server import FrankaRobotServer
+from franky_sim.franka_server import BaseCommand
+from franky_sim.mujoco_simulator import MujocoSimulator
+
+from equipoise.errors import InputError, OutsideError
+from equipoise.model.arms.arm import Arm, Inertial
+from equipoise.model.arms.chain import rotation_from_rpy
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.physics_engine import mujoco
+from equipoise.model.worlds import TwinSettings
+from equipoise.rig.plugins import Bodies
+from equipoise.rig.simulated_rig import Bench, Mechanism
+from equipoise.robots.franka.velocity import ACCELERATION, JERK, PERIOD, VELOCITY
+from equipoise.settings import GRAVITY
+from equipoise.worlds.twin.physics import DRY_TIME, bar_inertial, pivot, rod_centre, rod_inertial
+
+LOOPBACK: Final = [f"127.0.0.{number}" for number in range(1, 256)]
+"""Addresses of this machine."""
+HOST: Final = "127.0.0.1"
+"""Address of the emulated hardware."""
+LINK: Final = "robot0_fr3_link7"
+"""Name of the last link."""
+LOST: Final = 20
+"""Number of packets without a command that end a motion."""
+ROUNDING: Final = 1e-2
+"""Share of a limit by which a command may exceed it [-], for the packets' 32-bit numbers."""
+ERRORS: Final = {
+    "joint_reflex": 6,
+    "joint_motion_generator_velocity_limits_violation": 13,
+    "joint_motion_generator_velocity_discontinuity": 14,
+    "joint_motion_generator_acceleration_discontinuity": 15,
+    "communication_constraints_violation": 25,
+}
+"""Numbers of the controller's errors."""
+
+
+class Controller(FrankaRobotServer):
+    """The server of `franky-sim` with the checks of a controller."""
+
+    def __init__(self, robot: Any, hosts: Iterable[str]) -> None:
+        """Create the controller of a robot, at the first free one of some addresses."""
+        self.external: Callable[[], tuple[float, ...]] = lambda: (0.0,) * 7
+        """Returns the external torques [N m]."""
+        super().__init__(robot, hosts)
+        self.connected = True
+        """Whether packets pass: not while the cable is pulled."""
+        self._mode = RobotMode.kIdle
+        self._errors = [False] * 41
+        self._changed = False
+        self._command: Any = None
+        self._lost, self._dq, self._ddq = 0, np.zeros(7), np.zeros(7)
+
+    def stop(self, error: str = "") -> None:
+        """Abort the motion by a user stop, or by a reflex on an error; until `set_free`."""
+        self._mode = RobotMode.kReflex if error else RobotMode.kUserStopped
+        self._errors = [number == ERRORS.get(error) for number in range(41)]
+        if self.current_motion_id:
+            reason = MoveStatus.kPreemptedDueToActivatedSafetyFunctions
+            reason = MoveStatus.kReflexAborted if error else reason
+            move = self._tcp_socket, RobotCommand.kMove, self.current_motion_id
+            self.send_state()
+            BaseCommand.send_response(*move, reason)
+            self.reset_current_motion_id()
+        self.stop_motion()
+
+    def set_free(self) -> None:
+        """Release the user stop, and clear the error."""
+        self._mode, self._errors = RobotMode.kIdle, [False] * 41
+
+    def plug(self, connected: bool) -> None:
+        """Pull the cable, or put it back."""
+        self.connected = connected
+        if not connected and not self.tcp_connected:
+            self.cleanup()  # refuses a client
+
+    def start_motion(self, controller: Any, generator: Any, motion: int) -> None:
+        """Begin a motion at rest, in velocity mode, unless the arm is stopped."""
+        if self._mode != RobotMode.kIdle or generator.name != "kJointVelocity":
+            raise ValueError("no such motion is possible")
+        self._lost, self._dq, self._ddq = 0, np.zeros(7), np.zeros(7)
+        self._changed = True
+        super().start_motion(controller, generator, motion)
+
+    def stop_motion(self, send_preemption_signal: bool = True) -> None:
+        """End a motion."""
+        self._changed = True
+        super().stop_motion(send_preemption_signal)
+
+    def process_commands(self) -> None:
+        """Process the commands of a cycle, and move on."""
+        self._command = None
+        self._receive()
+        if self.current_motion_id and (error := self._move()):
+            self.stop(error)
+        self._post_process_commands()
+
+    def reply(self) -> None:
+        """Reply to a client that waits for the begin or the end of a motion, between two cycles."""
+        connected = self.udp_connected
+        self._receive()
+        if self._changed or self.udp_connected != connected:
+            self.send_state()
+
+    def send_state(self) -> None:
+        """Send the state."""
+        self._changed = False
+        if self.connected and self.udp_connected:
+            super().send_state()
+            self._sent += 1
+
+    def _receive(self) -> None:
+        if self.connected:
+            super().process_commands()
+
+    def _reset_state(self) -> None:
+        self._sent = -1
+        super()._reset_state()
+
+    def _handle_udp_command(self, command_data: bytes) -> None:
+        command = UDPCommand.from_bytes(command_data)
+        if command.motion_generation_finished:
+            super()._handle_udp_command(command_data)
+        elif command.message_id >= self._sent:  # else it is late, and counts as lost
+            self._command = np.array(command.dq_c)
+
+    def _move(self) -> str:
+        """Advance the commanded motion by a cycle; return the error, empty if it keeps the limits.
+
+        Without a command the acceleration remains.
+        """
+        new = self._command is not None
+        self._lost = 0 if new else self._lost + 1
+        if self._lost > LOST:
+            return "communication_constraints_violation"
+        dq = self._command if new else self._dq + PERIOD * self._ddq
+        ddq = (dq - self._dq) / PERIOD
+        limits = {
+            "joint_motion_generator_velocity_limits_violation": dq / VELOCITY,
+            "joint_motion_generator_velocity_discontinuity": ddq / ACCELERATION,
+            "joint_motion_generator_acceleration_discontinuity": (ddq - self._ddq)
+            / (JERK * PERIOD),
+        }
+        self._dq, self._ddq = dq, ddq
+        broken = (name for name, x in limits.items() if np.abs(x).max() > 1.0 + ROUNDING)
+        return next(broken, "")
+
+    def _post_process_commands(self) -> None:
+        if self.current_motion_id:
+            self.robot.joint_velocity_control(self._dq)
+        else:
+            super()._post_process_commands()
+
+    def _get_state_bytes(self) -> bytes:
+        state = self.robot_state
+        if self._mode != RobotMode.kIdle:
+            errors = tuple(self._errors)
+            state = state.replace(robot_mode=self._mode, errors=errors, reflex_reason=errors)
+        return state.replace(tau_ext_hat_filtered=self.external()).pack_state()
+
+
+class FrankyRig(Bench):
+    """An FR3 of `franky-sim` with a pendulum, hand and button, in time."""
+
+    def __init__(self, bodies: Bodies, hosts: Iterable[str] = LOOPBACK) -> None:
+        """Set up the rig, the arm at rest and the pendulum hanging.
+
+        Args:
+            bodies: The FR3, the pendulum and the world.
+            hosts: Addresses of which the first free one serves the robot.
+
+        Raises:
+            OutsideError: No address is free.
+        """
+        arm, pendulum, settings, q, start, seed = bodies
+        simulator = MujocoSimulator()
+        simulator.init()
+        self.robot = simulator.add_robot(initial_q=arm.with_held(q))
+        """The robot of `franky-sim`."""
+        _add_pendulum(simulator.worldbody, arm, pendulum, settings)
+        self.controller = Controller(self.robot, hosts)
+        """The controller."""
+        try:
+            self.controller.init()
+        except OSError as error:
+            raise OutsideError(f"{error}; stop the program that uses ports 1337 and 1338") from None
+        simulator.start()
+        model, data = simulator.model, simulator.data
+        phi = model.joint("phi").dofadr[0]
+        inertia = settings.pendulum_mass * GRAVITY * rod_centre(pendulum.w2) / pendulum.w2
+        model.dof_damping[phi] = pendulum.c * inertia
+        model.dof_dampingpoly[phi, 0] = pendulum.drag * inertia
+        model.dof_frictionloss[phi] = pendulum.coulomb * inertia
+        data.qpos[phi] = np.pi
+        mujoco().mj_forward(model, data)
+        self._simulator = simulator
+        # The arm as its controller knows it, without pendulum, bracket and contacts.
+        self._bare = copy.copy(model)
+        for name in ("bracket", "pendulum"):
+            body = model.body(name).id
+            self._bare.body_mass[body], self._bare.body_inertia[body] = 0.0, 0.0
+        self._bare.dof_armature[phi] = 1.0  # a joint without any mass has no solution
+        self._bare.opt.disableflags |= int(mujoco().mjtDisableBit.mjDSBL_CONSTRAINT)
+        self._bare_data = mujoco().MjData(self._bare)
+        self.controller.external = self._external
+        flange, rod = (model.body(name).id for name in (LINK, "pendulum"))
+        mechanism = Mechanism(data, flange, rod, int(phi), self._step)
+        super().__init__(mechanism, pendulum, settings, seed=seed, start=start)
+
+    def close(self) -> None:
+        """Switch the controller off."""
+        self.controller.cleanup()
+        self._simulator.cleanup()
+
+    def _step(self) -> None:
+        self.controller.process_commands()
+        self._simulator.step()
+        self.controller.send_state()
+
+    def _external(self) -> tuple[float, ...]:
+        """Return the torques of pendulum, bracket and contacts on the arm [N m], shape (7,)."""
+        bare, data = self._bare_data, self._simulator.data
+        bare.qpos[:], bare.qvel[:], bare.qacc[:] = data.qpos, data.qvel, data.qacc
+        mujoco().mj_inverse(self._bare, bare)
+        own = data.qfrc_applied + data.qfrc_constraint  # drive, dry friction, and ends of ranges
+        return tuple((bare.qfrc_inverse - own)[:7].tolist())
+
+
+class FrankyHardware:
+    """The rig in real time, at an address of this machine."""
+
+    def __init__(self, bodies: Bodies, port: int | None, say: Callable[[str], None]) -> None:
+        """Switch the robot on.
+
+        Args:
+            bodies: The FR3, the pendulum and the world.
+            port: None: a controller has a port of its own.
+            say: Not used.
+
+        Raises:
+            InputError: A port is given.
+            OutsideError: The address is not available.
+        """
+        if port is not None:
+            raise InputError("a controller of an FR3 has ports of its own; leave --port out")
+        self.bench = FrankyRig(bodies, [HOST])
+        self.address = f"franka://{HOST}"
+        controller = self.bench.controller
+        self.acts: dict[str, Callable[[], object]] = {
+            "estop": controller.stop,
+            "collide": lambda: controller.stop("joint_reflex"),
+            "free": controller.set_free,
+        }
+
+    def advance(self, now: float) -> None:
+        """Advance to a time [s]."""
+        self.bench.advance(now)
+
+    def close(self) -> None:
+        """Switch the robot off."""
+        self.bench.close()
+
+
+def _add_pendulum(
+    world: ElementTree.Element, arm: Arm, pendulum: PendulumParameters, settings: TwinSettings
+) -> None:
+    """Add bracket and pendulum to the last link of the robot."""
+
+    def add(name: str, place: Any, rotation: Any, inertial: Inertial) -> ElementTree.Element:
+        quaternion = np.zeros(4)
+        mujoco().mju_mat2Quat(quaternion, rotation.ravel())
+        pose = {"pos": text(place), "quat": text(quaternion)}
+        body = ElementTree.SubElement(link, "body", {"name": name, **pose})
+        inertia = text(np.take(inertial.inertia, (0, 3, 5, 1, 2, 4)))
+        mass, com = str(inertial.mass), text(inertial.com)
+        ElementTree.SubElement(body, "inertial", pos=com, mass=mass, fullinertia=inertia)
+        return body
+
+    def text(numbers: Any) -> str:
+        return " ".join(map(str, numbers))
+
+    link = next(body for body in world.iter("body") if body.get("name") == LINK)
+    flange, rotation = np.array(arm.flange_xyz), rotation_from_rpy(arm.flange_rpy)
+    end = rotation @ pivot(arm, settings.pivot_outward)
+    upright = rotation @ arm.kinematics(arm.home_free).rotation.T
+    add("bracket", flange, np.eye(3), bar_inertial(settings.bracket_mass, end))
+    rod = rod_inertial(pendulum.w2, settings.pendulum_mass)
+    joint = {"name": "phi", "axis": "0 1 0", "armature": "0"}
+    joint |= {"solreffriction": f"{DRY_TIME} 1", "solimpfriction": "0.999 0.999"}
+    body = add("pendulum", flange + end, upright, rod)
+    ElementTree.SubElement(body, "joint", joint)

@@ -1,0 +1,55 @@
+"""The plugin of Franka Research 3: `franka://HOST`."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Final
+from urllib.parse import urlsplit
+
+from equipoise.errors import InputError, import_optional
+from equipoise.rig.plugins import Bodies, Hardware, RobotPlugin, Session
+from equipoise.robots.franka.robot import FrankaRobot
+
+
+def host(address: str) -> str:
+    """Return the host of an address.
+
+    Raises:
+        InputError: The address is invalid.
+    """
+    with suppress(ValueError):  # an open bracket, an invalid port
+        parts = urlsplit(address)
+        if parts.hostname and parts.port is None and not parts.path.strip("/"):
+            return parts.hostname
+    raise InputError(
+        f"{address!r} is no address of an FR3; expected franka://HOST, with the name or number of "
+        "its controller such as 172.16.0.2, without a port"
+    )
+
+
+def open_robot(address: str, session: Session) -> FrankaRobot:
+    """Return the driver for an address; nothing is opened before it is connected."""
+    return FrankaRobot(host(address), session.clock, notify=session.notify)
+
+
+def hardware(bodies: Bodies, port: int | None, say: Callable[[str], None]) -> Hardware:
+    """Return emulated hardware on `franky-sim`.
+
+    Raises:
+        MissingExtraError: `franky-sim` is not installed.
+    """
+    import_optional("franky_sim", "peers")
+    from equipoise.robots.franka.franky import FrankyHardware
+
+    return FrankyHardware(bodies, port, say)
+
+
+PLUGIN: Final = RobotPlugin(
+    open=open_robot,
+    hardware=hardware,
+    failure=(
+        "If this computer or the cable fails, the controller stops the arm within 20 ms. Keep the "
+        "emergency stop at hand."
+    ),
+    restart="unlock the joints and activate FCI in Desk",
+)
+"""Registered as `franka`."""

@@ -1,0 +1,269 @@
+"""Driver of a Franka Research 3 in velocity mode, a `PacedRobot`, on the vendor's `pylibfranka`.
+
+The controller sends its state every millisecond, and expects a velocity. A motion stops by itself
+after 20 packets without an answer, after a reflex, and after a command beyond the limits
+(`equipoise.robots.franka.velocity`). Any such end is final: nothing here recovers from an error,
+the operator does.
+
+`pylibfranka` waits up to a second for a packet, and holds Python's lock meanwhile. The driver calls
+it only once a packet has arrived, at the socket that `pylibfranka` has opened.
+"""
+
+import os
+import select
+import socket
+import stat
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager, suppress
+from typing import Any, Final, NoReturn
+
+import numpy as np
+
+from equipoise.errors import LinkError, import_optional
+from equipoise.rig.interfaces import Array, Clock, Request, checked_setpoint
+from equipoise.rig.plugins import ignore
+from equipoise.robots.franka.velocity import GAIN, PERIOD, limited, velocity_limits
+
+JOINTS: Final = 7
+"""Number of joints of the arm."""
+SILENCE: Final = 0.5
+"""Time without a packet after which the link is lost [s]."""
+POLL_PERIOD: Final = 1e-4
+"""Time between two looks for a packet [s]: a late answer counts as a lost packet."""
+DRIFT: Final = 1e-4
+"""Maximum difference of the two clocks' rates [-]; quartz has 1e-5."""
+AT_REST: Final = 1e-3
+"""Velocity below which a motion may end [rad/s]."""
+RECOVER: Final = "inspect the arm, clear the error in Desk, and activate FCI"
+"""Remedy after an error that stopped the arm."""
+MODES: Final = {
+    "Reflex": f"it was stopped by an error; {RECOVER}",
+    "UserStopped": "a user stop is active; release it, and activate FCI in Desk",
+    "Guiding": "it is guided by hand; release the guiding buttons",
+    "Move": "another program moves it; end that program",
+    "Other": "its joints are locked or it is in programming mode; unlock them, and activate FCI "
+    "in Desk",
+    "AutomaticErrorRecovery": f"it recovers from an error; {RECOVER}",
+}
+"""Cause and remedy for each mode in which no motion can begin."""
+CAUSES: Final = {
+    "communication_constraints_violation": "packets were late or lost; use one direct cable and a "
+    "real-time kernel, see docs/how-to/real-time.md",
+    "reflex": "a force on the arm exceeded its threshold; look for a contact",
+    "discontinuity": "the commanded motion jumped; see log explain for stalls of the loop",
+    "position_limits": "a joint came to its position limit; move home away from it",
+    "velocity": "a joint came to its velocity limit; lower speed_share in rig.toml",
+    "self_collision": "the arm came near itself; choose another home",
+    "tau_J_range": "the load exceeds the arm; check its load in Desk",
+    "power_limit": "the arm needs more power than it has; check its load in Desk",
+}
+"""Cause and remedy by a part of the name of a controller's error."""
+
+
+class FrankaRobot:
+    """Driver of an FR3; see the module."""
+
+    joints = JOINTS
+
+    def __init__(self, host: str, clock: Clock, *, notify: Callable[[str], None] = ignore) -> None:
+        """Create the driver; nothing is opened before `connect`.
+
+        Args:
+            host: Name or number of the controller.
+            clock: Clock of the rig.
+            notify: Receives warnings for the operator.
+        """
+        self._host, self._clock, self._notify = host, clock, notify
+        self._library: Any = None
+        self._robot: Any = None
+        self._control: Any = None
+        self._packets, self._streams = -1, False
+        self._failure = ""
+        self._offset = np.inf
+        self._time, self._elapsed = 0.0, PERIOD
+        self._state: Any = None
+        self._path: Array | None = None
+        self._velocity = self._acceleration = np.zeros(JOINTS)
+
+    def connect(self) -> None:
+        """Connect to the controller, and check that it accepts motions.
+
+        Raises:
+            LinkError: There is no controller, or it accepts no motions.
+            MissingExtraError: `pylibfranka` is not installed.
+        """
+        if self._robot is not None or self._failure:
+            raise LinkError("this connection was used; make another one")
+        self._library = import_optional("pylibfranka", "franka")
+        before = _datagram_sockets()
+        # Without a real-time kernel, too: the diagnosis measures what this machine can do.
+        ignored = self._library.RealtimeConfig.kIgnore
+        with self._final_errors():
+            self._robot = self._library.Robot(self._host, ignored)
+        self._packets = (_datagram_sockets() - before).pop()
+        if not os.path.exists("/sys/kernel/realtime"):
+            self._notify(
+                "warning: this kernel has no PREEMPT_RT, which Franka requires; expect lost packets"
+            )
+        self.measured()
+
+    def measured(self) -> Array:
+        """Return the measured joints [rad], shape (7,), while no servo runs.
+
+        Raises:
+            LinkError: The controller is silent, or accepts no motions.
+        """
+        self._at_rest("measure")
+        return np.array(self._fresh().q)
+
+    def start(self) -> None:
+        """Start the velocity servo, at rest; the motion begins with the first request.
+
+        A motion without commands ends after 20 ms, and the caller may have more to prepare.
+
+        Raises:
+            LinkError: The controller accepts no motions.
+        """
+        self._at_rest("start another")
+        self._fresh()
+        self._streams = True
+        self._velocity = self._acceleration = np.zeros(JOINTS)
+        self._path = self._state = None
+
+    def request(self, until: float) -> Request | None:
+        """Block until the next state of the controller, or until a time [s].
+
+        Raises:
+            LinkError: The motion was stopped, or the controller is silent.
+        """
+        self._link()
+        if not self._streams:
+            raise LinkError("the servo does not run; start it first")
+        if self._control is None:
+            if self._next(until) is None:
+                return None
+            mode = self._library.ControllerMode.JointImpedance
+            with self._final_errors():
+                self._control = self._robot.start_joint_velocity_control(mode)
+        if not self._arrived(until):
+            return None
+        with self._final_errors():
+            state, _ = self._control.readOnce()
+        now, time = self._clock.now(), float(state.time.to_sec())
+        if self._state is not None:
+            self._elapsed, velocity = max(time - self._time, PERIOD), np.array(state.dq_d)
+            self._acceleration = (velocity - self._velocity) / self._elapsed
+            self._velocity = velocity
+        self._state, self._time = state, time
+        # The controller's clock paces the path evenly; packets are late by different times.
+        self._offset = min(self._offset + DRIFT * self._elapsed, now - time)
+        return Request(time + self._offset, tuple(state.q), tuple(state.tau_ext_hat_filtered))
+
+    def answer(self, q: Sequence[float] | Array) -> None:
+        """Answer with the velocity that leads to a point of the path [rad], shape (7,).
+
+        Raises:
+            LinkError: The link is down, or the motion was stopped.
+            InputError: The point is not seven finite numbers.
+        """
+        there = checked_setpoint(q, JOINTS)
+        measured = np.array(self._state.q)
+        before = there if self._path is None else self._path
+        v = (there - before) / self._elapsed + GAIN * (there - measured)
+        self._path = there
+        self._command(v, measured)
+
+    def stop(self) -> None:
+        """Bring the joints to rest, and end the motion; without a servo, do nothing.
+
+        Raises:
+            LinkError: The motion was stopped otherwise.
+        """
+        self._link()
+        if not self._streams:
+            return
+        while True:
+            if (request := self.request(self._clock.now() + SILENCE)) is None:
+                self._fail(f"sent nothing for {SILENCE:g} s")
+            if np.abs(self._velocity).max() < AT_REST:
+                break
+            self._command(np.zeros(JOINTS), np.array(request.q))
+        self._command(np.zeros(JOINTS), np.array(request.q), finished=True)
+        self._streams, self._control = False, None
+
+    def close(self) -> None:
+        """Disconnect; the controller stops a motion that runs."""
+        if self._robot is not None:
+            self._failure = self._failure or "the connection was closed"
+        self._control = self._robot = None
+
+    def _command(self, v: Array, q: Array, *, finished: bool = False) -> None:
+        bounds = velocity_limits(q)
+        v = np.zeros(JOINTS) if finished else limited(v, self._velocity, self._acceleration, bounds)
+        command = self._library.JointVelocities(v.tolist())
+        command.motion_finished = finished
+        with self._final_errors():
+            self._control.writeOnce(command)
+
+    def _fresh(self) -> Any:
+        """Return the next state while no motion runs, and check that one can begin."""
+        if (state := self._next(self._clock.now() + SILENCE)) is None:
+            self._fail(f"sent nothing for {SILENCE:g} s; check its cable and its power")
+        if state.robot_mode.name != "Idle":
+            self._fail(f"accepts no motion: {MODES[state.robot_mode.name]}")
+        return state
+
+    def _next(self, until: float) -> Any:
+        """Return the next state while no motion runs; None without one at a time [s]."""
+        with self._final_errors():
+            if self._arrived(self._clock.now()):
+                self._robot.read_once()  # the newest of the past
+            return self._robot.read_once() if self._arrived(until) else None
+
+    def _arrived(self, until: float) -> bool:
+        """Wait for a packet until a time [s], and return whether there is one."""
+        while not select.select([self._packets], [], [], 0.0)[0]:
+            if (now := self._clock.now()) >= until:
+                return False
+            self._clock.wait_until(min(now + POLL_PERIOD, until))
+        return True
+
+    def _at_rest(self, what: str) -> None:
+        self._link()
+        if self._streams:
+            raise LinkError(f"a servo runs; stop it before you {what}")
+
+    def _link(self) -> None:
+        if self._failure:
+            raise LinkError(self._failure)
+        if self._robot is None:
+            raise LinkError("the robot is not connected; connect first")
+
+    @contextmanager
+    def _final_errors(self) -> Generator[None]:
+        """Give up the link for good on an error of `pylibfranka`."""
+        try:
+            yield
+        except RuntimeError as error:
+            said = str(error).removeprefix("libfranka: ")
+            errors = said.partition("[")[2]
+            causes = [cause for name, cause in CAUSES.items() if name in errors]
+            self._fail(f"reports {said!r}: {causes[0] if causes else RECOVER}", error)
+
+    def _fail(self, why: str, error: Exception | None = None) -> NoReturn:
+        """Give up the link for good."""
+        self._failure = f"the FR3 {self._host} {why}"
+        raise LinkError(self._failure) from error
+
+
+def _datagram_sockets() -> set[int]:
+    """Return the numbers of this process's open datagram sockets."""
+    found = set[int]()
+    for name in os.listdir("/proc/self/fd"):
+        with suppress(OSError):
+            number = int(name)
+            if stat.S_ISSOCK(os.fstat(number).st_mode):
+                with socket.socket(fileno=os.dup(number)) as opened:
+                    if opened.type == socket.SOCK_DGRAM:
+                        found.add(number)
+    return found
