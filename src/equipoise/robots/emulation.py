@@ -95,6 +95,7 @@ class Emulation:
         """
         clock = self._clock
         with closing(self.terminal), closing(self.hardware):
+            self.hardware.advance(clock.now())  # catches up with the time of switching on
             moment = last = clock.now()
             while not stop():
                 moment = max(moment + PERIOD, clock.now() - 10.0 * PERIOD)

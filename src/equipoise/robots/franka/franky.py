@@ -30,16 +30,19 @@ from equipoise.model.physics_engine import mujoco
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.plugins import Bodies
 from equipoise.rig.simulated_rig import Bench, Mechanism
+from equipoise.robots.franka.robot import JOINTS
 from equipoise.robots.franka.velocity import ACCELERATION, JERK, PERIOD, VELOCITY
 from equipoise.settings import GRAVITY
 from equipoise.worlds.twin.physics import DRY_TIME, bar_inertial, pivot, rod_centre, rod_inertial
 
-LOOPBACK: Final = [f"127.0.0.{number}" for number in range(1, 256)]
-"""Addresses of this machine."""
 HOST: Final = "127.0.0.1"
 """Address of the emulated hardware."""
+OTHER_HOSTS: Final = [f"127.0.0.{number}" for number in range(2, 255)]
+"""Further addresses of this machine; the ports of a controller are fixed."""
 LINK: Final = "robot0_fr3_link7"
 """Name of the last link."""
+CLOSE: Final = 1e-3
+"""Maximum difference of the flange's places by both models [m]."""
 LOST: Final = 20
 """Number of packets without a command that end a motion."""
 ROUNDING: Final = 1e-2
@@ -181,7 +184,7 @@ class Controller(FrankaRobotServer):
 class FrankyRig(Bench):
     """An FR3 of `franky-sim` with a pendulum, hand and button, in time."""
 
-    def __init__(self, bodies: Bodies, hosts: Iterable[str] = LOOPBACK) -> None:
+    def __init__(self, bodies: Bodies, hosts: Iterable[str] = OTHER_HOSTS) -> None:
         """Set up the rig, the arm at rest and the pendulum hanging.
 
         Args:
@@ -189,22 +192,29 @@ class FrankyRig(Bench):
             hosts: Addresses of which the first free one serves the robot.
 
         Raises:
+            InputError: The arm is no FR3.
             OutsideError: No address is free.
         """
         arm, pendulum, settings, q, start, seed = bodies
         simulator = MujocoSimulator()
         simulator.init()
+        if len(arm.joints) != JOINTS:
+            raise _not_an_fr3(arm)
         self.robot = simulator.add_robot(initial_q=arm.with_held(q))
         """The robot of `franky-sim`."""
         _add_pendulum(simulator.worldbody, arm, pendulum, settings)
         self.controller = Controller(self.robot, hosts)
         """The controller."""
+        simulator.start()
+        model, data = simulator.model, simulator.data
+        link = data.body(LINK)
+        flange = link.xpos + link.xmat.reshape(3, 3) @ arm.flange_xyz
+        if not np.allclose(flange, arm.kinematics(q).position, atol=CLOSE):
+            raise _not_an_fr3(arm)
         try:
             self.controller.init()
         except OSError as error:
             raise OutsideError(f"{error}; stop the program that uses ports 1337 and 1338") from None
-        simulator.start()
-        model, data = simulator.model, simulator.data
         phi = model.joint("phi").dofadr[0]
         inertia = settings.pendulum_mass * GRAVITY * rod_centre(pendulum.w2) / pendulum.w2
         model.dof_damping[phi] = pendulum.c * inertia
@@ -278,6 +288,13 @@ class FrankyHardware:
     def close(self) -> None:
         """Switch the robot off."""
         self.bench.close()
+
+
+def _not_an_fr3(arm: Arm) -> InputError:
+    return InputError(
+        f"{arm.name} is not the FR3 of franky-sim; give its URDF with --arm, which is fr3.urdf in "
+        "franky_sim/assets, with tip fr3_link8 and joint 3 held in a rig.toml"
+    )
 
 
 def _add_pendulum(

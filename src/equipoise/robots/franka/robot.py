@@ -247,8 +247,11 @@ class FrankaRobot:
         except RuntimeError as error:
             said = str(error).removeprefix("libfranka: ")
             errors = said.partition("[")[2]
-            causes = [cause for name, cause in CAUSES.items() if name in errors]
-            self._fail(f"reports {said!r}: {causes[0] if causes else RECOVER}", error)
+            remedy = (
+                RECOVER if errors else "check its power and its cable, and activate FCI in Desk"
+            )
+            remedies = (cause for name, cause in CAUSES.items() if name in errors)
+            self._fail(f"reports {said!r}; {next(remedies, remedy)}", error)
 
     def _fail(self, why: str, error: Exception | None = None) -> NoReturn:
         """Give up the link for good."""
