@@ -21,16 +21,16 @@ from equipoise.worlds.evaluation import Summary, exact_interval
 
 CHANGES: dict[str, tuple[str, ...]] = {
     "the literal recipe": (),
-    "+ the policy observes a prediction, the zero is estimated": ("controller",),
-    "+ trained behind the identified actuator, nonlinear pendulum": ("plant",),
-    "+ the table looks 0.5 s ahead": ("boxes",),
-    "+ an action is held until the state leaves its box": ("learning.hold_action",),
-    "+ every update is mirrored": ("learning.mirrored",),
-    "+ reward and discount of the default": ("learning.reward", "learning.gamma"),
-    "+ its learning rate": tuple(f"learning.alpha_{x}" for x in ("initial", "decay", "minimum")),
-    "+ its exploration, starts, and length of an episode": ("learning",),
-    "+ candidates are running averages": ("selection.averaging",),
-    "+ they race on plants that vary more: the default": ("selection",),
+    "+ prediction, estimate of the zero": ("controller",),
+    "+ training behind the actuator": ("plant",),
+    "+ look-ahead": ("boxes",),
+    "+ held actions": ("learning.hold_action",),
+    "+ mirrored updates": ("learning.mirrored",),
+    "+ reward, discount": ("learning.reward", "learning.gamma"),
+    "+ learning rate": tuple(f"learning.alpha_{x}" for x in ("initial", "decay", "minimum")),
+    "+ exploration, starts": ("learning",),
+    "+ averages of tables": ("selection.averaging",),
+    "+ race on varied plants: the default": ("selection",),
 }
 """Sections and settings of recipe `robust` that each rung takes up."""
 

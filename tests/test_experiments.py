@@ -27,9 +27,6 @@ SHORT = (
 TRIALS = ("--trials", "2", "--duration", "0.3")
 SMALLEST = {
     "compare": (*SHORT, *TRIALS, "--quick", "--worlds", "model", "twin:nominal", "--told"),
-    "gap": (*SHORT, *TRIALS),
-    "ladder": (*SHORT, *TRIALS, "--seeds", "1", "--json", "ladder.json"),
-    "literal": (*SHORT, *TRIALS, "--seeds", "2", "--ideal-trials", "2", "--json", "literal.json"),
     "map": ("lqr", "--starts", "9", "--duration", "0.3"),
     "sweep": (
         *(*SHORT, "--trials", "2", "--tests", "2", "--duration", "0.3"),
@@ -39,7 +36,7 @@ SMALLEST = {
     "table_search": (*SHORT, "--generations", "1", "--tables", "6", "--out", "best.json"),
     "value_iteration": ("--rounds", "1", "--loops", "8", "--ticks", "50", "--out", "solved.json"),
 }
-WRITES = {"ladder": "ladder.json", "table_search": "best.json", "value_iteration": "solved.json"}
+WRITES = {"table_search": "best.json", "value_iteration": "solved.json"}
 
 
 @pytest.fixture
@@ -70,7 +67,7 @@ def test_an_experiment_runs_and_writes_its_result(experiment, tmp_path, name):
     assert experiment(name, *SMALLEST[name]).strip()
     written = tmp_path / WRITES.get(name, f"{name}.png")
     assert written.stat().st_size > 1000
-    if name in ("table_search", "value_iteration"):
+    if name in WRITES:
         assert eq.TabularPolicy.load(written).settings.boxes.count == 270
 
 
@@ -92,9 +89,15 @@ def paths(value, *above):
             marks=pytest.mark.slow,
         ),
         ("map", "experiments/map", SMALLEST["map"]),
+        ("gap", "experiments/gap", (*SHORT, *TRIALS)),
+        ("ladder", "experiments/ladder", (*SHORT, *TRIALS, "--seeds", "1")),
+        (
+            *("literal", "experiments/literal"),
+            (*SHORT, *TRIALS, "--seeds", "2", "--ideal-trials", "2"),
+        ),
         ("identification", "experiments/identification", ("--worlds", "pd", "--logs", "1")),
         (
-            *("survival-model", "benchmarks/twin"),
+            *("survival-nominal", "benchmarks/twin"),
             (*SHORT, *TRIALS, "--world", "model", "--seeds", "1", "--learners", "1", "--out", "."),
         ),
     ],

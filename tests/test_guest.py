@@ -78,7 +78,9 @@ def test_the_page_shows_this_package_whose_robot_balances_over_its_own_wires(run
     told = equipoise(run, *deploy)
     assert (told["outcome"], told["missed"]) == ("lasted", 0)
     assert told["lasted_s"] == pytest.approx(5.0, abs=0.02)
-    assert equipoise(run, *explain)["cause"] == "lasted"
+    stood = equipoise(run, *explain)
+    assert stood["outcome"] == "lasted"
+    assert 0.0 < stood["phi_deg"]["rms"] < stood["phi_deg"]["largest"] < stood["phi_deg"]["limit"]
 
 
 def test_its_learner_reward_and_policy_need_no_more_than_their_names(run, tmp_path):

@@ -7,6 +7,7 @@ Escaping is idempotent.
 
 import re
 from collections.abc import Mapping
+from math import floor, log10
 from typing import Any, Final
 
 SPACES: Final = "\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}\N{THIN SPACE}"
@@ -46,6 +47,15 @@ def label(name: str) -> str:
     return re.sub(unit, lambda of: f" [{of[1].replace('_', '/')}]", name).replace("_", " ")
 
 
+def plus_minus(value: float, interval: tuple[float, float]) -> str:
+    """Return a value with the half width of its interval, to two digits of the latter."""
+    half = max(interval[1] - value, value - interval[0])
+    if half <= 0.0:
+        return f"{value:.4g}"
+    digits = max(0, 1 - floor(log10(half)))
+    return f"{value:.{digits}f} ± {half:.{digits}f}"
+
+
 def as_text(value: Any) -> str:
     """Return a value as text; empty for None and for one without entries."""
     match value:
@@ -62,5 +72,7 @@ def as_text(value: Any) -> str:
             return f"{low:.4g} to {high:.4g}"
         case list() | tuple():
             return "\n".join(map(as_text, value))
+        case _ if hasattr(value, "interval"):
+            return f"{plus_minus(value.value, value.interval)} ({value.source})"
         case _:
             return printable(str(value))

@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from equipoise import paper
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output
@@ -60,6 +58,8 @@ def explain(output: Output, run: Path) -> None:
 
 def _standing(run: "RunLog") -> dict[str, Any]:
     """Return how a run stood: root mean square and largest values, limits, limit cycle."""
+    import numpy as np
+
     from equipoise.rig.limit_cycle import limit_cycle
 
     def extent(values: "npt.NDArray[np.float64]", limit: float | None) -> dict[str, Any]:

@@ -212,16 +212,7 @@ def _tables(fields: Mapping[str, Any]) -> list[Table]:
             titles = (name, *map(label, rows[0]))
             tables.append(Table(*map(printable, titles), box=None, padding=(0, 2, 0, 0)))
             for title, row in zip(value, rows, strict=True):
-                tables[-1].add_row(printable(label(title)), *map(_text, row.values()))
-        elif text := _text(value):
+                tables[-1].add_row(printable(label(title)), *map(as_text, row.values()))
+        elif text := as_text(value):
             lines.add_row(f"  {printable(name)}", text)
     return [lines, *tables]
-
-
-def _text(value: Any) -> str:
-    """Return the value of a field as text; empty for one that is unknown or has no entries."""
-    if hasattr(value, "interval"):
-        from equipoise.worlds.formatting import plus_minus
-
-        return f"{plus_minus(value.value, value.interval)} ({value.source})"
-    return as_text(value)

@@ -18,7 +18,6 @@ from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
 from equipoise.outcomes import Outcome
 from equipoise.worlds.evaluation import Evaluation, TrialResults
-from equipoise.worlds.formatting import format_end
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,6 +33,13 @@ TRIAL_LINES: Final[tuple[dict[str, Any], ...]] = (
     {"color": style.PURPLE, "linewidth": 1.3, "linestyle": (0, (3, 1, 1, 1, 1, 1))},
 )
 """Lines of the policy and the baselines; the policy's line, the first, is wide below the others."""
+ENDS: Final = {
+    Outcome.LASTED: "stood to the end",
+    Outcome.ANGLE: "fell over",
+    Outcome.TRACK: "left the track",
+    Outcome.JOINT_LIMIT: "met a joint limit",
+}
+"""Ends of runs in words; another one is named."""
 JOINT_COLOURS: Final = (
     *(style.SKY, style.VERMILION, style.GREY, style.GREEN),
     *(style.ORANGE, style.PURPLE, style.INK),
@@ -217,7 +223,8 @@ def run_figure(recipe: str, run: RunLog, beside: RunLog) -> "Figure":
     )
     time = run.time[run.time < until]
     edges = np.append(time, time[-1] + run.conditions.h)
-    figure = new_figure(8.8, f"{recipe}: {format_end(run.outcome)} after {run.lasted:g} s")
+    end = ENDS.get(run.outcome, f"ended by {run.outcome}")
+    figure = new_figure(8.8, f"{recipe}: {end} after {run.lasted:g} s")
     axes: Any = figure.subplots(6, 1, sharex=True, height_ratios=(3, 2, 2, 2, 2, 2))
     axes[0].stairs(run.u[run.time < until], edges, baseline=None, **OBSERVED_LINE)
     axes[0].set_yticks(paper.ACTIONS, [typeset(f"{action:+g}") for action in paper.ACTIONS])

@@ -10,10 +10,10 @@ from equipoise.artefacts import Value
 from equipoise.logs.motion import truth
 from equipoise.model.worlds import MODEL, TwinSettings
 from equipoise.outcomes import Outcome
+from equipoise.printable import plus_minus
 from equipoise.reproduction.results import RecipeResults, Results
 from equipoise.settings import BoxSettings, Settings
 from equipoise.worlds.evaluation import Evaluation, exact_interval
-from equipoise.worlds.formatting import plus_minus
 
 Row = tuple[str, ...]
 

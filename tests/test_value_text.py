@@ -2,7 +2,8 @@
 
 import pytest
 
-from equipoise.worlds.formatting import plus_minus
+from equipoise.model.pendulum import shipped_pendulum
+from equipoise.printable import as_text, plus_minus
 
 
 @pytest.mark.parametrize(
@@ -16,3 +17,10 @@ from equipoise.worlds.formatting import plus_minus
 )
 def test_a_value_shows_the_digits_that_its_interval_supports(value, low, high, text):
     assert plus_minus(value, (low, high)) == text
+
+
+def test_estimates_show_their_interval_and_source_wherever_they_stand():
+    w2, c = shipped_pendulum().w2, shipped_pendulum().c
+    both = as_text([w2, c]).splitlines()
+    assert both == [as_text(w2), as_text(c)]
+    assert all(line.endswith(f"({each.source})") for line, each in zip(both, (w2, c), strict=True))
