@@ -99,7 +99,7 @@ class Rig(Options):
     """The rig."""
 
     robot: str | None = None
-    """kst://HOST:30001; or twin:nominal, an emulated rig."""
+    """kst://HOST:30001, franka://HOST; or twin:nominal, an emulated rig."""
     encoder: str | None = None
     """serial:///dev/ttyACM0."""
     rig: Path | None = None
