@@ -78,14 +78,14 @@ def evaluate(
         )
     inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
     evaluation.save(out, command="evaluate", inputs=inputs)
-    fields = trial_fields(evaluation.results)
+    fields = _trial_fields(evaluation.results)
     output.result(
         world=evaluation.world,
         arm=evaluation.arm,
         duration_s=evaluation.duration,
         seed=evaluation.seed,
         **fields,
-        baselines={each.name: trial_fields(each) for each in evaluation.baselines},
+        baselines={each.name: _trial_fields(each) for each in evaluation.baselines},
         evaluation=out,
         code=int(fields["median_s"] < evaluation.duration),
         then=_deploy(policy, trials, task),
@@ -97,7 +97,7 @@ def _deploy(policy: Path | None, trials: Trials, task: opt.Task) -> str:
     return command("deploy", policy, task, world=world, makes="run.mcap")
 
 
-def trial_fields(results: "TrialResults") -> dict[str, Any]:
+def _trial_fields(results: "TrialResults") -> dict[str, Any]:
     """Return the summary of trials as fields of a result."""
     found = results.summary()
     names = ("survived", "trials", "rate", "interval", "outcomes")
@@ -136,7 +136,7 @@ def certify(
         trials=claim.trials,
         failures=certificate.failed,
         allowed=claim.allowed,
-        outcomes=trial_fields(certificate.evaluation.results)["outcomes"],
+        outcomes=_trial_fields(certificate.evaluation.results)["outcomes"],
         certificate=out,
         code=int(not certificate.granted),
         then=_deploy(policy, trials, task),

@@ -126,7 +126,7 @@ def warm_up(request: RunRequest) -> None:
         began = perf_counter()
         u = controller.decide(policy)
         took.append(perf_counter() - began)
-        _ = controller.box
+        _ = controller.box  # the log of a tick names it
         controller.command(u)
     FlangeKinematics(arm, params).pose(arm.home)
     typical, limit = median(took), POLICY_TIME_SHARE * request.policy.h
