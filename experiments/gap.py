@@ -188,8 +188,8 @@ def results(
     """Return all results for a file, by the names that the documents use."""
 
     def named(curve: dict[str, list[Mean]], at: Sequence[str]) -> dict[str, Any]:
-        rows = {name: (mean.row() for mean in means) for name, means in curve.items()}
-        return {key(name): dict(zip(at, each, strict=False)) for name, each in rows.items()}
+        rows = {name: [mean.row() for mean in means] for name, means in curve.items()}
+        return {name: dict(zip(at, each, strict=True)) for name, each in rows.items()}
 
     return {
         "delay": named(delay, [f"{1e3 * each:.0f}ms" for each in DELAYS]),
@@ -203,11 +203,6 @@ def results(
         ],
         "worlds": worlds,
     }
-
-
-def key(name: str) -> str:
-    """Return a controller's name as a key of the results."""
-    return name.replace(",", "").replace(" ", "_")
 
 
 def draw(

@@ -44,31 +44,17 @@ SURVIVAL = (4.0, 6.0)
 LEAN = (0.5 * abs(paper.PHI_AT_FAILURE_DEG), 2.0 * abs(paper.PHI_AT_FAILURE_DEG))
 """Lean at the end that counts as the paper's 3.44 degrees [deg]."""
 KINDS = {
-    "shaped_zero": (True, True),
-    "shaped": (True, False),
-    "unshaped_zero": (False, True),
-    "unshaped": (False, False),
+    "shaped_zero": (True, True, "shaping law, zero error"),
+    "shaped": (True, False, "shaping law"),
+    "unshaped_zero": (False, True, "zero error"),
+    "unshaped": (False, False, "neither"),
 }
-"""Kinds of robots: with the shaping law of its server, with a zero error of the encoder."""
+"""Kinds of robots: with the shaping law of its server, with a zero error of the encoder, label."""
 READINGS = {"either_side": (1, False), "same_side": (1, True), "best_of_ten": (10, False)}
 """Readings of the paper: number of attempts of which its run is the longest, and whether the lean
 at the end has to be to the side of the end; its sign depends on the encoder's."""
-LOOKS = {
-    "shaped_zero": {"color": "tab:blue", "linestyle": "-"},
-    "shaped": {"color": "tab:blue", "linestyle": "--"},
-    "unshaped_zero": {"color": "tab:orange", "linestyle": "-"},
-    "unshaped": {"color": "tab:orange", "linestyle": "--"},
-}
-"""Line of each kind."""
 TICKS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 60.0)
 """Ticks of the survival [s]."""
-LABELS = {
-    "shaped_zero": "shaping law, zero error",
-    "shaped": "shaping law",
-    "unshaped_zero": "zero error",
-    "unshaped": "neither",
-}
-"""Label of each kind."""
 
 
 def robot(delay: float, kind: str) -> World:
@@ -76,7 +62,7 @@ def robot(delay: float, kind: str) -> World:
 
     These end a run before the track does.
     """
-    shaped, zero = KINDS[kind]
+    shaped, zero, _ = KINDS[kind]
     numbers: dict[str, Any] = {"transport": 1e-3 * delay, "shaped": shaped, "guards": False}
     if not zero:
         numbers["zero_error"] = 0.0
@@ -184,7 +170,7 @@ def inferred(found: dict[str, list[list[Ends]]], stands: Sequence[int]) -> list[
     """
     rows: list[dict[str, Any]] = []
     for kind, robots in found.items():
-        row: dict[str, Any] = {"name": kind, "label": LABELS[kind], "policies": len(stands)}
+        row: dict[str, Any] = {"name": kind, "label": KINDS[kind][2], "policies": len(stands)}
         for reading, how in READINGS.items():
             likelihood = np.array(
                 [np.mean([ends[i].as_the_paper(*how) for i in stands]) for ends in robots]
@@ -202,12 +188,14 @@ def draw(robots: list[dict[str, Any]], delays: list[dict[str, Any]]) -> Figure:
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")
     left, right = figure.subplots(1, 2)
     for row in delays:
-        kind = row["name"]
-        medians = [each[kind]["median"] for each in robots]
-        left.plot(DELAYS, medians, marker="o", markersize=3, label=LABELS[kind], **LOOKS[kind])
+        shaped, zero, label = KINDS[row["name"]]
+        look: dict[str, Any] = {"color": "tab:blue" if shaped else "tab:orange", "label": label}
+        look["linestyle"] = "-" if zero else "--"
+        medians = [each[row["name"]]["median"] for each in robots]
+        left.plot(DELAYS, medians, marker="o", markersize=3, **look)
         likelihood = row["either_side"]["likelihood"]
         density = np.array(likelihood) / max(np.trapezoid(likelihood, DELAYS), 1e-12)
-        right.plot(DELAYS, density, label=LABELS[kind], **LOOKS[kind])
+        right.plot(DELAYS, density, **look)
     left.axhline(paper.SECONDS_BALANCED, color="0.5", linewidth=0.8)
     left.annotate("the paper's robot: 5 s", (40.0, 5.3), ha="right", fontsize=8, color="0.3")
     left.set(yscale="log", xlabel="transport delay [ms]", ylabel="median survival of a seed [s]")
@@ -223,7 +211,6 @@ def main() -> None:
     """Train, run, infer, print the tables, and draw the figure."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=100)
-    parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--ideal-trials", type=int, default=200, help="per seed in simulation")
     parser.add_argument("--trials", type=int, default=5, help="per seed and robot")
     parser.add_argument("--duration", type=float, default=60.0, help="length of a trial [s]")
@@ -232,13 +219,12 @@ def main() -> None:
     parser.add_argument("--out", default="literal.png", help="figure")
     given = parser.parse_args()
     settings, cores = eq.resolve("paper", overrides=given.set), available_cores()
-    seeds = range(given.first, given.first + given.seeds)
 
     def of_seed(seed: int) -> tuple[eq.TabularPolicy, Ends]:
         policy = eq.train(eq.shipped_pendulum(), eq.iiwa(7), settings, seed=seed)
         return policy, run(policy, "ideal", given.ideal_trials, given.duration)
 
-    trained = dict(completed(of_seed, seeds, cores))
+    trained = dict(completed(of_seed, range(given.seeds), cores))
     policies, ends = zip(*(trained[i] for i in range(given.seeds)), strict=True)
     ideal = summary(ends)
     print(f"simulation: {ideal}", flush=True)
@@ -259,7 +245,7 @@ def main() -> None:
         for kind in KINDS:
             found[kind].append(everywhere(robot(delay, kind)))
             row[kind] = summary(found[kind][-1])
-            print(f"{delay:g} ms, {LABELS[kind]}: {row[kind]['median']} s", flush=True)
+            print(f"{delay:g} ms, {KINDS[kind][2]}: {row[kind]['median']} s", flush=True)
         robots.append(row)
     stands = [i for i, each in enumerate(ends) if each.lasted.mean() >= STANDS]
     delays = inferred(found, stands or range(given.seeds))

@@ -138,8 +138,7 @@ def main() -> None:
         length = {
             name: getattr(given, name) for name in ("trials", "seeds", "tests", "final_seeds")
         }
-        best = max(finalists, key=lambda row: row["final"])
-        given.json.write_text(json.dumps(length | {"finalists": finalists, "best": best}, indent=1))
+        given.json.write_text(json.dumps(length | {"finalists": finalists}, indent=1))
     draw(study).savefig(given.out, dpi=150)
 
 

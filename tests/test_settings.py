@@ -1,5 +1,8 @@
 """Settings: precedence, refusals, and an explanation for each of them."""
 
+import re
+from pathlib import Path
+
 import pytest
 
 from equipoise.artefacts import Value
@@ -50,6 +53,14 @@ def test_a_recipe_names_settings_that_exist(recipe):
     assert set(RECIPES[recipe]) <= set(NAMES)
     for name, wanted in RECIPES[recipe].items():
         assert value(resolve(recipe), name) == wanted
+
+
+def test_the_page_on_deviations_states_the_numbers_of_the_literal_recipe():
+    page = (Path(__file__).parents[1] / "docs" / "deviations.md").read_text()
+    table = page.partition("| open choice |")[2].partition("\n\n")[0]
+    stated = {float(number) for number in re.findall(r"\d[\d.]*(?:e-\d+)?", table)}
+    chosen = {each for each in RECIPES["paper"].values() if isinstance(each, float)}
+    assert chosen - {0.0, 1.0} <= stated
 
 
 def test_settings_say_which_recipe_they_are():

@@ -65,6 +65,8 @@ def run(policy, trials=TRIALS, duration=2.0, workers=1, seed=1, world=WORLD):
     for row, trial in enumerate(trials):
         drawn.number[row], drawn.start[row], drawn.variation[row] = trial
     run_all(twins(world, seed), policy, drawn, duration, workers)
+    beyond = np.abs(drawn.end[:, 2]) >= np.radians(11.0)
+    np.testing.assert_array_equal(beyond, drawn.cause == ANGLE)
     return list(zip(drawn.steps, drawn.cause, drawn.sum_x2, strict=True))
 
 

@@ -62,14 +62,14 @@ def _figures(recipe: RecipeResults) -> dict[str, Any]:
 
 def _trials(where: str, evaluation: Evaluation, seconds: float) -> dict[str, Any]:
     """Return the figures of trials: their median, and how many stood for a time [s]."""
-    results, trials = evaluation.results, len(evaluation.results.survival)
-    stood = sum(survival >= seconds for survival in results.survival)
+    summary = evaluation.results.summary()
+    stood = sum(survival >= seconds for survival in evaluation.results.survival)
     return {
-        f"{where}_trials": trials,
-        f"{where}_median_s": results.summary().median,
+        f"{where}_trials": summary.trials,
+        f"{where}_median_s": summary.median,
         f"{where}_stood_{seconds:g}s": stood,
-        f"{where}_interval": exact_interval(stood, trials),
-        f"{where}_ended_by": results.summary().outcomes,
+        f"{where}_interval": exact_interval(stood, summary.trials),
+        f"{where}_ended_by": summary.outcomes,
     }
 
 
