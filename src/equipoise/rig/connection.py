@@ -177,8 +177,9 @@ def emulated_rig(
 ) -> Rig:
     """Return a twin behind the drivers of a kind of robot, in virtual time, with its operator.
 
-    The robot's plugin may bring arm and servo of its own; the world then gives the rest. The link of an emulated robot takes its share of the twin's reply age each way, and the servo
-    the rest of the twin's transport.
+    The link of an emulated robot takes its share of the twin's reply age each way, and the servo
+    the rest of the twin's transport. A robot whose plugin makes a bench of its own has its own link
+    and servo, too.
 
     Args:
         world: The twin.
