@@ -19,7 +19,6 @@ from franka_sim import mujoco_franka_sim
 from franka_sim.franka_sim_server import FrankaSimServer
 from franka_sim.server import state_stream
 
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.rig.simulated_rig import Bench, Mechanism
 from equipoise.robots.franka import franky
 from equipoise.settings import GRAVITY
@@ -38,7 +37,7 @@ class Mechanics(mujoco_franka_sim.MujocoFrankaSim):
 
     phi, _drag = 7, 0.0
 
-    def __init__(self, arm, pendulum: PendulumParameters, settings, q):
+    def __init__(self, arm, pendulum, settings, q):
         mujoco_franka_sim.ARM_INITIAL_Q = np.array(arm.with_held(q))
         with TemporaryDirectory() as folder:
             scene = Path(folder, "fr3.xml")
@@ -85,11 +84,6 @@ class Mechanics(mujoco_franka_sim.MujocoFrankaSim):
         rate = self.data.qvel[self.phi]
         self.data.qfrc_applied[self.phi] = -self._drag * abs(rate) * rate
 
-    @property
-    def inner_state(self):
-        """The state as `franky-sim` names it."""
-        return SimpleNamespace(q=self.data.qpos[:7])
-
 
 class Server(FrankaSimServer):
     """The controller, with all checks enforced."""
@@ -134,6 +128,10 @@ class FrankaSimRig(Bench):
         flange, rod = (model.body(name).id for name in (franky.LINK, "pendulum"))
         mechanism = Mechanism(data, flange, rod, self.robot.phi, self.robot.cycle)
         super().__init__(mechanism, pendulum, settings, seed=seed, start=start)
+
+    @property
+    def q(self):
+        return np.array(self.robot.data.qpos[: self.robot.phi])
 
 
 def _scene(arm, pendulum, settings):

@@ -11,16 +11,18 @@ pytest.importorskip("franky_sim")
 from equipoise.control.policy import shipped_policy
 from equipoise.outcomes import Outcome
 from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import connect
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
 from equipoise.robots.franka import lockstep
 from equipoise.robots.franka import robot as driver
-from tests.robots.franka.rig import serve_franka_sim, urdf
 
 pytestmark = [pytest.mark.slow, pytest.mark.compiled_only]
 
 PACKAGES = ["franka-sim==1.1.7", "numpy==1.26.4", "mujoco==3.2.7"]
-"""`franka-sim`, and what it needs in versions that this package does not take."""
+"""`franka-sim`, and what it needs in other versions than this project."""
+
+serve = lockstep._serve
 
 
 @pytest.fixture(scope="module")
@@ -33,21 +35,28 @@ def packages(tmp_path_factory):
     return folder
 
 
+def serve_franka_sim(pipe, bodies):
+    """Serve the rig of `franka-sim` in place of that of `franky-sim`, in its process."""
+    from equipoise.robots.franka import franky
+    from tests.robots.franka.franka_sim_rig import FrankaSimRig
+
+    franky.FrankyRig = FrankaSimRig
+    serve(pipe, bodies)
+
+
 @pytest.fixture
 def run(packages, monkeypatch):
-    """Return a function that runs a policy for 20 s with a seed, and returns how the run ended."""
-
     def run(seed):
-        settings = RigSettings(arm=str(urdf()), tip="fr3_link8", held=3)
+        """Run a policy for 20 s, and return how the run ended."""
+        settings = RigSettings(arm="fr3")
         policy = shipped_policy().model_copy(update={"arm": settings.described_arm})
-        request = RunRequest(
-            policy, policy.actuator, settings, "franka://HOST", "serial:///", 20.0, seed=seed
-        )
+        kind = "franka://twin:fr3"
+        request = RunRequest(policy, policy.actuator, settings, kind, None, 20.0, seed=seed)
         with monkeypatch.context() as patch:
             patch.setattr(lockstep, "_serve", serve_franka_sim)
             patch.setenv("EQUIPOISE_CACHE_DIR", str(packages / "cache"))
-            patch.syspath_prepend(packages)  # of the new process
-            rig = lockstep.lockstep_rig(request)
+            patch.syspath_prepend(packages)  # the new process finds them first
+            rig = connect(request)
         try:
             return run_virtually(request, None, rig=rig)
         finally:
