@@ -46,8 +46,6 @@ CLOSE: Final = 1e-3
 """Maximum difference of the flange's places by both models [m]."""
 LOST: Final = 20
 """Number of packets without a command that end a motion."""
-ROUNDING: Final = 1e-2
-"""Share of a limit by which a command may exceed it [-], for the packets' 32-bit numbers."""
 ERRORS: Final = {
     "joint_reflex": 6,
     "joint_motion_generator_velocity_limits_violation": 13,
@@ -154,7 +152,7 @@ class Controller(FrankaRobotServer):
         """
         new = self._command is not None
         self._lost = 0 if new else self._lost + 1
-        if self._lost > LOST:
+        if self._lost == LOST:
             return "communication_constraints_violation"
         dq = self._command if new else self._dq + PERIOD * self._ddq
         ddq = (dq - self._dq) / PERIOD
@@ -165,7 +163,7 @@ class Controller(FrankaRobotServer):
             / (JERK * PERIOD),
         }
         self._dq, self._ddq = dq, ddq
-        broken = (name for name, x in limits.items() if np.abs(x).max() > 1.0 + ROUNDING)
+        broken = (name for name, x in limits.items() if np.abs(x).max() > 1.0)
         return next(broken, "")
 
     def _post_process_commands(self) -> None:
