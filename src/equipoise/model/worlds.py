@@ -116,8 +116,8 @@ class TwinSettings(Value):
     """Number of physics engine steps per millisecond."""
     guards: bool = True
     """Whether the safety rules of a rig end a trial (cause `guard`)."""
-    t1: bool = False
-    """Whether these rules include the speed limit of T1."""
+    max_speed: float | None = Field(default=None, gt=0.0, le=2.0)
+    """Flange speed limit of these rules [m/s]; None for none."""
 
 
 def pendulum_on(
