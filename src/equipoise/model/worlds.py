@@ -180,6 +180,16 @@ WORLDS: Final[Mapping[str, Mapping[str, Any]]] = {
     "pd": {"inner": "pd"},
     "trajectory40": {"inner": "trajectory40"},
     "smart60": {"shaped": False, "transport": 0.044, "inner": "pd"},
+    # A path that the servo follows with its velocity, from one setpoint to the next.
+    "fr3": {
+        "shaped": False,
+        "transport": 0.003,
+        "transport_jitter": 0.0005,
+        "cycle": 0.005,
+        "lag": 0.002,
+        "rotor_inertia": (0.195, 0.195, 0.195, 0.195, 0.074),
+        "reply_age": 0.001,
+    },
     "fri": {"shaped": False, "transport": 0.003, "inner": "pd"},
 }
 """Frozen parameter sets of the digital twin by name: differences to the defaults of `TwinSettings`.

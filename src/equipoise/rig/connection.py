@@ -26,6 +26,7 @@ from equipoise.rig.interfaces import (
 )
 from equipoise.rig.paced import PacedStream
 from equipoise.rig.plugins import (
+    Bodies,
     Emulated,
     RobotPlugin,
     SensorPlugin,
@@ -36,7 +37,6 @@ from equipoise.rig.plugins import (
     scheme_of,
 )
 from equipoise.rig.request import RunRequest
-from equipoise.rig.simulated_rig import SimulatedRig
 
 
 class Rig(NamedTuple):
@@ -52,7 +52,7 @@ class Rig(NamedTuple):
     """The kind of robot."""
     operator: Operator | None = None
     """Emulated operator; None for a person at the rig."""
-    bench: SimulatedRig | None = None
+    bench: Any = None
     """Arm, pendulum, hand and button of an emulated rig."""
     emulated: tuple[Emulated[Any], Emulated[AngleSensor]] | None = None
     """Robot and encoder of an emulated rig: their drivers and emulators, for fault injection."""
@@ -178,7 +178,8 @@ def emulated_rig(
     """Return a twin behind the drivers of a kind of robot, in virtual time, with its operator.
 
     The link of an emulated robot takes its share of the twin's reply age each way, and the servo
-    the rest of the twin's transport.
+    the rest of the twin's transport. A robot whose plugin makes a bench of its own has its own link
+    and servo, too.
 
     Args:
         world: The twin.
@@ -205,7 +206,7 @@ def emulated_rig(
     clock, arm = VirtualClock(), settings.described_arm
     # The joints begin up to 0.1 rad beside home.
     offset = 0.1 * np.random.default_rng(seed).uniform(-1.0, 1.0, FREE_JOINTS)
-    bench = SimulatedRig(arm, pendulum, numbers, seed=seed, q=arm.home_free + offset)
+    bench = plugin.bench(Bodies(arm, pendulum, numbers, arm.home_free + offset, 0.0, seed))
     clock.attach(bench.advance)
     encoder = bench, clock, settings.counts_per_rev, settings.encoder_sign, seed
     sensor = make_driver(SensorPlugin, "emulate", "serial", *encoder)

@@ -63,7 +63,7 @@ class Emulated(NamedTuple, Generic[Device]):
 
 
 class Bodies(NamedTuple):
-    """Bodies of a rig that is to be emulated in real time."""
+    """Bodies of a rig that is to be emulated."""
 
     arm: Arm
     """The arm with its home posture."""
@@ -77,6 +77,16 @@ class Bodies(NamedTuple):
     """Start time [s]."""
     seed: int
     """Seed of all random numbers."""
+
+
+def simulated_rig(bodies: Bodies) -> SimulatedRig:
+    """Return a rig with the arm of a twin; the default bench of an emulated robot.
+
+    Raises:
+        ArmError: The masses of the arm's links are unknown.
+    """
+    arm, pendulum, settings, q, start, seed = bodies
+    return SimulatedRig(arm, pendulum, settings, seed=seed, start=start, q=q)
 
 
 class Hardware(Protocol):
@@ -105,10 +115,12 @@ class RobotPlugin(Value):
     open: Callable[[str, Session], Robot | PacedRobot] | None = None
     """Returns the driver for an address, without opening anything; raises `InputError` if the
     address is invalid. None for a robot that exists in virtual time only."""
-    emulate: Callable[[SimulatedRig, Arm, Session, float, int], Emulated[Any]] | None = None
-    """Returns the driver in front of an emulator. Arguments: the simulated rig whose `body` the
-    emulator moves and measures, the arm, the driver's session, the delay of the link each way [s],
-    and a seed. None without an emulator."""
+    bench: Callable[[Bodies], Any] = simulated_rig
+    """Makes the bench of the emulator: a `SimulatedRig`, or another with its acts and its angle."""
+    emulate: Callable[[Any, Arm, Session, float, int], Emulated[Any]] | None = None
+    """Returns the driver in front of an emulator. Arguments: the bench, whose `body` the emulator
+    moves and measures, the arm, the driver's session, the delay of the link each way [s], and a
+    seed. None without an emulator."""
     hardware: Callable[[Bodies, int | None, Callable[[str], None]], Hardware] | None = None
     """Switches emulated hardware on, in real time. Arguments: the bodies, the port (0 for a free
     one, None for the usual one), and what receives a text for each event. None without hardware."""

@@ -18,10 +18,10 @@ from equipoise.rig.plugins import Bodies
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
 from equipoise.robots.franka import robot as driver
-from equipoise.robots.franka.lockstep import Lockstep, lockstep_rig
+from equipoise.robots.franka.arm import fr3
+from equipoise.robots.franka.lockstep import Lockstep
 from equipoise.robots.franka.robot import FrankaRobot
 from equipoise.testing import RobotConformance, RobotUnderTest
-from tests.robots.franka.rig import fr3, urdf
 
 pytestmark = pytest.mark.compiled_only
 
@@ -121,12 +121,8 @@ def test_a_motion_without_commands_is_stopped(bench):
 
 
 def test_a_policy_balances_a_pendulum_on_an_fr3():
-    settings = RigSettings(arm=str(urdf()), tip="fr3_link8", held=3)
+    settings = RigSettings(arm="fr3")
     policy = shipped_policy().model_copy(update={"arm": settings.described_arm})
-    request = RunRequest(policy, policy.actuator, settings, "franka://HOST", "serial:///", 5.0)
-    rig = lockstep_rig(request)
-    try:
-        end = run_virtually(request, None, rig=rig)
-    finally:
-        rig.bench.close()
+    request = RunRequest(policy, policy.actuator, settings, "franka://twin:fr3", None, 5.0)
+    end = run_virtually(request, None)
     assert end.outcome is Outcome.LASTED, end.reason

@@ -28,6 +28,7 @@ from equipoise.model.arms.chain import rotation_from_rpy
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.physics_engine import mujoco
 from equipoise.model.worlds import TwinSettings
+from equipoise.rig.interfaces import Array
 from equipoise.rig.plugins import Bodies
 from equipoise.rig.simulated_rig import Bench, Mechanism
 from equipoise.robots.franka.robot import JOINTS
@@ -236,6 +237,11 @@ class FrankyRig(Bench):
         mechanism = Mechanism(data, flange, rod, int(phi), self._step)
         super().__init__(mechanism, pendulum, settings, seed=seed, start=start)
 
+    @property
+    def q(self) -> Array:
+        """True joints [rad], shape (7,)."""
+        return np.array(self.robot.inner_state.q)
+
     def close(self) -> None:
         """Switch the controller off."""
         self.controller.cleanup()
@@ -291,10 +297,7 @@ class FrankyHardware:
 
 
 def _not_an_fr3(arm: Arm) -> InputError:
-    return InputError(
-        f"{arm.name} is not the FR3 of franky-sim; give its URDF with --arm, which is fr3.urdf in "
-        "franky_sim/assets, with tip fr3_link8 and joint 3 held in a rig.toml"
-    )
+    return InputError(f"{arm.name} is not the FR3 of franky-sim; give --arm fr3")
 
 
 def _add_pendulum(

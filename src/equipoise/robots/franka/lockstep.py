@@ -10,44 +10,37 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
 
-import numpy as np
-
-from equipoise.model.arms.arm import FREE_JOINTS
-from equipoise.model.worlds import pendulum_on, read_world
-from equipoise.rig.clocks import DrainingClock, VirtualClock
-from equipoise.rig.connection import Rig
-from equipoise.rig.emulated_operator import EmulatedOperator
-from equipoise.rig.paced import PacedStream
-from equipoise.rig.plugins import Bodies, robot_plugin
-from equipoise.rig.request import RunRequest
-from equipoise.rig.transports import memory_pipe
-from equipoise.robots.encoder.board import Board
-from equipoise.robots.encoder.sensor import LineEncoder
-from equipoise.robots.franka.robot import FrankaRobot
+from equipoise.errors import EquipoiseError
+from equipoise.rig.plugins import Bodies
 
 POLL: Final = 0.002
 """Real time without a cycle after which a waiting client is served [s]."""
 
 
 class Lockstep:
-    """The rig of another process: its acts, its encoder's bytes, and its time."""
+    """The rig of another process: its acts, its time, and what is seen of it."""
 
     def __init__(self, bodies: Bodies) -> None:
-        """Start the process; see `FrankyRig`."""
+        """Start the process.
+
+        Raises:
+            InputError: The arm is no FR3.
+            OutsideError: No address is free.
+        """
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs, bodies), daemon=True)
         self._process.start()
         theirs.close()
-        self.host: str = self._pipe.recv()
+        self.settings = bodies.settings
+        """Settings of the world."""
+        self.host: str = self._receive()
         """Address of the controller."""
-        self.q = np.array(bodies.arm.with_held(bodies.q))
-        """True joints [rad], shape (7,)."""
+        self.advance(bodies.start)
 
-    def advance(self, now: float, to_board: bytes = b"") -> bytes:
-        """Advance the rig to a time [s]; pass bytes to the encoder's board, and return its own."""
-        self.q, sent = self._call("advance", now, to_board)
-        return sent
+    def advance(self, now: float) -> None:
+        """Advance the rig to a time [s], and update `q`, `theta` and `button` of the bench."""
+        self.q, self.theta, self.button = self._call("advance", now)
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         """Return an act of the rig or its controller, such as `lift`."""
@@ -57,7 +50,13 @@ class Lockstep:
 
     def _call(self, name: str, *arguments: Any, **options: Any) -> Any:
         self._pipe.send((name, arguments, options))
-        return self._pipe.recv()
+        return self._receive()
+
+    def _receive(self) -> Any:
+        received = self._pipe.recv()
+        if isinstance(received, EquipoiseError):
+            raise received
+        return received
 
     def close(self) -> None:
         """End the process."""
@@ -65,36 +64,14 @@ class Lockstep:
         self._process.join(5.0)
 
 
-def lockstep_rig(request: RunRequest) -> Rig:
-    """Return the rig of a request, in lockstep, with its operator.
-
-    Args:
-        request: The run.
-    """
-    settings, clock = read_world("twin:nominal").settings, VirtualClock()
-    arm, seed = request.settings.described_arm, request.seed
-    pendulum = pendulum_on(request.policy.pendulum, settings)
-    q = arm.home_free + 0.1 * np.random.default_rng(seed).uniform(-1.0, 1.0, FREE_JOINTS)
-    bench: Any = Lockstep(Bodies(arm, pendulum, settings, q, 0.0, seed))
-    here, there = memory_pipe(clock, settings.encoder_age)
-
-    def advance(now: float) -> None:
-        there.write(bench.advance(now, there.read()))
-
-    clock.attach(advance)
-    sensor = LineEncoder(lambda: here, clock, counts_per_rev=settings.counts_per_rev)
-    draining = DrainingClock(clock, sensor)
-    stream = PacedStream(FrankaRobot(bench.host, draining), clock, request.policy.h / 2.0, draining)
-    operator = EmulatedOperator(bench, clock, seed=seed)
-    return Rig(stream, sensor, stream, robot_plugin("franka"), operator, bench)
-
-
 def _serve(pipe: Any, bodies: Bodies) -> None:
     from equipoise.robots.franka.franky import FrankyRig
 
-    rig = FrankyRig(bodies)
-    counts, seed = bodies.settings.counts_per_rev, bodies.seed
-    board = Board(lambda: rig.theta, counts_per_rev=counts, seed=seed)
+    try:
+        rig = FrankyRig(bodies)
+    except EquipoiseError as error:
+        pipe.send(error)
+        return
     pipe.send(rig.controller.hostname)
     while True:
         try:
@@ -104,12 +81,6 @@ def _serve(pipe: Any, bodies: Bodies) -> None:
             name, arguments, options = pipe.recv()
         except EOFError:
             return
-        if name == "advance":
-            now, data = arguments
-            rig.advance(now)
-            board.feed(data)
-            board.press(rig.button)
-            pipe.send((np.array(rig.robot.inner_state.q), board.advance(now)))
-        else:
-            owner = rig if hasattr(rig, name) else rig.controller
-            pipe.send(getattr(owner, name)(*arguments, **options))
+        owner = rig if hasattr(rig, name) else rig.controller
+        result = getattr(owner, name)(*arguments, **options)
+        pipe.send((rig.q, rig.theta, rig.button) if name == "advance" else result)

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Final
+from typing import Any, Final
 from urllib.parse import urlsplit
 
 from equipoise.errors import InputError, import_optional
-from equipoise.rig.plugins import Bodies, Hardware, RobotPlugin, Session
+from equipoise.model.arms.arm import Arm
+from equipoise.rig.plugins import Bodies, Emulated, Hardware, RobotPlugin, Session
 from equipoise.robots.franka.robot import FrankaRobot
 
 
@@ -31,6 +32,23 @@ def open_robot(address: str, session: Session) -> FrankaRobot:
     return FrankaRobot(host(address), session.clock, notify=session.notify)
 
 
+def bench(bodies: Bodies) -> Any:
+    """Return a rig on `franky-sim`, in lockstep.
+
+    Raises:
+        MissingExtraError: `franky-sim` is not installed.
+    """
+    import_optional("franky_sim", "peers")
+    from equipoise.robots.franka.lockstep import Lockstep
+
+    return Lockstep(bodies)
+
+
+def emulate(rig: Any, arm: Arm, session: Session, delay: float, seed: int) -> Emulated[FrankaRobot]:
+    """Return the driver in front of a rig on `franky-sim`."""
+    return Emulated(FrankaRobot(rig.host, session.clock), emulator=rig)
+
+
 def hardware(bodies: Bodies, port: int | None, say: Callable[[str], None]) -> Hardware:
     """Return emulated hardware on `franky-sim`.
 
@@ -45,6 +63,8 @@ def hardware(bodies: Bodies, port: int | None, say: Callable[[str], None]) -> Ha
 
 PLUGIN: Final = RobotPlugin(
     open=open_robot,
+    bench=bench,
+    emulate=emulate,
     hardware=hardware,
     failure=(
         "If this computer or the cable fails, the controller stops the arm within 20 ms. Keep the "

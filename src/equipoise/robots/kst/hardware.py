@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import Final
 
 from equipoise.errors import OutsideError
-from equipoise.rig.plugins import Bodies
+from equipoise.rig.plugins import Bodies, simulated_rig
 from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.rig.transports import CHUNK
 from equipoise.robots.kst.codec import PORT
@@ -47,8 +47,7 @@ class KstHardware:
         self._listener.setblocking(False)
         self.address = f"kst://{HOST}:{self._listener.getsockname()[1]}"
         """Address of the robot."""
-        arm, pendulum, settings, q, start, seed = bodies
-        self.bench = SimulatedRig(arm, pendulum, settings, seed=seed, start=start, q=q)
+        self.bench = simulated_rig(bodies)
         """Bench with the arm."""
         body = self.bench.body
         _warm_up(self.bench)
