@@ -1,4 +1,4 @@
-"""The cabinet: when setpoints arrive, and how the joints follow them."""
+"""The servo: when setpoints arrive, and how the joints follow them."""
 
 import numpy as np
 import pytest

@@ -61,7 +61,7 @@ class TwinSettings(Value):
     """Whether the server applies its shaping law, as in its source. Otherwise the destination is
     the setpoint, as behind KUKA's FRI."""
     inner: Inner = "velocity"
-    """Servo model of the cabinet behind the shaping law; it is not published. `velocity`: a joint
+    """Servo model behind the shaping law; that of KUKA is not published. `velocity`: a joint
     velocity of (destination - q) over the cycle, through a first-order lag. `pd`: a PD controller
     on the destination. `trajectory40`: as velocity, but over the minimum trajectory time of 40 ms
     that the server's source requests."""

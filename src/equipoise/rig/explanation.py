@@ -78,8 +78,7 @@ ADVICE: Final[dict[Outcome | RootCause, str]] = {
         (Outcome.LINK, Outcome.MEASUREMENT_STALE),
         "check cable and network; `equipoise rig doctor` measures round trips",
     ),
-    Outcome.LINK_LOST: "follow the advice of the robot's message; without one, check cable and "
-    "network with `equipoise rig doctor`",
+    Outcome.LINK_LOST: "follow the evidence; `equipoise rig doctor` measures the link",
     **dict.fromkeys(
         (Outcome.NOT_FOLLOWING, Outcome.FOLLOWING, Outcome.FIRST),
         "check the robot's panel: emergency stop, enabling switch, mode",
