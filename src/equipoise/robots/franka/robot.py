@@ -13,6 +13,7 @@ import os
 import select
 import socket
 import stat
+from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, Final, NoReturn
@@ -22,7 +23,7 @@ import numpy as np
 from equipoise.errors import LinkError, import_optional
 from equipoise.rig.interfaces import Array, Clock, Request, checked_setpoint
 from equipoise.rig.plugins import ignore
-from equipoise.robots.franka.velocity import GAIN, PERIOD, limited, velocity_limits
+from equipoise.robots.franka.velocity import GAIN, LAG, PERIOD, limited, velocity_limits
 
 JOINTS: Final = 7
 """Number of joints of the arm."""
@@ -82,7 +83,7 @@ class FrankaRobot:
         self._offset = np.inf
         self._time, self._elapsed = 0.0, PERIOD
         self._state: Any = None
-        self._path: Array | None = None
+        self._path = deque[Array](maxlen=LAG + 1)
         self._velocity = self._acceleration = np.zeros(JOINTS)
 
     def connect(self) -> None:
@@ -128,7 +129,8 @@ class FrankaRobot:
         self._fresh()
         self._streams = True
         self._velocity = self._acceleration = np.zeros(JOINTS)
-        self._path = self._state = None
+        self._path.clear()
+        self._state = None
 
     def request(self, until: float) -> Request | None:
         """Block until the next state of the controller, or until a time [s].
@@ -168,9 +170,9 @@ class FrankaRobot:
         """
         there = checked_setpoint(q, JOINTS)
         measured = np.array(self._state.q)
-        before = there if self._path is None else self._path
-        v = (there - before) / self._elapsed + GAIN * (there - measured)
-        self._path = there
+        before = self._path[-1] if self._path else there
+        self._path.append(there)
+        v = (there - before) / self._elapsed + GAIN * (self._path[0] - measured)
         self._command(v, measured)
 
     def stop(self) -> None:
