@@ -110,7 +110,6 @@ def rig_log(tmp_path_factory):
         robot="kst://emulated",
         encoder="serial:///emulated",
         duration=1.5,
-        t1=False,
         dry_run=False,
         seed=3,
     )

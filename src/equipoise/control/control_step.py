@@ -76,8 +76,8 @@ POSE_TOLERANCE: Final = 1e-12
 """Pose error at which they end [m], [rad]."""
 
 SETPOINTS_PER_TICK: Final = 2
-"""Setpoints per tick: at 100 Hz the server's servo would move the joints in bursts of four times
-their mean speed, at 200 Hz of twice."""
+"""Setpoints per tick: at 100 Hz a servo with a shaping law would move the joints in bursts of four
+times their mean speed, at 200 Hz of twice."""
 HISTORY_TICKS: Final = 12
 """Number of ticks of the arm's motion in the history."""
 MIN_PREDICTION_STEP: Final = 1e-9

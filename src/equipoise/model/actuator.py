@@ -324,7 +324,7 @@ def track(
 ) -> None:
     """Simulate one joint from its first measured position to its last.
 
-    The joint moves as under `follow`. The phase of the cabinet's cycles is unknown, and transports
+    The joint moves as under `follow`. The phase of the servo's cycles is unknown, and transports
     jitter. Therefore cycles begin at the first measurement, and within a cycle each setpoint is
     weighted by its mean active time, so that positions depend smoothly on the delay.
 

@@ -75,15 +75,16 @@ ADVICE: Final[dict[Outcome | RootCause, str]] = {
     Outcome.TRACK: "train a policy that stays on the track of the twin (`equipoise evaluate`)",
     **dict.fromkeys((Outcome.NUMBER, Outcome.COUNT), "keep this log and report it"),
     **dict.fromkeys(
-        (Outcome.LINK, Outcome.LINK_LOST, Outcome.MEASUREMENT_STALE),
+        (Outcome.LINK, Outcome.MEASUREMENT_STALE),
         "check cable and network; `equipoise rig doctor` measures round trips",
     ),
+    Outcome.LINK_LOST: "follow the evidence; `equipoise rig doctor` measures the link",
     **dict.fromkeys(
         (Outcome.NOT_FOLLOWING, Outcome.FOLLOWING, Outcome.FIRST),
         "check the robot's panel: emergency stop, enabling switch, mode",
     ),
     Outcome.TORQUE: "find what the arm touched before it moves again",
-    Outcome.SPEED: "train with --set plant.max_speed=0.23, leave T1, or make the link faster",
+    Outcome.SPEED: "train for this limit (--set plant.max_speed), raise it, or speed up the link",
     **dict.fromkeys(
         (Outcome.DRIFT, Outcome.TILT),
         "check the mounting of base and flange, and the actuator in use",

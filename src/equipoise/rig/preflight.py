@@ -63,7 +63,7 @@ def preflight(
     policy, settings, seconds = request.policy, request.settings, 1.0  # of each measurement
     trips = round_trips(rig.robot, DrainingClock(rig.clock, rig.sensor), seconds)
     rule = rig.plugin.flange_speed
-    max_speed = max_flange_speed(settings.described_arm, trips, request.t1, rule)
+    max_speed = max_flange_speed(settings.described_arm, trips, request.max_speed, rule)
     results = [
         check_link(trips),
         *check_speed(policy, max_speed),
