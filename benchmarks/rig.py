@@ -6,6 +6,7 @@ in another, once for each run; this script types the answers of an operator::
     python benchmarks/rig.py --runs 20 --duration 60 --out runs
     python benchmarks/rig.py --runs 1 --duration 600 --out runs
     python benchmarks/rig.py --runs 10 --duration 30 --console client --out runs
+    python benchmarks/rig.py policy.json --robot franka --arm fr3 --runs 10 --out runs
 
 With `--console` each run is made twice, without and with the console, in alternating order. A
 `client` receives all that the console sends to a browser on another computer; a `browser` is
@@ -59,7 +60,8 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--world", default="twin:nominal")
-    parser.add_argument("--port", type=int, default=30001)
+    parser.add_argument("--robot", default="kst")
+    parser.add_argument("--arm", default="iiwa7")
     parser.add_argument("--console", choices=("client", "browser"), help="who watches")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--json", type=Path, help="file of the results")
@@ -110,7 +112,7 @@ def _run(given: argparse.Namespace, number: int, console: bool) -> dict[str, obj
         rig = subprocess.Popen(
             [
                 *(*EQUIPOISE, "rig", "emulate", "--world", given.world, "--seed", str(number)),
-                *("--port", str(given.port), "--encoder-link", str(link)),
+                *("--robot", given.robot, "--arm", given.arm, "--encoder-link", str(link)),
             ],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -242,8 +244,8 @@ def _deploy(
     process = subprocess.Popen(
         [
             *(*EQUIPOISE, "deploy", *([given.policy] if given.policy else [])),
-            *("--robot", f"kst://127.0.0.1:{given.port}", "--encoder", f"serial://{link}"),
-            *("--duration", str(given.duration), "--out", str(log), "--json"),
+            *("--robot", f"{given.robot}://127.0.0.1", "--encoder", f"serial://{link}"),
+            *("--arm", given.arm, "--duration", str(given.duration), "--out", str(log), "--json"),
         ],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,

@@ -15,7 +15,7 @@ class Emulated(Options):
     """The emulated rig."""
 
     robot: str = "kst"
-    """kst; or franka, by franky-sim, with --arm a URDF of the FR3."""
+    """kst; or franka, with --arm fr3, by franky-sim."""
     world: str = "twin:nominal"
     """twin:nominal, twin:harsh, or twin:FILE."""
     arm: str = "iiwa7"

@@ -55,10 +55,10 @@ class TwinSettings(Value):
     transport_jitter: float = Field(default=0.001, ge=0.0, le=0.05)
     """Half width of the uniform jitter of that delay [s]; the order is kept. Assumed."""
     cycle: float = Field(default=0.001, ge=0.001, le=0.01, multiple_of=0.001)
-    """Cycle of the server's shaping law, in whole milliseconds [s]: `Thread.sleep(1)` in its
+    """Cycle of a KST server's shaping law, in whole milliseconds [s]: `Thread.sleep(1)` in its
     source."""
     shaped: bool = True
-    """Whether the server applies its shaping law, as in its source. Otherwise the destination is
+    """Whether a KST server applies its shaping law, as in its source. Otherwise the destination is
     the setpoint, as behind KUKA's FRI."""
     inner: Inner = "velocity"
     """Servo model behind the shaping law; that of KUKA is not published. `velocity`: a joint
@@ -179,7 +179,7 @@ WORLDS: Final[Mapping[str, Mapping[str, Any]]] = {
     "light-rotors": {"rotor_inertia": (0.02,)},
     "bare": {"rotor_inertia": (0.0,)},
     "pd": {"inner": "pd"},
-    # The server's `setMinimumTrajectoryExecutionTime`.
+    # `setMinimumTrajectoryExecutionTime` of a KST server.
     "trajectory40": {"reach_time": 0.040},
     "smart60": {"shaped": False, "transport": 0.044, "inner": "pd"},
     # As identified over the driver's stream of velocities; rotors of `franky-sim`.

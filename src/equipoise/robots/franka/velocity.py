@@ -18,6 +18,7 @@ from typing import Final
 import numpy as np
 
 from equipoise.rig.interfaces import Array
+from equipoise.robots.franka.arm import ACCELERATION, fr3
 
 PERIOD: Final = 0.001
 """Cycle of the controller [s]."""
@@ -30,16 +31,10 @@ slow the joints by 2 to 4 mrad/s otherwise. Behind 5 ms of packets and servo the
 phase margin of 60 deg."""
 SHARE: Final = 0.95
 """Share of the controller's limits that is used [-]."""
-ACCELERATION: Final = 10.0
-"""Acceleration at which the controller stops the arm [rad/s^2]."""
 JERK: Final = 5000.0
 """Jerk at which the controller stops the arm [rad/s^3]."""
-LOWER: Final = np.array([-2.7501, -1.7918, -2.9065, -3.0481, -2.8101, 0.54092, -3.0196])
-"""Lower position limits [rad]."""
-UPPER: Final = np.array([2.7501, 1.7918, 2.9065, -0.1458, 2.8101, 4.5205, 3.0196])
-"""Upper position limits [rad]."""
-VELOCITY: Final = np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
-"""Velocity limits far from the position limits [rad/s]."""
+LOWER, UPPER, VELOCITY = np.array([(one.lower, one.upper, one.velocity) for one in fr3().joints]).T
+"""Position limits [rad], and velocity limits far from them [rad/s]."""
 OFFSET: Final = np.array([0.652, 0.25, 0.2005, 0.3542, 0.5738, 0.4885, 0.4592])
 """Reduction of the velocity limits near the position limits [rad/s]."""
 DECELERATION: Final = np.array([6.0, 2.585, 3.5, 4.0, 8.0, 5.5, 8.0])
