@@ -98,8 +98,12 @@ class FrankaRobot:
         before = _datagram_sockets()
         # Without a real-time kernel, too: the diagnosis measures what this machine can do.
         ignored = self._library.RealtimeConfig.kIgnore
-        with self._final_errors():
-            self._robot = self._library.Robot(self._host, ignored)
+        scheduling = os.sched_getscheduler(0), os.sched_getparam(0)
+        try:
+            with self._final_errors():
+                self._robot = self._library.Robot(self._host, ignored)
+        finally:  # libfranka gives this thread the highest priority of the machine
+            os.sched_setscheduler(0, *scheduling)
         self._packets = (_datagram_sockets() - before).pop()
         if not os.path.exists("/sys/kernel/realtime"):
             self._notify(
