@@ -75,9 +75,10 @@ ADVICE: Final[dict[Outcome | RootCause, str]] = {
     Outcome.TRACK: "train a policy that stays on the track of the twin (`equipoise evaluate`)",
     **dict.fromkeys((Outcome.NUMBER, Outcome.COUNT), "keep this log and report it"),
     **dict.fromkeys(
-        (Outcome.LINK, Outcome.LINK_LOST, Outcome.MEASUREMENT_STALE),
+        (Outcome.LINK, Outcome.MEASUREMENT_STALE),
         "check cable and network; `equipoise rig doctor` measures round trips",
     ),
+    Outcome.LINK_LOST: "follow the evidence; `equipoise rig doctor` measures the link",
     **dict.fromkeys(
         (Outcome.NOT_FOLLOWING, Outcome.FOLLOWING, Outcome.FIRST),
         "check the robot's panel: emergency stop, enabling switch, mode",
