@@ -57,7 +57,7 @@ def test_the_lag_on_a_ramp_is_that_of_the_server(cycle, lag):
 
 @pytest.mark.parametrize(
     "changes",
-    [{}, {"inner": "pd", "shaped": False}, {"inner": "trajectory40"}],
+    [{}, {"inner": "pd", "shaped": False}, {"reach_time": 0.040}],
     ids=str,
 )
 def test_an_arm_without_load_moves_as_the_equivalent_actuator(changes):

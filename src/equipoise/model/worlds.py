@@ -36,7 +36,7 @@ MODEL: Final = "model"
 PREFIX: Final = "twin:"
 """Prefix of the names of digital twins."""
 
-Inner = Literal["velocity", "pd", "trajectory40"]
+Inner = Literal["velocity", "pd"]
 RotorInertia = Annotated[float, Field(ge=0.0, le=100.0)]
 """Inertia of the motor and gear of a joint, reflected to its output: n^2 J [kg m^2]."""
 LWR_ROTORS: Final = (3.19, 3.05, 1.98, 2.05, 0.787, 0.391, 0.394)
@@ -62,9 +62,10 @@ class TwinSettings(Value):
     the setpoint, as behind KUKA's FRI."""
     inner: Inner = "velocity"
     """Servo model of the cabinet behind the shaping law; it is not published. `velocity`: a joint
-    velocity of (destination - q) over the cycle, through a first-order lag. `pd`: a PD controller
-    on the destination. `trajectory40`: as velocity, but over the minimum trajectory time of 40 ms
-    that the server's source requests."""
+    velocity of (destination - q) over `reach_time`, through a first-order lag. `pd`: a PD
+    controller on the destination."""
+    reach_time: float | None = Field(default=None, ge=0.001, le=0.1)
+    """Time in which `velocity` would reach the destination [s]; by default the cycle."""
     lag: float = Field(default=0.008, ge=0.001, le=0.1)
     """Time constant of the joint drives [s]. Assumed: 4 to 16 ms are plausible."""
     pd_frequency: float = Field(default=125.0, ge=1.0, le=2000.0)
@@ -178,15 +179,16 @@ WORLDS: Final[Mapping[str, Mapping[str, Any]]] = {
     "light-rotors": {"rotor_inertia": (0.02,)},
     "bare": {"rotor_inertia": (0.0,)},
     "pd": {"inner": "pd"},
-    "trajectory40": {"inner": "trajectory40"},
+    # The server's `setMinimumTrajectoryExecutionTime`.
+    "trajectory40": {"reach_time": 0.040},
     "smart60": {"shaped": False, "transport": 0.044, "inner": "pd"},
-    # A path that the servo follows with its velocity, from one setpoint to the next.
+    # As identified over the driver's stream of velocities; rotors of `franky-sim`.
     "fr3": {
         "shaped": False,
-        "transport": 0.003,
+        "transport": 0.005,
         "transport_jitter": 0.0005,
-        "cycle": 0.005,
-        "lag": 0.002,
+        "reach_time": 0.004,
+        "lag": 0.001,
         "rotor_inertia": (0.195, 0.195, 0.195, 0.195, 0.074),
         "reply_age": 0.001,
     },

@@ -14,6 +14,7 @@ import os
 import select
 import socket
 import stat
+from collections import deque
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, Final, NoReturn
@@ -23,7 +24,7 @@ import numpy as np
 from equipoise.errors import LinkError, import_optional
 from equipoise.rig.config import Load
 from equipoise.rig.interfaces import Array, Clock, Request, checked_setpoint
-from equipoise.robots.franka.velocity import GAIN, PERIOD, limited, velocity_limits
+from equipoise.robots.franka.velocity import GAIN, LAG, PERIOD, limited, velocity_limits
 
 JOINTS: Final = 7
 """Number of joints of the arm."""
@@ -101,7 +102,7 @@ class FrankaRobot:
         self._state: Any = None
         self._same = 0
         self._desired = np.zeros(JOINTS)
-        self._path: Array | None = None
+        self._path = deque[Array](maxlen=LAG + 1)
         self._velocity = self._acceleration = np.zeros(JOINTS)
 
     def connect(self) -> None:
@@ -152,7 +153,8 @@ class FrankaRobot:
         self._fresh()
         self._streams, self._same = True, 0
         self._velocity = self._acceleration = np.zeros(JOINTS)
-        self._path = self._state = None
+        self._path.clear()
+        self._state = None
 
     def request(self, until: float) -> Request | None:
         """Block until the next state of the controller, or until a time [s].
@@ -205,10 +207,10 @@ class FrankaRobot:
         """
         there = checked_setpoint(q, JOINTS)
         measured = np.array(self._state.q)
-        before = there if self._path is None else self._path
-        here = self._desired if self._position else measured
-        v = (there - before) / self._elapsed + GAIN * (there - here)
-        self._path = there
+        before = self._path[-1] if self._path else there
+        self._path.append(there)
+        error = before - self._desired if self._position else self._path[0] - measured
+        v = (there - before) / self._elapsed + GAIN * error
         self._command(v, measured)
 
     def stop(self) -> None:

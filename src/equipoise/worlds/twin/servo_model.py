@@ -3,10 +3,10 @@ r"""KUKA's cabinet as the twin has it: from a setpoint that was sent to the torq
 Setpoints arrive after a transport that jitters, in the order in which they were sent. Each cycle of
 the server's loop the newest sets a destination, q plus the shaped step towards it (see
 `equipoise.model.actuator`); each millisecond the joint drives follow that destination. The law of
-the real drives is not published. Three assumptions, with the bare arm's mass matrix at home M:
+the real drives is not published. Two assumptions, with the bare arm's mass matrix at home M:
 
-``velocity``: the velocity (destination - q) / cycle, held over the cycle, through a first-order
-lag T; ``trajectory40``: the same over 40 ms instead of the cycle
+``velocity``: the velocity (destination - q) / `reach_time`, held over the cycle, through a
+first-order lag T
 
 .. math:: \tau = M\,(\dot q_c - \dot q)\,(1 - e^{-h/T}) / h
 
@@ -33,10 +33,8 @@ from equipoise.model.random import TWIN, philox, uniform
 from equipoise.model.worlds import Inner, TwinSettings, rotor_inertias
 from equipoise.worlds.twin.physics import TICK, mass_matrix
 
-VELOCITY, PD, TRAJECTORY40 = range(3)
-INNERS: Final[tuple[Inner, ...]] = ("velocity", "pd", "trajectory40")
-TRAJECTORY_TIME: Final = 0.040
-"""The server's `setMinimumTrajectoryExecutionTime` [s]."""
+VELOCITY, PD = range(2)
+INNERS: Final[tuple[Inner, ...]] = ("velocity", "pd")
 SLOTS: Final = 512
 """Maximum transport time of a setpoint [ms]: twice the longest transport."""
 
@@ -48,7 +46,7 @@ class ServoParams(NamedTuple):
     """Constants of the cabinet; all arrays are over all joints of the arm."""
 
     inner: int
-    """VELOCITY, PD or TRAJECTORY40."""
+    """VELOCITY or PD."""
     cycle: int
     """Cycle of the server's loop [ms]."""
     shaped: bool
@@ -101,13 +99,11 @@ def make_servo_params(arm: Arm, settings: TwinSettings) -> ServoParams:
     Raises:
         ArmError: The masses of the arm's links are not known.
     """
-    inner = INNERS.index(settings.inner)
-    reached = TRAJECTORY_TIME if inner == TRAJECTORY40 else settings.cycle
     return ServoParams(
-        inner=inner,
+        inner=INNERS.index(settings.inner),
         cycle=round(settings.cycle / TICK),
         shaped=settings.shaped,
-        rate=1.0 / reached,
+        rate=1.0 / (settings.reach_time or settings.cycle),
         share=float(lag_share(settings.lag)) / TICK,
         stiffness=settings.pd_frequency**2,
         damping=2.0 * settings.pd_frequency,
@@ -127,11 +123,9 @@ def equivalent_actuator(settings: TwinSettings) -> Actuator:
     Args:
         settings: Times and variant.
     """
-    cycle, lag = settings.cycle, settings.lag
+    cycle, lag = settings.reach_time or settings.cycle, settings.lag
     if settings.inner == "pd":
         cycle, lag = 2.0 / settings.pd_frequency, 0.5 / settings.pd_frequency
-    elif settings.inner == "trajectory40":
-        cycle = TRAJECTORY_TIME
     kind = "kst" if settings.shaped else "unshaped"
     return Actuator.assumed(kind, delay=settings.transport, lag=lag, cycle=cycle)
 
