@@ -198,8 +198,10 @@ class Controller(FrankaRobotServer):
         if self._frozen:
             return self._frozen
         state = self.robot_state
+        if self.current_motion_id:
+            state = state.replace(dq_d=tuple(self._dq))
         if self.current_motion_id and self._positions:
-            state = state.replace(q_d=tuple(self._q), dq_d=tuple(self._dq))
+            state = state.replace(q_d=tuple(self._q))
         if self._mode != RobotMode.kIdle:
             errors = tuple(self._errors)
             state = state.replace(robot_mode=self._mode, errors=errors, reflex_reason=errors)
@@ -209,12 +211,16 @@ class Controller(FrankaRobotServer):
 class FrankyRig(Bench):
     """An FR3 of `franky-sim` with a pendulum, hand and button, in time."""
 
-    def __init__(self, bodies: Bodies, hosts: Iterable[str] = OTHER_HOSTS) -> None:
+    def __init__(
+        self, bodies: Bodies, hosts: Iterable[str] = OTHER_HOSTS, *, real_time: bool = False
+    ) -> None:
         """Set up the rig, the arm at rest and the pendulum hanging.
 
         Args:
             bodies: The FR3, the pendulum and the world.
             hosts: Addresses of which the first free one serves the robot.
+            real_time: Whether a state is sent at the begin of its cycle, as by a real controller,
+                and a client has the whole cycle to answer; otherwise it needs none.
 
         Raises:
             InputError: The arm is no FR3.
@@ -248,6 +254,7 @@ class FrankyRig(Bench):
         data.qpos[phi] = np.pi
         mujoco().mj_forward(model, data)
         self._simulator: Any = simulator
+        self._real_time = real_time
         # The arm as its controller knows it, without pendulum, bracket and contacts.
         self._bare = copy.copy(model)
         for name in ("bracket", "pendulum"):
@@ -275,8 +282,11 @@ class FrankyRig(Bench):
 
     def _step(self) -> None:
         self.controller.process_commands()
+        if self._real_time:
+            self.controller.send_state()
         self._simulator.step()
-        self.controller.send_state()
+        if not self._real_time:
+            self.controller.send_state()
 
     def external_torque(self) -> tuple[float, ...]:
         """Return the torques of pendulum, bracket and contacts on the arm [N m], shape (7,).
@@ -309,7 +319,7 @@ class FrankyHardware:
         """
         if port is not None:
             raise InputError("a controller of an FR3 has ports of its own; leave --port out")
-        self.bench = FrankyRig(bodies, [HOST])
+        self.bench = FrankyRig(bodies, [HOST], real_time=True)
         self.address = f"franka://{HOST}"
         controller = self.bench.controller
         self.acts: dict[str, Callable[[], object]] = {
