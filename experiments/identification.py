@@ -16,11 +16,14 @@ import equipoise as eq
 from equipoise.model.worlds import WORLDS
 from equipoise.worlds.twin.servo_model import equivalent_actuator
 
+KUKA = [name for name in WORLDS if name != "fr3"]
+"""Worlds of the default arm."""
+
 
 def main() -> None:
     """Identify all logs, and print a row for each world."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--worlds", nargs="+", default=list(WORLDS))
+    parser.add_argument("--worlds", nargs="+", default=KUKA)
     parser.add_argument("--logs", type=int, default=10, help="number of logs of each world")
     parser.add_argument("--json", type=Path, help="file of the results")
     given = parser.parse_args()

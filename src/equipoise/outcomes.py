@@ -74,7 +74,7 @@ class Outcome(StrEnum):
     TRACK = "track"
     """The flange reached the end of its track, or could not be stopped within it any more."""
     SPEED = "flange speed"
-    """The flange reached its speed limit, such as that of T1."""
+    """The flange reached its speed limit."""
     DRIFT = "flange drift"
     """The flange has left its line."""
     TILT = "flange tilt"

@@ -30,11 +30,11 @@ def test_a_run_on_a_twin_is_told_and_written(equipoise, tmp_path):
 
 
 def test_a_dry_run_ends_before_the_arm_moves_and_names_the_run_itself(equipoise):
-    options = ("--arm", "iiwa14", "--t1", "--duration", 5)
+    options = ("--arm", "iiwa14", "--max-speed", 0.23, "--duration", 5)
     ran = equipoise("deploy", "lqr", "--robot", "twin:nominal", "--dry-run", *options)
     assert ran.code == 0, ran
     assert "Moving to home" not in ran.out
-    again = "deploy lqr --duration 5.0 --robot twin:nominal --t1 --arm iiwa14"
+    again = "deploy lqr --duration 5.0 --robot twin:nominal --max-speed 0.23 --arm iiwa14"
     assert ran.out.endswith(f"next: equipoise {again} --out run-2.mcap\n")
 
 

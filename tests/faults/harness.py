@@ -56,7 +56,7 @@ class Scenario:
     settings: RigSettings = field(default_factory=RigSettings)
     policy: TabularPolicy = field(default_factory=shipped_policy)
     duration: float = 3.0  # of the balancing [s]
-    t1: bool = False
+    max_speed: float | None = None  # of the flange [m/s]
     identify: bool = False  # whether the arm is excited and identified before the lift
     out: Path | None = None  # the log
     missed_messages: frozenset[str] = frozenset()  # of the emulated operator
@@ -115,7 +115,7 @@ class FaultHarness:
         self.scenario = scenario
         world = read_world(WORLD)
         pendulum = pendulum_on(scenario.policy.pendulum, world.settings)
-        self.rig = emulated_rig(world, scenario.settings, pendulum, seed=seed)
+        self.rig = emulated_rig(world, scenario.settings, pendulum, robot="kst", seed=seed)
         self.robot, self.sensor = self.rig.emulated
         self.bench, self.board = self.rig.bench, self.sensor.emulator
         clock = self.rig.clock
@@ -150,7 +150,7 @@ class FaultHarness:
             robot="kst://emulated",
             encoder="serial://emulated",
             duration=scenario.duration,
-            t1=scenario.t1,
+            max_speed=scenario.max_speed,
             identify=identify_actuator if scenario.identify else None,
         )
         try:

@@ -77,9 +77,18 @@ class Joints:
         self.actuator = actuator
         self.lags = [factor * lag.value for lag in actuator.lags]
         self.q, self.dq = np.array(q), np.zeros(6)
+        self.past = [self.q.copy()] * HALF
+
+    @property
+    def velocity(self):
+        """Velocity of the motion [rad/s]: without inertia the mean since the last setpoint."""
+        if self.actuator.kind == "kst":
+            return self.dq
+        return (self.q - self.past[0]) / (1e-3 * HALF)
 
     def millisecond(self, setpoint):
         """Follow the setpoint that is in force for a millisecond."""
+        self.past = [*self.past[1:], self.q.copy()]
         a, b, t_c = self.actuator.amplitude, self.actuator.width, self.actuator.cycle.value
         for i in range(6):
             e = setpoint[i] - self.q[i]
@@ -157,7 +166,7 @@ class Loop:
             in_force = [q for time, q in self.sent if time + self.transport <= ms][-1]
             self.joints.millisecond(in_force)
         self.now += TICK
-        self.flange = self.arm.kinematics(self.joints.q, self.joints.dq)
+        self.flange = self.arm.kinematics(self.joints.q, self.joints.velocity)
         self.tracked = (self.pivot_velocity(self.flange) - v) / H
         phi, phi_dot = runge_kutta(*self.state[2:], self.tracked, H, self.own)
         x = self.flange.position[0] - self.home.position[0]
@@ -185,7 +194,7 @@ class Loop:
                 self.model.millisecond(setpoint)
         self.q, self.dq = self.q + H * self.dq + H**2 / 2.0 * ddq, self.dq + H * ddq
         self.commanded = self.arm.kinematics(self.q, self.dq)
-        flange = self.arm.kinematics(self.model.q + self.offset, self.model.dq)
+        flange = self.arm.kinematics(self.model.q + self.offset, self.model.velocity)
         v = self.pivot_velocity(flange)
         x = flange.position[0] - self.home.position[0]
         tick = (self.now + TICK, self.model.q.copy(), v, x, -self.turn(flange)[1])

@@ -116,15 +116,15 @@ def test_a_joint_near_its_limit_is_named():
     assert RIG.described_arm.joints[3].name in checks.check_posture(q, RIG).found
 
 
-def test_a_slow_link_and_t1_limit_the_flange():
+def test_a_slow_link_and_the_request_limit_the_flange():
     arm, fast, slow = RIG.described_arm, np.full(9, 0.002), np.full(9, 0.008)
 
-    def limit(trips, t1, rule=lambda arm, period: 0.4567):
-        return checks.max_flange_speed(arm, trips, t1, rule)
+    def limit(trips, requested, rule=lambda arm, period: 0.4567):
+        return checks.max_flange_speed(arm, trips, requested, rule)
 
-    assert limit(fast, False) == inf == limit(slow, False, None)
-    assert limit(slow, False) == 0.456
-    assert limit(slow, True) == limit(fast, True) == checks.T1_SPEED
+    assert limit(fast, None) == inf == limit(slow, None, None)
+    assert limit(slow, None) == 0.456
+    assert limit(slow, 0.23) == limit(fast, 0.23) == 0.23
     assert checks.check_speed(POLICY, inf) == []
     assert status(checks.check_speed(POLICY, 0.4), "flange speed") == "warning"
 

@@ -12,11 +12,12 @@ from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import CHECKLIST, run_virtually
+from equipoise.robots.kst.plugin import PLUGIN
 
 pytestmark = pytest.mark.compiled_only
 
 WORLD = read_world("twin:nominal")
-ANSWERS = [*(word for word, _ in CHECKLIST), "y"]
+ANSWERS = [*(word for word, _ in CHECKLIST + PLUGIN.checklist), "y"]
 ENDED = 2.1
 """Longest time from a fault to the end of a run [s]: a driver waits 1 s for a reply, and 1 s for
 the end of the connection."""
@@ -72,7 +73,7 @@ def rig():
     policy, settings = shipped_policy(), RigSettings()
     request = RunRequest(policy, policy.actuator, settings, "kst://twin:nominal", None, 1.0)
     pendulum = pendulum_on(policy.pendulum, WORLD.settings)
-    return request, emulated_rig(WORLD, settings, pendulum, seed=3)
+    return request, emulated_rig(WORLD, settings, pendulum, robot="kst", seed=3)
 
 
 def unattended(emulated):

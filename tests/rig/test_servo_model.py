@@ -1,4 +1,4 @@
-"""The cabinet: when setpoints arrive, and how the joints follow them."""
+"""The servo: when setpoints arrive, and how the joints follow them."""
 
 import numpy as np
 import pytest
@@ -93,7 +93,7 @@ def test_torques_end_at_what_the_joints_can_give_with_the_arms_weight_in_it():
         twin.advance(TICK)
         bodies = twin.kernel.bodies
         # The engine has moved on since: the arm's weight is that of a millisecond later.
-        on_links = bodies.applied[:7] - twin.kernel.servo.rotors * twin.kernel.cabinet.pull
+        on_links = bodies.applied[:7] - twin.kernel.servo.rotors * twin.kernel.servo_state.pull
         largest = np.maximum(largest, np.abs(on_links))
     assert np.all(largest <= limits * 1.02)
     assert largest[1] > 0.98 * limits[1]

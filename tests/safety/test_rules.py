@@ -32,7 +32,7 @@ H = 0.01
 DT = 0.005
 RESOLUTION = 2 * pi / 8192
 GUARD = make_safety_params(ARM, reaction=0.03, u_max=2.0, h=H, counts_per_rev=8192)
-T1 = GUARD._replace(speed=rules.T1_SPEED)
+SLOW = GUARD._replace(speed=0.23)
 CALM = MonitorState()
 
 
@@ -51,7 +51,7 @@ def broken(view, guard=GUARD, watched=CALM):
 
 
 def test_the_numbers_are_those_that_were_asked_for():
-    assert (rules.TRACK_LIMIT, rules.STOP_DECELERATION, rules.T1_SPEED) == (0.22, 4.0, 0.23)
+    assert (rules.TRACK_LIMIT, rules.STOP_DECELERATION) == (0.22, 4.0)
     assert pytest.approx(radians(11.0)) == rules.ANGLE_RULE_LIMIT
     assert (rules.MAX_STALL, rules.MAX_MISSED_TICKS, rules.FOLLOWING_TIME) == (0.070, 3, 0.05)
     assert (rules.STILL_ANGLE, rules.ROUNDING) == (5e-4, 1e-6)
@@ -243,7 +243,7 @@ def test_the_first_setpoint_is_the_measured_posture(joint, side):
 
 def test_nothing_wrong_breaks_no_rule():
     assert check(GUARD, CALM, SafetyInputs()) is None
-    assert check(T1, CALM, SafetyInputs(balancing=True, on_track=True)) is None
+    assert check(SLOW, CALM, SafetyInputs(balancing=True, on_track=True)) is None
     assert set(SafetyInputs(manipulability=0.0)) == set(MonitorState()) == {0.0, None}
     assert rules.overloaded_joint((0.0,) * 7, GUARD.torque) == 0
 
@@ -320,7 +320,7 @@ def test_who_would_come_to_rest_at_the_very_end_of_the_track_is_stopped():
 
 def test_flange_and_angle_count_where_they_mean_something():
     away = SafetyInputs(x=9.0, x_dot=9.0, drift=9.0, tilt=9.0, manipulability=0.0, phi=3.0)
-    assert check(T1, CALM, away) is None
+    assert check(SLOW, CALM, away) is None
     assert broken(away._replace(on_track=True)) is Outcome.SINGULAR
     assert broken(away._replace(balancing=True)) is Outcome.ANGLE
 
@@ -328,10 +328,10 @@ def test_flange_and_angle_count_where_they_mean_something():
 def test_t1_is_slow_and_a_stop_not_a_clip():
     for side in (1.0, -1.0):
         slow, fast = (SafetyInputs(on_track=True, x_dot=side * v) for v in (0.2299, 0.23))
-        assert broken(slow, T1) is None
-        assert broken(fast, T1) is Outcome.SPEED
+        assert broken(slow, SLOW) is None
+        assert broken(fast, SLOW) is Outcome.SPEED
         assert broken(fast) is None
-    violation = check(T1, CALM, fast)
+    violation = check(SLOW, CALM, fast)
     assert (violation.evidence["value"], violation.evidence["limit"]) == (-0.23, 0.23)
 
 
@@ -380,7 +380,7 @@ def test_of_several_the_first_in_the_order_of_the_rules_is_named():
         for change in list(wrong.values())[first:]:
             changes |= change
         view = SafetyInputs(on_track=True, balancing=True)._replace(**changes)
-        assert broken(view, T1) is list(wrong)[first]
+        assert broken(view, SLOW) is list(wrong)[first]
 
 
 # What goes on for a while.

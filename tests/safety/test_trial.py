@@ -109,13 +109,13 @@ def test_rules_act_where_a_world_has_them_with_the_numbers_of_a_rig():
     assert actuator.delay.value < guard.reaction < 0.05
     assert guard.speed == float("inf")
     # Of two speed limits the lower acts.
-    for t1, of_task, speed in (
-        (True, None, 0.23),
-        (False, 0.3, 0.3),
-        (True, 0.3, 0.23),
-        (True, 0.2, 0.2),
+    for of_world, of_task, speed in (
+        (0.23, None, 0.23),
+        (None, 0.3, 0.3),
+        (0.23, 0.3, 0.23),
+        (0.23, 0.2, 0.2),
     ):
-        there = world.model_copy(update={"t1": t1})
+        there = world.model_copy(update={"max_speed": of_world})
         assert trial_safety(ARM, there, actuator, 0.01, of_task) == guard._replace(speed=speed)
 
 
@@ -196,9 +196,9 @@ def joint(row, by):
 def test_a_trial_ends_where_a_rig_would_stop(rule, kept, not_kept):
     assert Tick(begin=kept.get("away", joint(0, 0.0)))(**kept) is None
     assert Tick(begin=not_kept.get("away", joint(0, 0.0)))(**not_kept) is rule
-    in_t1 = GUARD_7._replace(speed=0.23)
-    assert Tick(in_t1)(v=0.229) is None
-    assert Tick(in_t1)(v=-0.231) is Outcome.SPEED
+    slow = GUARD_7._replace(speed=0.23)
+    assert Tick(slow)(v=0.229) is None
+    assert Tick(slow)(v=-0.231) is Outcome.SPEED
 
 
 def test_a_trial_ends_where_the_arm_is_elsewhere_for_long():

@@ -9,7 +9,7 @@ from equipoise.artefacts import Estimate
 from equipoise.control import grid
 from equipoise.control.baselines import lqr_gains
 from equipoise.control.grid import JOINT_LIMIT, TRUNCATED
-from equipoise.control.policy import KernelPolicy, table_kernel
+from equipoise.control.policy import KernelPolicy, shipped_policy, table_kernel
 from equipoise.errors import ArmError
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
@@ -17,6 +17,7 @@ from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.pendulum import step as pendulum_step
 from equipoise.settings import BoxSettings, Settings, resolve
+from equipoise.worlds.evaluation import evaluate
 from equipoise.worlds.plant import (
     DomainRandomization,
     make_loop_params,
@@ -243,3 +244,12 @@ def test_behind_an_actuator_a_pendulum_with_dry_friction_feels_the_pivot_as_it_m
         found = block.state[2 * BATCH_SIZE : 4 * BATCH_SIZE : BATCH_SIZE]
         assert found == pytest.approx((phi, phi_dot), abs=1e-9)
     np.testing.assert_allclose(joints.q, block.q[::BATCH_SIZE], atol=1e-12)
+
+
+def test_a_policy_balances_behind_a_fast_lag_that_moves_in_steps():
+    policy, actuator = shipped_policy(), Actuator.assumed("lag", delay=0.006, lag=0.002)
+    settings = policy.settings
+    trials = settings.evaluation.model_copy(update={"trials": 24, "duration": 20.0})
+    settings = settings.model_copy(update={"evaluation": trials})
+    found = evaluate(policy, settings, actuator=actuator, with_baselines=False, workers=2)
+    assert min(found.results.survival) == 20.0

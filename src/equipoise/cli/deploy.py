@@ -40,8 +40,8 @@ class OnRig(Options):
 
     dry_run: bool = False
     """Do everything except move."""
-    t1: bool = False
-    """Stop where the flange reaches 0.23 m/s."""
+    max_speed: Annotated[float | None, Field(gt=0.0, le=2.0)] = None
+    """Stop where the flange reaches this speed [m/s]."""
     identify: bool = False
     """Identify the arm before the lift, and use its response."""
 
@@ -71,7 +71,7 @@ def deploy(
     if run.excite and (policy or on_a_rig or task.actuator or task.settings):
         raise InputError("--excite moves a simulated arm; give it --arm and --pendulum alone")
     if not on_a_rig and on_rig != OnRig():
-        raise InputError("--dry-run, --t1 and --identify need --robot")
+        raise InputError("--dry-run, --max-speed and --identify need --robot")
     identified = ("-actuator.json",) if on_rig.identify else ()
     read = policy, task.pendulum, rig.rig
     place = partial(files.file, "run.mcap", *read, suffix=".mcap", beside=identified)
@@ -144,7 +144,7 @@ def _request(
         robot,
         encoder,
         run.duration or 60.0,
-        t1=on_rig.t1,
+        max_speed=on_rig.max_speed,
         dry_run=on_rig.dry_run,
         seed=run.seed,
         alternatives=carried[1:],

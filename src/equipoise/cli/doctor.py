@@ -21,8 +21,7 @@ class Measurement(Options):
 def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
     """Check whether machine and rig are fit for a run, and advise a cure.
 
-    Nothing moves. The robot's answers are timed at rest, and its server ends
-    with that session. Exit code 1: not fit.
+    Nothing moves; the robot's answers are timed at rest. Exit code 1: not fit.
     """
     from equipoise.rig.clocks import SystemClock
     from equipoise.rig.config import read_rig, world_of
@@ -31,7 +30,7 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
 
     robot, encoder = rig.robot, rig.encoder
     if robot is not None and world_of(robot):
-        raise InputError(f"{robot} has no link to time; give kst://HOST:30001")
+        raise InputError(f"{robot} has no link to time; give the address of a real robot")
     clock = SystemClock()
     with output.busy("measuring"):
         findings = examine(

@@ -70,7 +70,7 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     task |= {"pendulum": emulated.pendulum}
     links = {"robot": emulation.hardware.address, "encoder": encoder}
     then = command("deploy", yours, **links, **task, makes="run.mcap")
-    # The emulated cabinet takes the first core: the loop of the run stays on the last one.
+    # The emulated robot takes the first core: the loop of the run stays on the last one.
     realtime.prepare(core=0)
     output.result(robot=links["robot"], encoder=encoder, actions=sorted(emulation.acts), then=then)
     output.stream.flush()

@@ -1,6 +1,6 @@
 """Selection of one of several actuators, from the motion of the self-test.
 
-A policy for a doubtful cabinet carries several actuators. Before the pendulum is lifted, the flange
+A policy for an unknown servo carries several actuators. Before the pendulum is lifted, the flange
 makes the move of the self-test, 40 mm in 0.8 s. Its setpoints go through the simulation of each
 actuator (`equipoise.model.actuator.track`), and the one whose joints are nearest to the measured
 ones is the controller's. On the twin the right one of t_c 1, 16 and 40 ms leaves 0.2 to 1.2 mrad

@@ -76,8 +76,8 @@ POSE_TOLERANCE: Final = 1e-12
 """Pose error at which they end [m], [rad]."""
 
 SETPOINTS_PER_TICK: Final = 2
-"""Setpoints per tick: at 100 Hz the server's servo would move the joints in bursts of four times
-their mean speed, at 200 Hz of twice."""
+"""Setpoints per tick: at 100 Hz a servo with a shaping law would move the joints in bursts of four
+times their mean speed, at 200 Hz of twice."""
 HISTORY_TICKS: Final = 12
 """Number of ticks of the arm's motion in the history."""
 MIN_PREDICTION_STEP: Final = 1e-9
@@ -579,6 +579,7 @@ def advance_arm_model(controller: ControllerParams, state: ControllerState, lane
     """
     scratch, past, frame = state.scratch, state.history, state.model_frame
     q, dq, share = state.model_q, state.model_dq, controller.share
+    velocity = scratch[FREE_JOINTS * BATCH_SIZE :]
     cycles = round(controller.h / SETPOINTS_PER_TICK / CYCLE)
     for s in range(SETPOINTS_PER_TICK):
         target = state.setpoints[6 * s * BATCH_SIZE : 6 * (s + 1) * BATCH_SIZE]
@@ -587,7 +588,7 @@ def advance_arm_model(controller: ControllerParams, state: ControllerState, lane
     if controller.actuator.kind == IDEAL:
         # It jumps to each setpoint and then rests; the motion is that of the command.
         for i in range(FREE_JOINTS * BATCH_SIZE):
-            dq[i] = state.dq[i]
+            velocity[i] = state.dq[i]
     state.newest[0] = (state.newest[0] + 1) % HISTORY_TICKS
     entry = _entry(state.newest[0], 0)
     for i in range(6):
@@ -595,7 +596,7 @@ def advance_arm_model(controller: ControllerParams, state: ControllerState, lane
             angle = at(q, i, n)
             put(past, entry + MODEL_Q + i, n, angle)
             put(scratch, i, n, angle + at(state.offset, i, n))
-    controller.motion(scratch, dq, frame, lanes)
+    controller.motion(scratch, velocity, frame, lanes)
     home_x = controller.home_reference[POSITION]
     for n in range(lanes):
         put(past, entry + PIVOT_V, n, pivot_velocity(frame, controller.pivot, n))

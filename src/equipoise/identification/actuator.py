@@ -15,7 +15,7 @@ shaping law, would depend on the amplitude of the motion.
    A log hardly tells a servo with inertia from a linear lag: the intervals of the servo allow for
    both.
 
-The delay runs from sending a setpoint to its mean effect, independent of the phase of the cabinet's
+The delay runs from sending a setpoint to its mean effect, independent of the phase of the servo's
 cycles. It includes the return path if the reply times are times of *arrival*.
 """
 
@@ -81,7 +81,7 @@ FITTED: Final[dict[Kind, list[int]]] = {
 """Indices of the unknowns of each kind."""
 
 JITTER: Final = 1e-3
-"""Largest deviation of a setpoint's delay from the mean [s], from the server's cycle and a quiet
+"""Largest deviation of a setpoint's delay from the mean [s], from the servo's cycle and a quiet
 network. The log hardly shows it; the intervals allow for twice its square. With a true value of
 2 ms the estimated delay is 0.2 ms too short."""
 BLOCKS: Final = 20

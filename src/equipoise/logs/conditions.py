@@ -69,8 +69,8 @@ class RunConditions(Value):
     """Settings of the rig (`RigSettings`); None in simulation."""
     encoder: Name | None = None
     """Address of the encoder; None in simulation, or if the robot's address includes it."""
-    t1: bool = False
-    """Whether the speed limit of T1 applied."""
+    max_speed: Number | None = None
+    """Requested flange speed limit [m/s]; None without one."""
     dry_run: bool = False
     """Whether the run omitted the motion of the arm."""
     phases: tuple[Phase, ...] = Field(default=(Phase.BALANCING,), min_length=1, max_length=64)

@@ -61,7 +61,7 @@ class TwinSettings(Value):
     """Whether the server applies its shaping law, as in its source. Otherwise the destination is
     the setpoint, as behind KUKA's FRI."""
     inner: Inner = "velocity"
-    """Servo model of the cabinet behind the shaping law; it is not published. `velocity`: a joint
+    """Servo model behind the shaping law; that of KUKA is not published. `velocity`: a joint
     velocity of (destination - q) over `reach_time`, through a first-order lag. `pd`: a PD
     controller on the destination."""
     reach_time: float | None = Field(default=None, ge=0.001, le=0.1)
@@ -117,8 +117,8 @@ class TwinSettings(Value):
     """Number of physics engine steps per millisecond."""
     guards: bool = True
     """Whether the safety rules of a rig end a trial (cause `guard`)."""
-    t1: bool = False
-    """Whether these rules include the speed limit of T1."""
+    max_speed: float | None = Field(default=None, gt=0.0, le=2.0)
+    """Flange speed limit of these rules [m/s]; None for none."""
 
 
 def pendulum_on(

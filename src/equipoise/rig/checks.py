@@ -17,7 +17,7 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.rig.config import RigSettings
 from equipoise.rig.interfaces import SETPOINT_PERIOD
-from equipoise.safety.rules import MAX_STALL, T1_SPEED
+from equipoise.safety.rules import MAX_STALL
 
 Array = npt.NDArray[np.float64]
 
@@ -137,7 +137,7 @@ def check_link(trips: Array, *, paced: bool = False) -> Finding:
     return find(
         "link to the robot",
         f"round trips of {_spread(trips)}; good below {1e3 * GOOD_ROUND_TRIP:g} ms",
-        "connect cabinet and computer by one direct cable, on a network card of their own (no "
+        "connect robot and computer by one direct cable, on a network card of their own (no "
         "USB adapter, no Wi-Fi), and switch other networks off; see docs/how-to/real-time.md",
         warning=p99 > GOOD_ROUND_TRIP,
         bad=p99 > MAX_ROUND_TRIP,
@@ -258,20 +258,20 @@ def _fits(policy: TaskPolicy, trained: Actuator, actuator: Actuator) -> bool:
 
 
 def max_flange_speed(
-    arm: Arm, trips: Array, t1: bool, rule: Callable[[Arm, float], float] | None
+    arm: Arm, trips: Array, requested: float | None, rule: Callable[[Arm, float], float] | None
 ) -> float:
     """Return the flange's speed limit [m/s]; inf where nothing limits it.
 
     Args:
         arm: The rig's arm, with its home posture.
         trips: Round trips to the robot [s], shape (n,).
-        t1: Whether the limit of T1 holds.
+        requested: Limit that the request sets [m/s]; None without one.
         rule: Rule of the robot for a slow link, see `RobotPlugin.flange_speed`.
     """
-    of_t1, p99 = T1_SPEED if t1 else inf, float(np.percentile(trips, 99.0))
+    limit, p99 = requested or inf, float(np.percentile(trips, 99.0))
     if rule is None or p99 <= GOOD_ROUND_TRIP:
-        return of_t1
-    return min(floor(1e3 * rule(arm, p99)) / 1e3, of_t1)  # the log names this very number
+        return limit
+    return min(floor(1e3 * rule(arm, p99)) / 1e3, limit)  # the log names this very number
 
 
 def check_speed(policy: TaskPolicy, limit: float) -> list[Finding]:

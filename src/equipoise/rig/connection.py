@@ -173,7 +173,7 @@ def emulated_rig(
     settings: RigSettings,
     pendulum: PendulumParameters,
     *,
-    robot: str = "kst",
+    robot: str,
     seed: int = 0,
     period: float = SETPOINT_PERIOD,
 ) -> Rig:

@@ -84,7 +84,7 @@ ADVICE: Final[dict[Outcome | RootCause, str]] = {
         "check the robot's panel: emergency stop, enabling switch, mode",
     ),
     Outcome.TORQUE: "find what the arm touched before it moves again",
-    Outcome.SPEED: "train with --set plant.max_speed=0.23, leave T1, or make the link faster",
+    Outcome.SPEED: "train for this limit (--set plant.max_speed), raise it, or speed up the link",
     **dict.fromkeys(
         (Outcome.DRIFT, Outcome.TILT),
         "check the mounting of base and flange, and the actuator in use",

@@ -18,8 +18,7 @@ from equipoise.errors import InputError
 Array = npt.NDArray[np.float64]
 
 SETPOINT_PERIOD: Final = 0.005
-"""Time between two setpoints [s]: half a tick of 10 ms. KST servers need 200 Hz for a smooth
-motion."""
+"""Time between two setpoints [s]: half a tick of 10 ms."""
 
 
 class Request(NamedTuple):
@@ -54,7 +53,7 @@ class ServoedArm(Protocol):
         ...
 
     def connect(self) -> None:
-        """Connect, the arm at rest. Blocks, if needed until an operator has started a server.
+        """Connect, the arm at rest. Blocks, if needed until an operator has made the robot ready.
 
         Raises:
             LinkError: The reply is missing or invalid.

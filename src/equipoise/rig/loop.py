@@ -156,7 +156,7 @@ def run_loop(
     return LoopResult(fault, stoppable, missed)
 
 
-CANNOT_STOP: Final = "software on this computer cannot stop the robot any more: press the E-stop"
+CANNOT_STOP: Final = "software no longer commands the robot: press the E-stop"
 """Message to the operator when the link to the robot is lost."""
 
 

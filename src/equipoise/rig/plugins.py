@@ -42,7 +42,7 @@ class Session(NamedTuple):
     clock: Clock
     """Clock of the rig. A driver waits with `clock.wait_until` only, never with `time.sleep`."""
     notify: Callable[[str], None] = ignore
-    """Shows the operator an instruction, for example to start a server."""
+    """Shows the operator an instruction, for example to start the robot's program."""
     attend: Callable[[], None] = ignore
     """To be called about once a second while `connect` waits for the operator. An exception that
     it raises ends the wait."""
@@ -140,6 +140,9 @@ class RobotPlugin(Value):
         "If this computer or the cable fails, software cannot stop the arm. The E-stop can."
     )
     """Behaviour of the arm when this computer fails; shown to the operator before each run."""
+    checklist: tuple[tuple[str, str], ...] = ()
+    """Safety questions before each run, besides those for any robot: the word that acknowledges it,
+    and the question."""
     restart: str = ""
     """Instruction to the operator before the next connection; empty without one."""
 

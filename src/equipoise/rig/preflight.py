@@ -71,7 +71,7 @@ def preflight(
     waiting, paced = DrainingClock(rig.clock, rig.sensor), isinstance(rig.robot, PacedStream)
     trips = round_trips(rig.robot, waiting, seconds, paced=paced)
     rule = rig.plugin.flange_speed
-    max_speed = max_flange_speed(settings.described_arm, trips, request.t1, rule)
+    max_speed = max_flange_speed(settings.described_arm, trips, request.max_speed, rule)
     results = [
         check_link(trips, paced=paced),
         *check_speed(policy, max_speed),

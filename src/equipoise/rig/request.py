@@ -48,8 +48,8 @@ class RunRequest:
     """Address of the encoder; None where the robot's address includes one."""
     duration: float
     """Length of the balancing [s]."""
-    t1: bool = False
-    """Whether the speed limit of T1 holds."""
+    max_speed: float | None = None
+    """Flange speed at which the run stops [m/s]; None without one."""
     dry_run: bool = False
     """Whether the run ends before the arm moves."""
     seed: int = 0
@@ -142,7 +142,7 @@ class RunRequest:
             u_max=policy.u_max,
             rig=self.settings.model_dump(mode="json"),
             encoder=self.encoder,
-            t1=self.t1,
+            max_speed=self.max_speed,
             dry_run=self.dry_run,
             phases=tuple(Phase),
         )

@@ -35,10 +35,9 @@ stream's requests, and a lost link is noticed within this time plus the driver's
 CHECKLIST: Final = (
     ("estop", "Is the E-stop in an operator's hand, and was it tested today?"),
     ("fence", "Is the fence closed, with nobody within reach of arm and pendulum?"),
-    ("monitoring", "Is the robot's own monitoring of Cartesian and axis speed active?"),
-    ("t1", "Has this policy run in T1 before, or is T1 selected now?"),
+    ("monitoring", "Is the robot's own monitoring of its speed active?"),
 )
-"""Safety questions before a run; the operator types the word to acknowledge each."""
+"""Safety questions before a run on any robot; the operator types the word to acknowledge each."""
 STOP: Final = "stop"
 """Word that a signal becomes in the loop's input."""
 ALONE: Final = "the operator's process has ended"
@@ -160,7 +159,7 @@ def run_on_rig(
             text = f"The run stops when the flange reaches {max_speed:.3g} m/s."
             tell(OperatorMessage("notice", text))
         tell(OperatorMessage("notice", rig.plugin.failure))
-        for word, question in CHECKLIST:
+        for word, question in CHECKLIST + rig.plugin.checklist:
             said = operator.ask(OperatorMessage("checklist", f"{question} Type {word}.", (word,)))
             if said != word:
                 return _unmoved(Outcome.OPERATOR, typed=printable(said))

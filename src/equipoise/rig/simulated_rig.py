@@ -1,6 +1,6 @@
 """Simulated rig: an arm and a pendulum in MuJoCo with an operator's hand and button, in time.
 
-The arm is that of a twin (`SimulatedRig`) with an emulated cabinet, or of another simulator.
+The arm is that of a twin (`SimulatedRig`) with an emulated servo, or of another simulator.
 Virtual time drives it by `clock.attach(bench.advance)`, real time by calls of `advance` with the
 time: the rig catches up in whole milliseconds. Equal seeds and equal acts at equal times give equal
 motion.
@@ -212,7 +212,7 @@ class SimulatedRig(Bench):
         self.twin = Twin(arm, pendulum, settings, seed=seed)
         self.twin.reset(q, phi)
         self.body = SimulatedArm(self.twin, arm, settings)
-        """Arm that an emulated cabinet moves and measures."""
+        """Arm that an emulated robot moves and measures."""
         bodies = self.twin.kernel.bodies
         mechanism = Mechanism(
             self.twin.data,

@@ -19,8 +19,8 @@ Rules never clip: with a reduced setpoint the controller would continue a motion
 happen.
 
 The joints' limits are those of the rig's arm; all other limits stand here with their reasons. These
-rules are no safety functions in the sense of a standard: they run on a PC that may fail, and a KST
-server then moves on to its last target. The rules keep that target near.
+rules are no safety functions in the sense of a standard: they run on a PC that may fail, and a
+robot without a watchdog then moves on to its last target. The rules keep that target near.
 """
 
 from collections.abc import Iterator, Sequence
@@ -58,9 +58,6 @@ TRACK_LIMIT: Final = paper.X_LIMIT
 """Track limit: maximum distance of the flange from home [m]."""
 ANGLE_RULE_LIMIT: Final = radians(paper.PHI_LIMIT_DEG)
 """Failure angle of the pendulum from upright [rad]."""
-T1_SPEED: Final = 0.23
-"""Flange speed limit in T1 [m/s]; the robot controller stops the arm with its brakes at 0.25 m/s,
-and measured speeds are noisy."""
 MAX_STALL: Final = 0.070
 """Maximum duration of a stall of the loop, of the encoder or of the link that is bridged [s]. On
 the twin a balance outlasts 80 ms of each; the operator has to know within 100 ms that software can

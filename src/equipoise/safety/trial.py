@@ -81,7 +81,7 @@ def trial_safety(
         u_max=paper.U_MAX,
         h=h,
         counts_per_rev=settings.counts_per_rev,
-        speed=min(rules.T1_SPEED if settings.t1 else inf, inf if max_speed is None else max_speed),
+        speed=min(limit or inf for limit in (settings.max_speed, max_speed)),
     )
 
 

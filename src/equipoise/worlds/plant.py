@@ -355,7 +355,7 @@ def move_arms(
         for s in range(SETPOINTS_PER_TICK):
             _send(block, s, lanes)
             follow_setpoint(q, dq, setpoint, share, actuator, cycles, scratch, lanes)
-        controller.motion(q, dq, frame, lanes)
+        controller.motion(q, scratch[FREE_JOINTS * BATCH_SIZE :], frame, lanes)
         return
     for n in range(lanes):
         put(scratch, FREE_JOINTS, n, at(state, TRACKED, n))

@@ -4,7 +4,7 @@
 command; this module adds the controller's checks of lost packets, velocities, accelerations and
 jerks, its reflex and its user stop, the external torques, and the pendulum with hand and button.
 
-Not modelled: the Franka Hand stays on the flange, the position-dependent velocity limits, brakes,
+Not modelled: the Franka Hand stays on the flange, the position-dependent velocity limits,
 self-collision, and collision thresholds.
 """
 
@@ -47,8 +47,6 @@ CLOSE: Final = 1e-3
 """Maximum difference of the flange's places by both models [m]."""
 LOST: Final = 20
 """Number of packets without a command that end a motion."""
-ROUNDING: Final = 1e-2
-"""Share of a limit by which a command may exceed it [-], for the packets' 32-bit numbers."""
 ERRORS: Final = {
     "self_collision_avoidance_violation": 2,
     "joint_reflex": 6,
@@ -172,7 +170,7 @@ class Controller(FrankaRobotServer):
         """
         new = self._command is not None
         self._lost = 0 if new else self._lost + 1
-        if self._lost > LOST:
+        if self._lost == LOST:
             return "communication_constraints_violation"
         dq = self._command if new else self._dq + PERIOD * self._ddq
         ddq = (dq - self._dq) / PERIOD
@@ -183,7 +181,7 @@ class Controller(FrankaRobotServer):
             / (JERK * PERIOD),
         }
         self._q, self._dq, self._ddq = self._q + PERIOD * dq, dq, ddq
-        broken = (name for name, x in limits.items() if np.abs(x).max() > 1.0 + ROUNDING)
+        broken = (name for name, x in limits.items() if np.abs(x).max() > 1.0)
         return next(broken, "")
 
     def _post_process_commands(self) -> None:

@@ -73,6 +73,7 @@ PLUGIN: Final = RobotPlugin(
         "If this computer or the cable fails, the controller stops the arm within 20 ms. Keep the "
         "emergency stop at hand."
     ),
+    checklist=(("load", "Is the load of bracket and pendulum set?"),),
     restart="unlock the joints and activate FCI in Desk",
 )
 """Registered as `franka`."""

@@ -21,6 +21,9 @@ from equipoise.robots.kst.hardware import KstHardware
 from equipoise.robots.kst.robot import KstRobot, dial
 from equipoise.robots.kst.server_emulator import KstServer
 
+T1_SPEED: Final = 0.23
+"""Flange speed limit of a run in T1 [m/s]: the controller stops the arm with its brakes at 0.25
+m/s, and measured speeds are noisy."""
 SHAPED_SHARE: Final = 0.8
 """Maximum share of a joint's speed limit for the shaped peak of its velocity [-]."""
 TRACK_STEP: Final = 0.005
@@ -115,6 +118,9 @@ PLUGIN: Final = RobotPlugin(
     failure=(
         "A KST server has no watchdog: if this computer or the cable fails, the arm goes on to its "
         "last target, which is always near, and software cannot stop it. The E-stop can."
+    ),
+    checklist=(
+        ("t1", f"Has this policy run in T1, or is T1 selected, with --max-speed {T1_SPEED}?"),
     ),
     restart="start the server's application on the smartPAD",
 )

@@ -4,9 +4,9 @@ Each free joint moves about home along two sines under one Hann window, from res
 the joint's top speed. All frequencies differ, and are far from the pendulum's natural frequency, so
 that the pendulum keeps hanging.
 
-The server's servo answers a stream of 5 ms with bursts of twice the joint's mean speed, which the
-load of the shoulder turns into torques. The top speeds keep the drives below their limits; drives
-twice as fast as assumed reach one for 2 of the 10,000 ms.
+A servo with a shaping law answers a stream of 5 ms with bursts of twice the joint's mean speed,
+which the load of the shoulder turns into torques. The top speeds keep the drives below their
+limits; drives twice as fast as assumed reach one for 2 of the 10,000 ms.
 """
 
 from typing import Final

@@ -1,9 +1,9 @@
-r"""KUKA's cabinet as the twin has it: from a setpoint that was sent to the torques of the joints.
+r"""Servo of a twin's arm: from a setpoint that was sent to the torques of the joints.
 
 Setpoints arrive after a transport that jitters, in the order in which they were sent. Each cycle of
-the server's loop the newest sets a destination, q plus the shaped step towards it (see
+the servo's loop the newest sets a destination, q plus the shaped step towards it (see
 `equipoise.model.actuator`); each millisecond the joint drives follow that destination. The law of
-the real drives is not published. Two assumptions, with the bare arm's mass matrix at home M:
+KUKA's drives is not published. Two assumptions, with the bare arm's mass matrix at home M:
 
 ``velocity``: the velocity (destination - q) / `reach_time`, held over the cycle, through a
 first-order lag T
@@ -15,7 +15,7 @@ first-order lag T
 .. math:: \tau = M\,(\omega^2 (q_c - q) - 2 \omega \dot q)
 
 The arm's own gravity is balanced beside it. What a joint passes on to its link keeps within the
-torque that the joint can give: KUKA's limits are those of the output, behind gear and torque
+torque that the joint can give: its limits are those of the output, behind gear and torque
 sensor. The torque that accelerates the rotor stays inside the joint; the limits of the motors are
 not published. The model ignores bracket and pendulum. The held joint runs through the same servo.
 """
@@ -38,17 +38,17 @@ INNERS: Final[tuple[Inner, ...]] = ("velocity", "pd")
 SLOTS: Final = 512
 """Maximum transport time of a setpoint [ms]: twice the longest transport."""
 
-# Entries of `Cabinet.clock`.
+# Entries of `ServoState.clock`.
 NOW, NEWEST, SATURATED = range(3)
 
 
 class ServoParams(NamedTuple):
-    """Constants of the cabinet; all arrays are over all joints of the arm."""
+    """Constants of the servo; all arrays are over all joints of the arm."""
 
     inner: int
     """VELOCITY or PD."""
     cycle: int
-    """Cycle of the server's loop [ms]."""
+    """Cycle of the servo's loop [ms]."""
     shaped: bool
     """Whether the loop shapes its steps."""
     rate: float
@@ -72,7 +72,7 @@ class ServoParams(NamedTuple):
 
 
 class ServoState(NamedTuple):
-    """State of the cabinet, changed in place."""
+    """State of the servo, changed in place."""
 
     clock: IntArray
     """Time [ms]; arrival of the newest setpoint [ms]; number of drive cycles with a torque at its
@@ -82,7 +82,7 @@ class ServoState(NamedTuple):
     target: Array
     """The setpoint in force [rad], shape (n,)."""
     destination: Array
-    """Destination set by the server's loop [rad], shape (n,)."""
+    """Destination set by the servo's loop [rad], shape (n,)."""
     wanted: Array
     """Velocity that the drives follow [rad/s], shape (n,)."""
     pull: Array
@@ -90,7 +90,7 @@ class ServoState(NamedTuple):
 
 
 def make_servo_params(arm: Arm, settings: TwinSettings) -> ServoParams:
-    """Return the constants of the cabinet of an arm.
+    """Return the constants of the servo of an arm.
 
     Args:
         arm: The arm.
@@ -116,7 +116,7 @@ def make_servo_params(arm: Arm, settings: TwinSettings) -> ServoParams:
 
 
 def equivalent_actuator(settings: TwinSettings) -> Actuator:
-    """Return the actuator that responds as the cabinet of an arm without load does.
+    """Return the actuator that responds as the servo of an arm without load does.
 
     `pd` is a drive with T = 1 / (2 omega) that reaches a destination in t_c = 2 / omega.
 
@@ -131,38 +131,38 @@ def equivalent_actuator(settings: TwinSettings) -> Actuator:
 
 
 def new_servo_state(n: int) -> ServoState:
-    """Return the state of a cabinet for `n` joints, for `start`."""
+    """Return the state of a servo for `n` joints, for `start`."""
     rows = (np.zeros(n) for _ in range(4))
     return ServoState(np.zeros(3, np.int64), np.zeros((SLOTS, n)), *rows)
 
 
 @called
-def start(cabinet: ServoState, q: Array) -> None:
+def start(state: ServoState, q: Array) -> None:
     """Start a servo at time zero that holds the joints at their positions.
 
     Args:
-        cabinet: Changed in place.
+        state: Changed in place.
         q: All joints [rad], shape (n,) or longer.
     """
-    cabinet.clock[:] = 0
-    cabinet.arriving[:] = np.nan
-    for i in range(len(cabinet.target)):
-        cabinet.target[i] = cabinet.destination[i] = q[i]
-        cabinet.wanted[i] = 0.0
+    state.clock[:] = 0
+    state.arriving[:] = np.nan
+    for i in range(len(state.target)):
+        state.target[i] = state.destination[i] = q[i]
+        state.wanted[i] = 0.0
 
 
 @inlined
-def send(cabinet: ServoState, servo: ServoParams, q: Array, seed: int, index: int) -> None:
+def send(state: ServoState, servo: ServoParams, q: Array, seed: int, index: int) -> None:
     """Send a setpoint.
 
     Args:
-        cabinet: Changed in place.
+        state: Changed in place.
         servo: Constants.
         q: All joints [rad], shape (n,).
         seed: Master seed.
         index: Number of the trial.
     """
-    clock = cabinet.clock
+    clock = state.clock
     now = clock[NOW]
     late = uniform(philox(seed, now, index, 0, TWIN)[0], -servo.jitter, servo.jitter)
     # Rounded to the nearest millisecond, so that the mean equals the transport time.
@@ -170,25 +170,25 @@ def send(cabinet: ServoState, servo: ServoParams, q: Array, seed: int, index: in
     clock[NEWEST] = max(clock[NEWEST], arrival)
     slot = clock[NEWEST] % SLOTS
     for i in range(len(q)):
-        cabinet.arriving[slot, i] = q[i]
+        state.arriving[slot, i] = q[i]
 
 
 @inlined
 def serve(
-    cabinet: ServoState, servo: ServoParams, q: Array, dq: Array, gravity: Array, force: Array
+    state: ServoState, servo: ServoParams, q: Array, dq: Array, gravity: Array, force: Array
 ) -> None:
     """Set the torques of the millisecond that begins.
 
     Args:
-        cabinet: Changed in place.
+        state: Changed in place.
         servo: Constants.
         q: Joint positions [rad], all joints first, shape (n,) or longer.
         dq: Their velocities [rad/s], likewise.
         gravity: Torques that balance the arm's own gravity [N m].
         force: Receives the torques of the drives [N m].
     """
-    clock, arriving, target = cabinet.clock, cabinet.arriving, cabinet.target
-    destination, wanted, pull = cabinet.destination, cabinet.wanted, cabinet.pull
+    clock, arriving, target = state.clock, state.arriving, state.target
+    destination, wanted, pull = state.destination, state.wanted, state.pull
     inertia, torque = servo.inertia, servo.torque
     n = len(target)
     now = clock[NOW]

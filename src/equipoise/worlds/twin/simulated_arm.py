@@ -1,14 +1,13 @@
-"""Arm of a twin as the programs of its cabinet use it: servo, measured joints, torques, pose.
+"""Arm of a twin as an emulated controller uses it: servo, measured joints, torques, pose.
 
 Without a servo the arm is held at its resting position; a starting servo holds it there. The arm
 sags by a few milliradians after each braking, because the twin's drives have neither load data nor
 an integral term. Emergency stop, enabling switch, change of the operating mode and the drives'
 protection are modelled alike: the arm brakes and ignores targets until `set_free` and the start of
-a servo; measurements continue. A target that is not finite has the same effect, since the behaviour
-of KUKA's motion layer is not published.
+a servo; measurements continue. Assumed: a target that is not finite has the same effect.
 
-Not modelled: KUKA's own limits of position, speed and torque, which would stop the arm too (the end
-of a joint's range does, by force), and the brakes' closing.
+Not modelled: the controller's own limits of position, speed and torque, which would stop the arm
+too (the end of a joint's range does, by force), and the brakes' closing.
 """
 
 from collections.abc import Sequence
@@ -35,7 +34,7 @@ TORQUE_NOISE: Final = 0.05
 
 
 class SimulatedArm:
-    """The arm behind an emulated cabinet; angles of all joints [rad], shape (n,)."""
+    """The arm behind an emulated controller; angles of all joints [rad], shape (n,)."""
 
     def __init__(self, twin: Twin, arm: Arm, settings: TwinSettings) -> None:
         """Wrap the arm of a twin, held at its position.
@@ -70,7 +69,7 @@ class SimulatedArm:
         """Return the torques that the joints pass on to their links, about their axes [N m].
 
         Args:
-            external: Whether to return external torques, by the cabinet's model of the bare arm:
+            external: Whether to return external torques, by the controller's model of the bare arm:
                 those of bracket, pendulum and contacts. Otherwise return those on the links.
         """
         kernel, n = self._twin.kernel, self._n
@@ -121,7 +120,7 @@ class SimulatedArm:
             self.stop("a target that is not finite")
         elif self.running:
             twin = self._twin.kernel
-            send(twin.cabinet, twin.servo, wanted, twin.key[0], twin.key[1])
+            send(twin.servo_state, twin.servo, wanted, twin.key[0], twin.key[1])
 
     def stop(self, why: str) -> None:
         """Brake, and ignore targets until `set_free`, as after an emergency stop.
@@ -139,13 +138,13 @@ class SimulatedArm:
     def tick(self) -> None:
         """Prepare the next millisecond."""
         if self._braking:
-            self._twin.kernel.cabinet.target[:] = self._twin.kernel.bodies.qpos[: self._n]
+            self._twin.kernel.servo_state.target[:] = self._twin.kernel.bodies.qpos[: self._n]
             self._braking -= 1
 
     def _brake(self) -> None:
         """Drop the setpoints in transport, and come to rest."""
         twin = self._twin.kernel
-        twin.cabinet.arriving[:] = np.nan
-        twin.cabinet.clock[NEWEST] = twin.cabinet.clock[NOW]
+        twin.servo_state.arriving[:] = np.nan
+        twin.servo_state.clock[NEWEST] = twin.servo_state.clock[NOW]
         moves = np.abs(twin.bodies.qvel[: self._n]).max() > REST_RATE
         self._braking = BRAKING if moves else 0

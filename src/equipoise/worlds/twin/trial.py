@@ -1,4 +1,4 @@
-"""Trials of a policy on the twin: controller, server, arm, pendulum and sensors in one kernel.
+"""Trials of a policy on the twin: controller, servo, arm, pendulum and sensors in one kernel.
 
 The control step is the one of training and deployment: measurements become the observation, its u
 becomes two setpoints. The true state decides how a trial ends; in a world with guards, the rules of
@@ -100,12 +100,12 @@ def step(trial: TwinTrial) -> int:
         for i in range(FREE_JOINTS):
             q[i] = at(state.setpoints, 6 * s + i, 0)
         if monitor.active:
-            broken = setpoint_violation(monitor, q, twin.cabinet.clock[NOW] * TICK)
+            broken = setpoint_violation(monitor, q, twin.servo_state.clock[NOW] * TICK)
             if broken != NO_VIOLATION:
                 return SAFETY_STOP + broken
         send_free(twin, q)
         advance(twin, round(controller.h / SETPOINTS_PER_TICK / TICK))
-    tick = twin.cabinet.clock[NOW]
+    tick = twin.servo_state.clock[NOW]
     counts, counted = encoder(twin.sensors, tick, twin.key[0], twin.key[1])
     measured = reply(twin.sensors, tick, twin.key[0], twin.key[1], q)
     put(state.counts, 0, 0, counts)
@@ -167,7 +167,7 @@ def run_trial(
     while steps < max_steps and cause == TRUNCATED:
         chance = 0.0
         if policy.kind == RANDOM:
-            words = philox(twin.key[0], twin.cabinet.clock[NOW], twin.key[1], 0, TWIN)
+            words = philox(twin.key[0], twin.servo_state.clock[NOW], twin.key[1], 0, TWIN)
             chance = uniform(words[2], 0.0, 1.0)
         seen = state.observation
         x, x_dot = at(seen, OBS_X, 0), at(seen, OBS_X_DOT, 0)

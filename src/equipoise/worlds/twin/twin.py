@@ -1,6 +1,6 @@
 """Digital twin for kernels and for Python: send setpoints, advance time, read the sensors.
 
-Time advances in whole milliseconds. In each, the cabinet sets the torques of the joints, and the
+Time advances in whole milliseconds. In each, the servo sets the torques of the joints, and the
 physics engine takes its steps. Positions and velocities of all bodies are valid at the end of each
 millisecond, so that the true state can be read at any time.
 
@@ -112,8 +112,8 @@ class TwinKernel(NamedTuple):
     bodies: Bodies
     """State of the bodies."""
     servo: ServoParams
-    """Constants of the cabinet."""
-    cabinet: ServoState
+    """Constants of the servo."""
+    servo_state: ServoState
     """Its state, and the time."""
     sensors: Sensors
     """Encoder and replies."""
@@ -265,7 +265,7 @@ def reset(twin: TwinKernel, q: Array, phi: float, phi_dot: float) -> None:
     bodies.applied[:] = 0.0
     bodies.gravity[:] = 0.0
     bodies.warmstart[:] = 0.0
-    start(twin.cabinet, q)
+    start(twin.servo_state, q)
     for tick in range(1 - HISTORY_MS, 1):
         past.phi[tick % HISTORY_MS] = phi + tick * TICK * phi_dot
         for i in range(FREE_JOINTS):
@@ -281,12 +281,12 @@ def advance(twin: TwinKernel, ticks: int) -> None:
         twin: Changed in place.
         ticks: Number of milliseconds.
     """
-    bodies, cabinet, servo, free = twin.bodies, twin.cabinet, twin.servo, twin.free
+    bodies, state, servo, free = twin.bodies, twin.servo_state, twin.servo, twin.free
     qpos, qvel, applied, gravity = bodies.qpos, bodies.qvel, bodies.applied, bodies.gravity
-    clock, past_phi, past_q = cabinet.clock, twin.sensors.phi, twin.sensors.q
+    clock, past_phi, past_q = state.clock, twin.sensors.phi, twin.sensors.q
     n, inside = len(twin.home), within_limits(bodies)
     for _ in range(ticks):
-        serve(cabinet, servo, qpos, qvel, gravity, applied)
+        serve(state, servo, qpos, qvel, gravity, applied)
         for _ in range(twin.substeps):
             integrate(twin, inside)
             inside = within_limits(bodies)
@@ -305,7 +305,7 @@ def send_free(twin: TwinKernel, q: Array) -> None:
         twin.setpoint[i] = twin.home[i]
     for i in range(FREE_JOINTS):
         twin.setpoint[twin.free[i]] = q[i]
-    send(twin.cabinet, twin.servo, twin.setpoint, twin.key[0], twin.key[1])
+    send(twin.servo_state, twin.servo, twin.setpoint, twin.key[0], twin.key[1])
 
 
 @called
@@ -319,7 +319,7 @@ def noise(twin: TwinKernel, sigma: float, stream: int, values: Array) -> None:
         values: Changed in place, shape (n,).
     """
     for i in range(len(values)):
-        words = philox(twin.key[0], twin.cabinet.clock[NOW], twin.key[1], 1 + i, TWIN + stream)
+        words = philox(twin.key[0], twin.servo_state.clock[NOW], twin.key[1], 1 + i, TWIN + stream)
         values[i] += sigma * normal_pair(words[0], words[1])[0]
 
 
@@ -344,7 +344,7 @@ def truth(twin: TwinKernel) -> TrueState:
 
 
 class Twin:
-    """An arm with cabinet, pendulum and encoder, which Python drives through time.
+    """An arm with servo, pendulum and encoder, which Python drives through time.
 
     The same kernels run the compiled trials. Setpoints, counts and measured joints go by the clock
     of the twin, which begins at zero with `reset`.
@@ -368,7 +368,7 @@ class Twin:
             settings: The world's numbers.
             seed: Master seed of jitter, noise and the error of the encoder's zero.
             index: Number of the trial.
-            servo: Constants of the cabinet (default: computed).
+            servo: Constants of the servo (default: computed).
 
         Raises:
             ArmError: The masses of the arm's links are not known.
@@ -381,7 +381,7 @@ class Twin:
             substeps=settings.substeps,
             bodies=_bodies(self.model, self.data, len(arm.joints)),
             servo=make_servo_params(arm, settings) if servo is None else servo,
-            cabinet=new_servo_state(len(arm.joints)),
+            servo_state=new_servo_state(len(arm.joints)),
             sensors=make_sensors(settings, seed, index),
             home=np.array(arm.home),
             free=np.array(arm.free),
@@ -422,12 +422,12 @@ class Twin:
     @property
     def now(self) -> float:
         """The time [s]."""
-        return float(self.kernel.cabinet.clock[NOW]) * TICK
+        return float(self.kernel.servo_state.clock[NOW]) * TICK
 
     @property
     def saturated(self) -> int:
         """Number of milliseconds with a drive at its torque limit."""
-        return int(self.kernel.cabinet.clock[SATURATED])
+        return int(self.kernel.servo_state.clock[SATURATED])
 
     def send(self, q: Sequence[float] | Array) -> None:
         """Send a setpoint of the free joints [rad], shape (6,), now."""
@@ -456,7 +456,7 @@ class Twin:
 
     @property
     def _tick(self) -> int:
-        return int(self.kernel.cabinet.clock[NOW])
+        return int(self.kernel.servo_state.clock[NOW])
 
 
 def _bodies(model: Any, data: Any, n: int) -> Bodies:

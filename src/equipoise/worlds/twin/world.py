@@ -46,7 +46,7 @@ class TwinSimulation(Simulation):
         numbers = self.twin = self.numbers = world.settings
         arm, settings, self.actuators, h = setup.arm, setup.settings, setup.actuators, setup.h
         self.servo = make_servo_params(arm, numbers)
-        """Constants of the cabinet."""
+        """Constants of the servo."""
         self.params = tuple(
             make_controller_params(
                 arm, settings, each, self.pendulum, h=h, counts_per_rev=numbers.counts_per_rev

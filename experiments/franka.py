@@ -1,0 +1,136 @@
+"""Identify the servo of an FR3, train for it, and balance on it, with `franky-sim` in lockstep.
+
+Each log is ten seconds of motion over the stream of velocities; its seed draws the posture at the
+begin. A policy is trained for the first log's actuator with each seed, and evaluated on
+`twin:fr3` with seeds that trained nothing. The first one then runs over the protocol::
+
+    python experiments/franka.py --logs 10 --runs 20 --duration 60 --out build/fr3
+"""
+
+import argparse
+import json
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import equipoise as eq
+from equipoise.executors import available_cores
+from equipoise.identification.actuator import identify_actuator
+from equipoise.model.actuator import Actuator
+from equipoise.outcomes import Outcome
+from equipoise.rig.config import RigSettings
+from equipoise.rig.request import RunRequest
+from equipoise.rig.run import run_virtually
+
+WORLD = "twin:fr3"
+RIG = RigSettings(arm="fr3")
+UNSEEN = 1000
+"""Difference of an evaluation's seed from that of its training."""
+
+
+def main() -> None:
+    """Print each log, policy and run, and write the results."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--logs", type=int, default=10)
+    parser.add_argument("--seeds", type=int, default=5, help="number of trainings")
+    parser.add_argument("--trials", type=int, default=300, help="trials of each training's policy")
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--duration", type=float, default=60.0, help="of trials and runs [s]")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the files")
+    parser.add_argument("--json", type=Path, help="file of the results")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    # The identification does not depend on the policy of its run.
+    policy = eq.shipped_policy().model_copy(update={"arm": RIG.described_arm})
+    request = RunRequest(
+        policy, policy.actuator, RIG, f"franka://{WORLD}", None, given.duration, identify=identify
+    )
+    logs = in_processes(identified, [replace(request, seed=s) for s in range(given.logs)])
+    found = [log for log in logs if log is not None]
+    for actuator in found:
+        print(actuator.summary, flush=True)
+    found[0].save(given.out / "actuator.json", command="experiments/franka.py", inputs={})
+    policies, trials = trained(found[0], given)
+    policies[0].save(given.out / "policy.json")
+    request = replace(request, policy=policies[0], actuator=policies[0].actuator, identify=None)
+    ends = Counter(in_processes(outcome, [replace(request, seed=s) for s in range(given.runs)]))
+    print(dict(ends))
+    results = {
+        "servo_ms": servo(found),
+        "trials": trials,
+        "runs": {"survived": ends[Outcome.LASTED], "trials": given.runs},
+    }
+    print(json.dumps(results))
+    if given.json:
+        given.json.write_text(json.dumps(results))
+
+
+def identify(sent: Any, measured: Any) -> Actuator:
+    """Identify an arm as a delay and a lag, which the fitted kinds differ in little."""
+    return identify_actuator(sent, measured, kind="lag")
+
+
+def in_processes(work: Callable[[RunRequest], Any], requests: list[RunRequest]) -> list[Any]:
+    """Return the results of requests, each in a process of its own."""
+    spawn = get_context("spawn")
+    with ProcessPoolExecutor(available_cores(), spawn, max_tasks_per_child=1) as pool:
+        return list(pool.map(work, requests))
+
+
+def identified(request: RunRequest) -> Actuator | None:
+    """Return the actuator that a run identifies."""
+    return run_virtually(request, None).identified
+
+
+def outcome(request: RunRequest) -> Outcome:
+    """Return how a run ended."""
+    end = run_virtually(request, None)
+    print(request.seed, end.outcome, end.reason, flush=True)
+    return end.outcome
+
+
+def trained(actuator: Actuator, given: argparse.Namespace) -> tuple[list[Any], dict[str, Any]]:
+    """Return a policy for each seed, and how many of their trials lasted."""
+    settings, cores = eq.Settings(), available_cores()
+    trials = settings.evaluation.model_copy(
+        update={"trials": given.trials, "duration": given.duration}
+    )
+    policies, rates = list[Any](), list[float]()
+    for seed in range(given.seeds):
+        policy = eq.train(None, RIG.described_arm, actuator=actuator, seed=seed, workers=cores)
+        numbers = policy.settings.model_copy(update={"evaluation": trials})
+        found = eq.evaluate(
+            policy, numbers, world=WORLD, seed=seed + UNSEEN, with_baselines=False, workers=cores
+        )
+        rates.append(float(np.mean([one == Outcome.LASTED for one in found.results.outcomes])))
+        policies.append(policy)
+        print(seed, rates[-1], flush=True)
+    lasted = round(sum(rates) * given.trials)
+    return policies, {
+        "survived": lasted,
+        "trials": given.seeds * given.trials,
+        "worst": min(rates),
+    }
+
+
+def servo(found: list[Actuator]) -> dict[str, Any]:
+    """Return mean and standard deviation of the delay, its mean half width, and lags [ms]."""
+    delays = 1e3 * np.array([(each.delay.value, each.delay.low, each.delay.high) for each in found])
+    lags = 1e3 * np.mean([[lag.value for lag in each.lags] for each in found], axis=0)
+    return {
+        "logs": len(found),
+        "delay": {"mean": delays[:, 0].mean(), "sd": delays[:, 0].std()},
+        "half_width": float(np.mean(delays[:, 2] - delays[:, 1]) / 2.0),
+        "lags": [lags.min(), lags.max()],
+        "rms_mrad": 1e3 * float(np.mean([each.fit.rms for each in found if each.fit])),
+    }
+
+
+if __name__ == "__main__":
+    main()
