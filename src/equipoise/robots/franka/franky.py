@@ -65,8 +65,8 @@ class Controller(FrankaRobotServer):
 
     def __init__(self, robot: Any, hosts: Iterable[str]) -> None:
         """Create the controller of a robot, at the first free one of some addresses."""
-        self.external: Callable[[], tuple[float, ...]] = lambda: (0.0,) * 7
-        """Returns the external torques [N m]."""
+        self.external = (0.0,) * 7
+        """External torques [N m]."""
         super().__init__(robot, hosts)
         self._frozen, self._frozen_time = b"", False
         self.connected = True
@@ -203,7 +203,7 @@ class Controller(FrankaRobotServer):
         if self._mode != RobotMode.kIdle:
             errors = tuple(self._errors)
             state = state.replace(robot_mode=self._mode, errors=errors, reflex_reason=errors)
-        return state.replace(tau_ext_hat_filtered=self.external()).pack_state()
+        return state.replace(tau_ext_hat_filtered=self.external).pack_state()
 
 
 class FrankyRig(Bench):
@@ -263,7 +263,6 @@ class FrankyRig(Bench):
         self._bare.dof_armature[phi] = 1.0  # a joint without any mass has no solution
         self._bare.opt.disableflags |= int(mujoco().mjtDisableBit.mjDSBL_CONSTRAINT)
         self._bare_data = mujoco().MjData(self._bare)
-        self.controller.external = self.external_torque
         flange, rod = (model.body(name).id for name in (LINK, "pendulum"))
         mechanism = Mechanism(data, flange, rod, int(phi), self._step)
         super().__init__(mechanism, pendulum, settings, seed=seed, start=start)
@@ -283,6 +282,7 @@ class FrankyRig(Bench):
         if self._real_time:
             self.controller.send_state()
         self._simulator.step()
+        self.controller.external = self.external_torque()
         if not self._real_time:
             self.controller.send_state()
 
