@@ -1,5 +1,6 @@
 """Checks before a run, and their measurements of devices and clocks in virtual time."""
 
+import time
 from ast import literal_eval
 from math import inf
 from types import SimpleNamespace
@@ -33,12 +34,16 @@ def test_bad_findings_are_raised():
         require([good, bad])
 
 
-def deadlines(*late):
-    return [checks.check_deadlines(np.array([1e-4] * 900 + [late[0]] * late[1]))]
+def deadlines(late, n, **kind):
+    return [checks.check_deadlines(np.array([1e-4] * 900 + [late] * n), **kind)]
 
 
 def link(trip):
     return [checks.check_link(np.full(100, trip))]
+
+
+def states(gap, n):
+    return [checks.check_link(np.array([0.001] * 98 + [gap] * n), paced=True)]
 
 
 def encoder(**change):
@@ -62,6 +67,11 @@ def later(change):
         (deadlines(2e-3, 100), "deadlines", "warning"),
         (deadlines(6e-3, 1), "deadlines", "warning"),
         (deadlines(0.071, 1), "deadlines", "bad"),
+        (deadlines(0.019, 1, paced=True), "deadlines", "warning"),
+        (deadlines(0.021, 1, paced=True), "deadlines", "bad"),
+        (states(0.0019, 2), "link to the robot", "good"),
+        (states(0.0021, 2), "link to the robot", "warning"),
+        (states(0.021, 1), "link to the robot", "bad"),
         (link(0.0054), "link to the robot", "good"),
         (link(0.0056), "link to the robot", "warning"),
         (link(0.0091), "link to the robot", "bad"),
@@ -117,6 +127,22 @@ def test_a_slow_link_and_the_request_limit_the_flange():
     assert limit(slow, 0.23) == limit(fast, 0.23) == 0.23
     assert checks.check_speed(POLICY, inf) == []
     assert status(checks.check_speed(POLICY, 0.4), "flange speed") == "warning"
+
+
+def test_a_robot_that_sets_the_pace_is_asked_for_each_state_and_needs_a_real_time_kernel(
+    monkeypatch, tmp_path
+):
+    def measured():
+        time.sleep(0.001)
+        return np.zeros(7)
+
+    other = dict.fromkeys(("connect", "start", "stop", "close", "request", "answer"), lambda: None)
+    device = SimpleNamespace(joints=7, measured=measured, **other)
+    monkeypatch.setattr(preflight, "prepare", dict)
+    monkeypatch.setattr(preflight, "REALTIME", tmp_path / "none")
+    found = examine(device, None, None, 0.05)
+    assert status(found, "kernel") == "warning"
+    assert "a state each 1." in next(one.found for one in found if one.name == "link to the robot")
 
 
 @pytest.mark.parametrize(("fails", "name"), [(False, "link to the robot"), (True, "robot")])

@@ -22,7 +22,8 @@ from equipoise.safety.rules import MAX_STALL
 Array = npt.NDArray[np.float64]
 
 STALL: Final = 0.020
-"""Delay from which a loop, an encoder or a link counts as stalled [s]: two ticks."""
+"""Delay from which a loop, an encoder or a link counts as stalled [s]: two ticks. A robot that sets
+the pace may then stop."""
 GOOD_ROUND_TRIP: Final = 0.0055
 """99th percentile of round trips that allows two setpoints per tick of 10 ms [s]. Over a slower
 link setpoints are sent only as replies arrive, and the flange's speed is limited."""
@@ -87,28 +88,52 @@ def check_settings(granted: dict[str, str]) -> list[Finding]:
     return [find(name, how, remedy, warning=how != "granted") for name, how in granted.items()]
 
 
-def check_deadlines(late: Array) -> Finding:
+def check_kernel(realtime: bool) -> Finding:
+    """Judge the kernel below a robot that sets the pace: whether it has PREEMPT_RT."""
+    return find(
+        "kernel",
+        f"{'with' if realtime else 'without'} PREEMPT_RT",
+        "install a kernel with PREEMPT_RT, see docs/how-to/real-time.md; expect lost packets",
+        warning=not realtime,
+    )
+
+
+def check_deadlines(late: Array, *, paced: bool = False) -> Finding:
     """Judge how late deadlines are met, and whether a run outlasts the stalls.
 
     Args:
         late: Lateness of each deadline [s], shape (n,); the first one of a stall is its length.
+        paced: Whether the robot sets the pace.
     """
-    longest = float(late.max())
+    longest, limit = float(late.max()), STALL if paced else MAX_STALL
     # A fifth of the stream's period is far below the arm's delay.
     uneven = np.percentile(late, 99.0) > 0.2 * SETPOINT_PERIOD or longest > SETPOINT_PERIOD
     return find(
         "deadlines",
-        f"late by {_spread(late)}; a run ends at {1e3 * MAX_STALL:g} ms",
+        f"late by {_spread(late)}; a run ends at {1e3 * limit:g} ms",
         "end other programs, set the governor, install a kernel with PREEMPT_RT; see "
         "docs/how-to/real-time.md; measure again with --seconds 60",
         warning=bool(uneven),
-        bad=longest > MAX_STALL,
+        bad=longest > limit,
     )
 
 
-def check_link(trips: Array) -> Finding:
-    """Judge the round trips to a robot [s], shape (n,)."""
+def check_link(trips: Array, *, paced: bool = False) -> Finding:
+    """Judge the round trips to a robot, or the times between states of one that sets the pace.
+
+    Args:
+        trips: These times [s], shape (n,).
+        paced: Whether the robot sets the pace.
+    """
     p99 = float(np.percentile(trips, 99.0))
+    if paced:
+        return find(
+            "link to the robot",
+            f"a state each {_spread(trips)}; a run ends at {1e3 * STALL:g} ms",
+            "use one direct cable and a network card of its own; see docs/how-to/real-time.md",
+            warning=p99 > 2.0 * np.median(trips),
+            bad=float(trips.max()) > STALL,
+        )
     return find(
         "link to the robot",
         f"round trips of {_spread(trips)}; good below {1e3 * GOOD_ROUND_TRIP:g} ms",

@@ -14,7 +14,7 @@ refused::
 from functools import cached_property
 from math import degrees, radians
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
@@ -28,6 +28,15 @@ from equipoise.settings import read_toml
 
 Degrees = Annotated[float, Field(ge=-3600.0, le=3600.0)]
 Millimetres = Annotated[float, Field(ge=-1e3, le=1e3)]
+
+
+class Load(NamedTuple):
+    """Load on a flange."""
+
+    mass: float
+    """Mass [kg]."""
+    centre: tuple[float, float, float]
+    """Centre of mass in the flange frame [m]."""
 
 
 class RigSettings(Value):
@@ -51,6 +60,11 @@ class RigSettings(Value):
     pivot_mm: tuple[Millimetres, Millimetres, Millimetres] | None = None
     """Pivot of the pendulum in the flange frame [mm]; by default the arm's own. On an iiwa, x is
     minus the distance from the axis of A7, and z the height of a media flange: 0, 35 or 61."""
+    load_kg: float | None = Field(default=None, gt=0.0, le=20.0)
+    """Mass of pendulum and holder [kg], which `franka://` sets before a motion; by default that of
+    Desk stays in force. On a KUKA it is set on the smartPAD."""
+    load_mm: tuple[Millimetres, Millimetres, Millimetres] | None = None
+    """Their centre of mass in the flange frame [mm]; by default half way to the pivot."""
     counts_per_rev: int = Field(default=8192, ge=64, le=2**24)
     """Encoder counts per revolution, after x4."""
     encoder_sign: Literal[1, -1] = 1
@@ -62,6 +76,18 @@ class RigSettings(Value):
     torque_share: float = Field(default=TORQUE_SHARE, gt=0.0, le=1.0)
     """Maximum change of an external torque from its value at home, as a share of the joint's torque
     limit [-]; a run stops beyond it."""
+
+    @property
+    def load(self) -> Load | None:
+        """Load on the flange; None if its mass is not given.
+
+        Raises:
+            ArmError: As of `described_arm`.
+        """
+        if self.load_kg is None:
+            return None
+        x, y, z = self.load_mm or (500.0 * x for x in self.described_arm.pivot)
+        return Load(self.load_kg, (x / 1e3, y / 1e3, z / 1e3))
 
     @cached_property
     def described_arm(self) -> Arm:

@@ -14,7 +14,7 @@ from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import World, pendulum_on, read_world
 from equipoise.rig.clocks import DrainingClock, SystemClock, VirtualClock
-from equipoise.rig.config import RigSettings, world_of
+from equipoise.rig.config import Load, RigSettings, world_of
 from equipoise.rig.emulated_operator import EmulatedOperator
 from equipoise.rig.interfaces import (
     SETPOINT_PERIOD,
@@ -64,6 +64,7 @@ def open_robot(
     *,
     tell: Callable[[str], None] = ignore,
     attend: Callable[[], None] = ignore,
+    load: Load | None = None,
 ) -> Robot | PacedRobot:
     """Return the driver behind an address; nothing is opened before it is connected.
 
@@ -72,11 +73,12 @@ def open_robot(
         clock: Clock of the robot.
         tell: Receives instructions to the operator while a connection is made.
         attend: Called about once a second meanwhile; its exception ends the wait.
+        load: Load on the flange; None if it is unknown.
 
     Raises:
         InputError: The address is invalid.
     """
-    return make_driver(RobotPlugin, "open", robot, robot, Session(clock, tell, attend))
+    return make_driver(RobotPlugin, "open", robot, robot, Session(clock, tell, attend, load))
 
 
 def open_encoder(
@@ -148,7 +150,7 @@ def connect(
     clock, counts = SystemClock(), settings.counts_per_rev
     sensor = open_encoder(encoder, clock, counts_per_rev=counts, sign=settings.encoder_sign)
     draining = DrainingClock(clock, sensor)
-    opened = open_robot(robot, draining, tell=tell, attend=attend)
+    opened = open_robot(robot, draining, tell=tell, attend=attend, load=settings.load)
     return Rig(*_stream(opened, sensor, clock, draining, period), robot_plugin(robot))
 
 
@@ -211,7 +213,7 @@ def emulated_rig(
     encoder = bench, clock, settings.counts_per_rev, settings.encoder_sign, seed
     sensor = make_driver(SensorPlugin, "emulate", "serial", *encoder)
     draining = DrainingClock(clock, sensor.device)
-    parts = bench, arm, Session(draining), delay, seed
+    parts = bench, arm, Session(draining, load=settings.load), delay, seed
     emulated = make_driver(RobotPlugin, "emulate", robot, *parts)
     clock.attach(emulated.advance)
     clock.attach(sensor.advance)

@@ -24,6 +24,7 @@ from equipoise.errors import InputError
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
+from equipoise.rig.config import Load
 from equipoise.rig.interfaces import AngleSensor, Array, Clock, PacedRobot, Robot, Transport
 from equipoise.rig.simulated_rig import Bench, SimulatedRig
 from equipoise.user_code import guest_code
@@ -45,6 +46,8 @@ class Session(NamedTuple):
     attend: Callable[[], None] = ignore
     """To be called about once a second while `connect` waits for the operator. An exception that
     it raises ends the wait."""
+    load: Load | None = None
+    """Load on the flange, for a robot that is told it by this computer; None if it is unknown."""
 
 
 class Emulated(NamedTuple, Generic[Device]):

@@ -4,6 +4,7 @@ Deadlines are absolute, as in a run: a stall over several deadlines makes all of
 """
 
 from collections.abc import Generator
+from pathlib import Path
 from statistics import median
 from time import perf_counter
 from typing import Final
@@ -18,6 +19,7 @@ from equipoise.rig.checks import (
     Finding,
     check_deadlines,
     check_encoder,
+    check_kernel,
     check_link,
     check_posture,
     check_settings,
@@ -28,7 +30,7 @@ from equipoise.rig.checks import (
 from equipoise.rig.clocks import DrainingClock, SystemClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import Rig
-from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, ServoedArm
+from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, PacedRobot, ServoedArm
 from equipoise.rig.phases.balancing import POLICY_TIME_SHARE
 from equipoise.rig.realtime import prepare
 from equipoise.rig.request import RunRequest
@@ -36,6 +38,10 @@ from equipoise.user_code import guest_code
 
 Array = npt.NDArray[np.float64]
 
+REALTIME: Final = Path("/sys/kernel/realtime")
+"""File that exists on a kernel with PREEMPT_RT."""
+STATE_PERIOD: Final = 0.001
+"""Shortest time between the states of a robot that sets the pace [s]."""
 READ_PERIOD: Final = 0.001
 """Time between two reads of the encoder [s]: the period of a board at 1 kHz."""
 DISCARD_TIME: Final = 0.1
@@ -61,15 +67,18 @@ def preflight(
         LinkError: Robot or encoder does not answer.
     """
     policy, settings, seconds = request.policy, request.settings, 1.0  # of each measurement
-    trips = round_trips(rig.robot, DrainingClock(rig.clock, rig.sensor), seconds)
+    waiting = DrainingClock(rig.clock, rig.sensor)
+    paced = rig.robot is rig.clock  # the stream of a robot that sets the pace is both
+    trips = round_trips(rig.robot, waiting, seconds, paced=paced)
     rule = rig.plugin.flange_speed
     max_speed = max_flange_speed(settings.described_arm, trips, request.max_speed, rule)
     results = [
-        check_link(trips),
+        check_link(trips, paced=paced),
         *check_speed(policy, max_speed),
         check_posture(rig.robot.measured(), settings),
         *check_encoder(settings, *listen(rig.sensor, rig.clock, seconds)),
         *check_settings(granted),
+        *([check_kernel(REALTIME.exists())] if paced and granted else []),
     ]
     return results, max_speed
 
@@ -87,8 +96,10 @@ def examine(
         rig: Contents of `rig.toml`; None where they are unknown.
         seconds: Duration of each measurement [s].
     """
-    clock = SystemClock()
-    findings = [*check_settings(prepare()), check_deadlines(lateness(clock, seconds))]
+    clock, paced = SystemClock(), isinstance(robot, PacedRobot)
+    findings = check_settings(prepare())
+    findings += [check_kernel(REALTIME.exists())] if paced else []
+    findings.append(check_deadlines(lateness(clock, seconds), paced=paced))
     for device in (sensor, robot):
         if device is None:
             continue
@@ -99,7 +110,8 @@ def examine(
                 if isinstance(device, AngleSensor):
                     findings += check_encoder(rig, *listen(device, clock, seconds))
                 else:
-                    findings.append(check_link(round_trips(device, clock, seconds)))
+                    trips = round_trips(device, clock, seconds, paced=paced)
+                    findings.append(check_link(trips, paced=paced))
         except LinkError as error:
             remedy = "check its power, its cable and its address"
             findings.append(find(name, str(error), remedy, bad=True))
@@ -154,23 +166,24 @@ def lateness(clock: Clock, seconds: float, *, period: float = SETPOINT_PERIOD) -
     return late
 
 
-def round_trips(
-    robot: ServoedArm, clock: Clock, seconds: float, *, period: float = SETPOINT_PERIOD
-) -> Array:
+def round_trips(robot: ServoedArm, clock: Clock, seconds: float, *, paced: bool = False) -> Array:
     """Measure how long a connected robot at rest takes to return its joints [s], shape (n,).
+
+    It is asked once per setpoint, where its reply has arrived by then; a robot that sets the pace
+    for each of its states.
 
     Args:
         robot: The robot; it does not move.
         clock: The rig's clock.
         seconds: Length of the measurement [s]; at least one round trip is measured.
-        period: Time between two requests, where the reply has arrived by then [s].
+        paced: Whether the robot sets the pace.
 
     Raises:
         LinkError: The robot does not answer.
     """
     robot.measured()
     trips: list[float] = []
-    begin = clock.now()
+    begin, period = clock.now(), STATE_PERIOD if paced else SETPOINT_PERIOD
     for k in range(max(round(seconds / period), 1)):
         clock.wait_until(begin + k * period)
         asked = clock.now()

@@ -1,5 +1,8 @@
 """The driver on the vendor's library, against the controller of `franky-sim` in lockstep."""
 
+import re
+from typing import ClassVar
+
 import numpy as np
 import pytest
 
@@ -8,11 +11,14 @@ pytest.importorskip("franky_sim")
 
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import LinkError
+from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.worlds import pendulum_on, read_world
-from equipoise.outcomes import Outcome
+from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.clocks import VirtualClock
-from equipoise.rig.config import RigSettings
+from equipoise.rig.config import Load, RigSettings
+from equipoise.rig.connection import connect
+from equipoise.rig.explanation import explain
 from equipoise.rig.paced import PacedStream
 from equipoise.rig.plugins import Bodies
 from equipoise.rig.request import RunRequest
@@ -29,14 +35,14 @@ pytestmark = pytest.mark.compiled_only
 class Bench:
     """An arm at rest at home, and its driver."""
 
-    def __init__(self):
+    def __init__(self, **options):
         arm, settings = fr3(), read_world("twin:nominal").settings
         pendulum = pendulum_on(shipped_pendulum(), settings)
         self.rig = Lockstep(Bodies(arm, pendulum, settings, arm.home_free, 0.0, 0))
         clock = VirtualClock()
         clock.attach(self.rig.advance)
         clock.wait_until(0.5)
-        self.robot = PacedStream(FrankaRobot(self.rig.host, clock), clock)
+        self.robot = PacedStream(FrankaRobot(self.rig.host, clock, **options), clock)
 
 
 @pytest.fixture
@@ -48,8 +54,10 @@ def bench():
 
 
 class TestFranka(RobotConformance):
+    options: ClassVar = {}
+
     def make(self):
-        self.bench = Bench()
+        self.bench = Bench(**self.options)
         rig, robot = self.bench.rig, self.bench.robot
         return RobotUnderTest(robot, robot, rig.plug, lambda: rig.q)
 
@@ -58,13 +66,17 @@ class TestFranka(RobotConformance):
         self.bench.rig.close()
 
 
+class TestPositions(TestFranka):
+    options: ClassVar = {"position": True}
+
+
 def at(moment, act):
-    """Return a path at rest, during which an act happens at a time [s]."""
+    """Return a slow motion [rad], during which an act happens at a time [s]."""
 
     def offset(time):
         if abs(time - moment) < 0.001:
             act()
-        return 0.0
+        return 0.02 * (1.0 - np.cos(10.0 * time))
 
     return offset
 
@@ -92,37 +104,96 @@ def test_a_jump_of_the_path_is_smoothed_and_without_the_limits_it_is_rejected(be
         stream(bench.robot, jump)
 
 
-@pytest.mark.parametrize(
-    ("fault", "words"),
-    [
-        (lambda rig: rig.stop("joint_reflex"), "look for a contact"),
-        (lambda rig: rig.stop(), "user stop|preempted"),
-    ],
-    ids=["reflex", "user stop"],
-)
-def test_a_stop_of_the_controller_ends_the_stream_and_names_its_remedy(bench, fault, words):
+FAULTS = {
+    "20 lost packets": (lambda rig, now: rig.advance(now + 0.03), "packets were late or lost"),
+    "reflex": (lambda rig, now: rig.stop("joint_reflex"), "look for a contact"),
+    "user stop": (lambda rig, now: rig.stop(), "user stop|preempted"),
+    "a controller that dies": (lambda rig, now: rig.reset_state(), "requested nothing"),
+    "a cable that is pulled": (lambda rig, now: rig.plug(False), "requested nothing"),
+    "joints that stand still": (lambda rig, now: rig.freeze(times=True), "the same joints"),
+    "a time that stands still": (lambda rig, now: rig.freeze(times=False), "UDP receive: Timeout"),
+}
+"""For each fault its act on the rig, and words of the error."""
+
+
+@pytest.mark.parametrize(("fault", "words"), FAULTS.values(), ids=FAULTS)
+def test_a_fault_ends_the_stream_and_names_its_remedy(bench, fault, words):
     robot = bench.robot
     robot.connect()
     with pytest.raises(LinkError, match=words):
-        stream(robot, at(0.2, lambda: fault(bench.rig)))
+        stream(robot, at(0.2, lambda: fault(bench.rig, robot.now())))
 
 
-def test_no_motion_begins_until_the_operator_has_cleared_an_error(bench):
-    bench.rig.stop("joint_reflex")
-    with pytest.raises(LinkError, match="stopped by an error; inspect the arm"):
+@pytest.mark.full
+@pytest.mark.parametrize(("fault", "words"), FAULTS.values(), ids=FAULTS)
+def test_a_fault_ends_a_balance_with_the_arm_at_rest_and_its_cause_in_the_log(
+    tmp_path, fault, words
+):
+    request = requested()
+    rig = connect(request)
+    before = []
+
+    def wrap(controller):
+        tick = controller.tick
+
+        def faulty(now, inputs):
+            if controller.phase.kind is Phase.BALANCING and controller.phase.ticks == 100:
+                before.append(rig.bench.q)
+                fault(rig.bench, now)
+            return tick(now, inputs)
+
+        controller.tick = faulty
+        return controller
+
+    log = tmp_path / "run.mcap"
+    end = run_virtually(request, log, rig=rig, wrap=wrap)
+    assert end.outcome is Outcome.LINK_LOST
+    assert re.search(words, end.reason)
+    assert 1.0 <= end.lasted < 1.2
+    cause = explain(RunLog.load(log))[0]
+    assert cause.cause is Outcome.LINK_LOST
+    assert re.search(words, cause.evidence)
+    time = rig.clock.now()
+    for seconds in (0.1, 0.2):
+        rig.bench.advance(time + seconds)
+        assert np.abs(rig.bench.q - before[-1]).max() < (0.05 if len(before) == 1 else 1e-3)
+        before.append(rig.bench.q)
+
+
+@pytest.mark.parametrize(
+    ("stop", "words"),
+    [
+        (lambda rig: rig.stop("joint_reflex"), "stopped by an error; inspect the arm.*contact"),
+        (lambda rig: rig.stop("self_collision_avoidance_violation"), "choose another home"),
+        (lambda rig: rig.stop(), "release it"),
+        (lambda rig: rig.lock(), "joints are locked"),
+    ],
+    ids=["reflex", "self-collision", "user stop", "brakes"],
+)
+def test_nothing_is_measured_before_the_operator_has_cleared_a_stop(bench, stop, words):
+    stop(bench.rig)
+    with pytest.raises(LinkError, match=words):
         bench.robot.connect()
 
 
-def test_a_motion_without_commands_is_stopped(bench):
-    robot = bench.robot
-    robot.connect()
-    with pytest.raises(LinkError, match="packets were late or lost"):
-        stream(robot, at(0.2, lambda: bench.rig.advance(robot.now() + 0.03)))
+def test_a_load_is_no_external_torque():
+    bench = Bench(load=Load(0.25, (0.065, 0.0, 0.0)))
+    without = bench.rig.external_torque()
+    bench.robot.connect()
+    bench.robot.start()
+    bench.rig.advance(1.0)
+    assert np.abs(bench.rig.external_torque()).max() < 0.2 < 0.2 * np.abs(without).max()
+    bench.robot.close()
+    bench.rig.close()
+
+
+def requested():
+    """Return the request for a balance of 5 s with the shipped policy."""
+    settings = RigSettings(arm="fr3")
+    policy = shipped_policy().model_copy(update={"arm": settings.described_arm})
+    return RunRequest(policy, policy.actuator, settings, "franka://twin:fr3", None, 5.0)
 
 
 def test_a_policy_balances_a_pendulum_on_an_fr3():
-    settings = RigSettings(arm="fr3")
-    policy = shipped_policy().model_copy(update={"arm": settings.described_arm})
-    request = RunRequest(policy, policy.actuator, settings, "franka://twin:fr3", None, 5.0)
-    end = run_virtually(request, None)
+    end = run_virtually(requested(), None)
     assert end.outcome is Outcome.LASTED, end.reason

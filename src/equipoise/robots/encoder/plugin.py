@@ -11,7 +11,7 @@ from equipoise.errors import InputError, LinkError
 from equipoise.rig.interfaces import Clock
 from equipoise.rig.plugins import Emulated, SensorPlugin, Session
 from equipoise.rig.simulated_rig import SimulatedRig
-from equipoise.rig.transports import CHUNK, memory_pipe
+from equipoise.rig.transports import memory_pipe
 from equipoise.robots.encoder.board import Board
 from equipoise.robots.encoder.sensor import LineEncoder
 
@@ -53,8 +53,9 @@ class SerialTransport:
         Raises:
             LinkError: The device is gone.
         """
+        # Linux lets a read of an empty port wait for the worker that delivers the next bytes.
         try:
-            return self._port.read(CHUNK)
+            return self._port.read(waiting) if (waiting := self._port.in_waiting) else b""
         except (OSError, TypeError) as error:
             raise self._gone(error) from None
 

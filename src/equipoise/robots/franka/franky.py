@@ -4,12 +4,13 @@
 command; this module adds the controller's checks of lost packets, velocities, accelerations and
 jerks, its reflex and its user stop, the external torques, and the pendulum with hand and button.
 
-Not modelled: the Franka Hand stays on the flange, the position-dependent velocity limits, brakes,
+Not modelled: the Franka Hand stays on the flange, the position-dependent velocity limits,
 self-collision, and collision thresholds.
 """
 
-# pyright: reportMissingImports=false, reportUntypedBaseClass=false
-# An optional package without types.
+# pyright: reportMissingImports=false, reportUntypedBaseClass=false, reportArgumentType=false
+# pyright: reportIncompatibleMethodOverride=false
+# An optional package with few types.
 
 import copy
 from collections.abc import Callable, Iterable
@@ -47,6 +48,7 @@ CLOSE: Final = 1e-3
 LOST: Final = 20
 """Number of packets without a command that end a motion."""
 ERRORS: Final = {
+    "self_collision_avoidance_violation": 2,
     "joint_reflex": 6,
     "joint_motion_generator_velocity_limits_violation": 13,
     "joint_motion_generator_velocity_discontinuity": 14,
@@ -54,6 +56,8 @@ ERRORS: Final = {
     "communication_constraints_violation": 25,
 }
 """Numbers of the controller's errors."""
+MODES: Final = {"kJointVelocity": False, "kJointPosition": True}
+"""Whether a mode of motion streams positions."""
 
 
 class Controller(FrankaRobotServer):
@@ -61,16 +65,18 @@ class Controller(FrankaRobotServer):
 
     def __init__(self, robot: Any, hosts: Iterable[str]) -> None:
         """Create the controller of a robot, at the first free one of some addresses."""
-        self.external: Callable[[], tuple[float, ...]] = lambda: (0.0,) * 7
-        """Returns the external torques [N m]."""
+        self.external = (0.0,) * 7
+        """External torques [N m]."""
         super().__init__(robot, hosts)
+        self._frozen, self._frozen_time = b"", False
         self.connected = True
         """Whether packets pass: not while the cable is pulled."""
         self._mode = RobotMode.kIdle
         self._errors = [False] * 41
         self._changed = False
         self._command: Any = None
-        self._lost, self._dq, self._ddq = 0, np.zeros(7), np.zeros(7)
+        self._positions = False
+        self._lost, self._q, self._dq, self._ddq = 0, np.zeros(7), np.zeros(7), np.zeros(7)
 
     def stop(self, error: str = "") -> None:
         """Abort the motion by a user stop, or by a reflex on an error; until `set_free`."""
@@ -85,9 +91,17 @@ class Controller(FrankaRobotServer):
             self.reset_current_motion_id()
         self.stop_motion()
 
+    def lock(self) -> None:
+        """Lock the joints, until `set_free`."""
+        self._mode = RobotMode.kOther
+
     def set_free(self) -> None:
-        """Release the user stop, and clear the error."""
+        """Release the user stop, clear the error, and unlock the joints."""
         self._mode, self._errors = RobotMode.kIdle, [False] * 41
+
+    def freeze(self, *, times: bool) -> None:
+        """Repeat the state of now from now on, with new times or with that of now."""
+        self._frozen, self._frozen_time = self._get_state_bytes(), not times
 
     def plug(self, connected: bool) -> None:
         """Pull the cable, or put it back."""
@@ -96,9 +110,10 @@ class Controller(FrankaRobotServer):
             self.cleanup()  # refuses a client
 
     def start_motion(self, controller: Any, generator: Any, motion: int) -> None:
-        """Begin a motion at rest, in velocity mode, unless the arm is stopped."""
-        if self._mode != RobotMode.kIdle or generator.name != "kJointVelocity":
+        """Begin a motion at rest, in velocity or position mode, unless the arm is stopped."""
+        if self._mode != RobotMode.kIdle or generator.name not in MODES:
             raise ValueError("no such motion is possible")
+        self._positions, self._q = MODES[generator.name], np.array(self.robot.state.q_d)
         self._lost, self._dq, self._ddq = 0, np.zeros(7), np.zeros(7)
         self._changed = True
         super().start_motion(controller, generator, motion)
@@ -127,6 +142,8 @@ class Controller(FrankaRobotServer):
         """Send the state."""
         self._changed = False
         if self.connected and self.udp_connected:
+            if self._frozen_time:
+                self._FrankaServer__message_id = self._sent
             super().send_state()
             self._sent += 1
 
@@ -143,7 +160,8 @@ class Controller(FrankaRobotServer):
         if command.motion_generation_finished:
             super()._handle_udp_command(command_data)
         elif command.message_id >= self._sent:  # else it is late, and counts as lost
-            self._command = np.array(command.dq_c)
+            dq = (np.array(command.q_c) - self._q) / PERIOD
+            self._command = dq if self._positions else np.array(command.dq_c)
 
     def _move(self) -> str:
         """Advance the commanded motion by a cycle; return the error, empty if it keeps the limits.
@@ -162,40 +180,52 @@ class Controller(FrankaRobotServer):
             "joint_motion_generator_acceleration_discontinuity": (ddq - self._ddq)
             / (JERK * PERIOD),
         }
-        self._dq, self._ddq = dq, ddq
+        self._q, self._dq, self._ddq = self._q + PERIOD * dq, dq, ddq
         broken = (name for name, x in limits.items() if np.abs(x).max() > 1.0)
         return next(broken, "")
 
     def _post_process_commands(self) -> None:
-        if self.current_motion_id:
+        if self.current_motion_id and self._positions:
+            self.robot.joint_position_control(self._q)
+        elif self.current_motion_id:
             self.robot.joint_velocity_control(self._dq)
         else:
             super()._post_process_commands()
 
     def _get_state_bytes(self) -> bytes:
+        if self._frozen:
+            return self._frozen
         state = self.robot_state
+        if self.current_motion_id:
+            state = state.replace(dq_d=tuple(self._dq))
+        if self.current_motion_id and self._positions:
+            state = state.replace(q_d=tuple(self._q))
         if self._mode != RobotMode.kIdle:
             errors = tuple(self._errors)
             state = state.replace(robot_mode=self._mode, errors=errors, reflex_reason=errors)
-        return state.replace(tau_ext_hat_filtered=self.external()).pack_state()
+        return state.replace(tau_ext_hat_filtered=self.external).pack_state()
 
 
 class FrankyRig(Bench):
     """An FR3 of `franky-sim` with a pendulum, hand and button, in time."""
 
-    def __init__(self, bodies: Bodies, hosts: Iterable[str] = OTHER_HOSTS) -> None:
+    def __init__(
+        self, bodies: Bodies, hosts: Iterable[str] = OTHER_HOSTS, *, real_time: bool = False
+    ) -> None:
         """Set up the rig, the arm at rest and the pendulum hanging.
 
         Args:
             bodies: The FR3, the pendulum and the world.
             hosts: Addresses of which the first free one serves the robot.
+            real_time: Whether a state is sent at the begin of its cycle, as by a real controller,
+                and a client has the whole cycle to answer; otherwise it needs none.
 
         Raises:
             InputError: The arm is no FR3.
             OutsideError: No address is free.
         """
         arm, pendulum, settings, q, start, seed = bodies
-        simulator = MujocoSimulator()
+        simulator: Any = MujocoSimulator()  # its model is None until it starts
         simulator.init()
         if len(arm.joints) != JOINTS:
             raise _not_an_fr3(arm)
@@ -221,16 +251,18 @@ class FrankyRig(Bench):
         model.dof_frictionloss[phi] = pendulum.coulomb * inertia
         data.qpos[phi] = np.pi
         mujoco().mj_forward(model, data)
-        self._simulator = simulator
+        self._simulator: Any = simulator
+        self._real_time = real_time
         # The arm as its controller knows it, without pendulum, bracket and contacts.
         self._bare = copy.copy(model)
         for name in ("bracket", "pendulum"):
             body = model.body(name).id
             self._bare.body_mass[body], self._bare.body_inertia[body] = 0.0, 0.0
+        self._bracket = model.body("bracket").id
+        self._rotation = rotation_from_rpy(arm.flange_rpy)
         self._bare.dof_armature[phi] = 1.0  # a joint without any mass has no solution
         self._bare.opt.disableflags |= int(mujoco().mjtDisableBit.mjDSBL_CONSTRAINT)
         self._bare_data = mujoco().MjData(self._bare)
-        self.controller.external = self._external
         flange, rod = (model.body(name).id for name in (LINK, "pendulum"))
         mechanism = Mechanism(data, flange, rod, int(phi), self._step)
         super().__init__(mechanism, pendulum, settings, seed=seed, start=start)
@@ -247,12 +279,21 @@ class FrankyRig(Bench):
 
     def _step(self) -> None:
         self.controller.process_commands()
+        if self._real_time:
+            self.controller.send_state()
         self._simulator.step()
-        self.controller.send_state()
+        self.controller.external = self.external_torque()
+        if not self._real_time:
+            self.controller.send_state()
 
-    def _external(self) -> tuple[float, ...]:
-        """Return the torques of pendulum, bracket and contacts on the arm [N m], shape (7,)."""
+    def external_torque(self) -> tuple[float, ...]:
+        """Return the torques of pendulum, bracket and contacts on the arm [N m], shape (7,).
+
+        Those of the load that the controller was told are subtracted.
+        """
         bare, data = self._bare_data, self._simulator.data
+        self._bare.body_mass[self._bracket] = self.robot.m_load
+        self._bare.body_ipos[self._bracket] = self._rotation @ np.array(self.robot.F_x_Cload)
         bare.qpos[:], bare.qvel[:], bare.qacc[:] = data.qpos, data.qvel, data.qacc
         mujoco().mj_inverse(self._bare, bare)
         own = data.qfrc_applied + data.qfrc_constraint  # drive, dry friction, and ends of ranges
@@ -276,12 +317,13 @@ class FrankyHardware:
         """
         if port is not None:
             raise InputError("a controller of an FR3 has ports of its own; leave --port out")
-        self.bench = FrankyRig(bodies, [HOST])
+        self.bench = FrankyRig(bodies, [HOST], real_time=True)
         self.address = f"franka://{HOST}"
         controller = self.bench.controller
         self.acts: dict[str, Callable[[], object]] = {
             "estop": controller.stop,
             "collide": lambda: controller.stop("joint_reflex"),
+            "lock": controller.lock,
             "free": controller.set_free,
         }
 

@@ -11,25 +11,28 @@ from equipoise.rig.plugins import Bodies, Emulated, Hardware, RobotPlugin, Sessi
 from equipoise.robots.franka.robot import FrankaRobot
 
 
-def host(address: str) -> str:
-    """Return the host of an address.
+def host_and_mode(address: str) -> tuple[str, bool]:
+    """Return the host of an address, and whether positions are streamed.
 
     Raises:
         InputError: The address is invalid.
     """
     with suppress(ValueError):  # an open bracket, an invalid port
         parts = urlsplit(address)
-        if parts.hostname and parts.port is None and not parts.path.strip("/"):
-            return parts.hostname
+        known = parts.query in ("", "mode=velocity", "mode=position")
+        if parts.hostname and parts.port is None and not parts.path.strip("/") and known:
+            return parts.hostname, parts.query == "mode=position"
     raise InputError(
-        f"{address!r} is no address of an FR3; expected franka://HOST, with the name or number of "
-        "its controller such as 172.16.0.2, without a port"
+        f"{address!r} is no address of an FR3; expected franka://HOST or "
+        "franka://HOST?mode=position, with the name or number of its controller such as "
+        "172.16.0.2, without a port"
     )
 
 
 def open_robot(address: str, session: Session) -> FrankaRobot:
     """Return the driver for an address; nothing is opened before it is connected."""
-    return FrankaRobot(host(address), session.clock, notify=session.notify)
+    host, position = host_and_mode(address)
+    return FrankaRobot(host, session.clock, position=position, load=session.load)
 
 
 def bench(bodies: Bodies) -> Any:
@@ -46,7 +49,7 @@ def bench(bodies: Bodies) -> Any:
 
 def emulate(rig: Any, arm: Arm, session: Session, delay: float, seed: int) -> Emulated[FrankaRobot]:
     """Return the driver in front of a rig on `franky-sim`."""
-    return Emulated(FrankaRobot(rig.host, session.clock), emulator=rig)
+    return Emulated(FrankaRobot(rig.host, session.clock, load=session.load), emulator=rig)
 
 
 def hardware(bodies: Bodies, port: int | None, say: Callable[[str], None]) -> Hardware:

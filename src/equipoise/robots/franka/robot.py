@@ -1,6 +1,7 @@
-"""Driver of a Franka Research 3 in velocity mode, a `PacedRobot`, on the vendor's `pylibfranka`.
+"""Driver of a Franka Research 3, a `PacedRobot`, on the vendor's `pylibfranka`.
 
-The controller sends its state every millisecond, and expects a velocity. A motion stops by itself
+The controller sends its state every millisecond, and expects a velocity or, in position mode, the
+integral of the same velocities. A motion stops by itself
 after 20 packets without an answer, after a reflex, and after a command beyond the limits
 (`equipoise.robots.franka.velocity`). Any such end is final: nothing here recovers from an error,
 the operator does.
@@ -14,15 +15,15 @@ import select
 import socket
 import stat
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, Final, NoReturn
 
 import numpy as np
 
 from equipoise.errors import LinkError, import_optional
+from equipoise.rig.config import Load
 from equipoise.rig.interfaces import Array, Clock, Request, checked_setpoint
-from equipoise.rig.plugins import ignore
 from equipoise.robots.franka.velocity import GAIN, LAG, PERIOD, limited, velocity_limits
 
 JOINTS: Final = 7
@@ -35,6 +36,17 @@ DRIFT: Final = 1e-4
 """Maximum difference of the two clocks' rates [-]; quartz has 1e-5."""
 AT_REST: Final = 1e-3
 """Velocity below which a motion may end [rad/s]."""
+MOVES: Final = 0.01
+"""Commanded velocity of a joint at which its angle cannot stay the same [rad/s]."""
+MOST_SAME: Final = 20
+"""Number of states with equal joints, while they should move, after which the link is given up;
+without commands the controller then stops the arm."""
+TORQUES: Final = [20.0, 20.0, 18.0, 18.0, 16.0, 14.0, 12.0]
+"""External torques at which the controller stops the arm [N m]; those of libfranka's examples."""
+FORCES: Final = [20.0, 20.0, 20.0, 25.0, 25.0, 25.0]
+"""External forces [N] and torques [N m] on the flange at which it does."""
+POINT: Final = [0.0] * 9
+"""Inertia of a load that is taken as a mass at a point [kg m^2]."""
 RECOVER: Final = "inspect the arm, clear the error in Desk, and activate FCI"
 """Remedy after an error that stopped the arm."""
 MODES: Final = {
@@ -66,23 +78,30 @@ class FrankaRobot:
 
     joints = JOINTS
 
-    def __init__(self, host: str, clock: Clock, *, notify: Callable[[str], None] = ignore) -> None:
+    def __init__(
+        self, host: str, clock: Clock, *, position: bool = False, load: Load | None = None
+    ) -> None:
         """Create the driver; nothing is opened before `connect`.
 
         Args:
             host: Name or number of the controller.
             clock: Clock of the rig.
-            notify: Receives warnings for the operator.
+            position: Whether positions are streamed, not velocities. In `franky-sim` the joints
+                then lag 100 ms, with which the shipped policy fails its self-test.
+            load: Load on the flange; None leaves that of Desk in force.
         """
-        self._host, self._clock, self._notify = host, clock, notify
+        self._host, self._clock, self._position, self._load = host, clock, position, load
         self._library: Any = None
         self._robot: Any = None
         self._control: Any = None
-        self._packets, self._streams = -1, False
+        self._packets = self._commands = -1
+        self._streams = False
         self._failure = ""
         self._offset = np.inf
         self._time, self._elapsed = 0.0, PERIOD
         self._state: Any = None
+        self._same = 0
+        self._desired = np.zeros(JOINTS)
         self._path = deque[Array](maxlen=LAG + 1)
         self._velocity = self._acceleration = np.zeros(JOINTS)
 
@@ -96,16 +115,17 @@ class FrankaRobot:
         if self._robot is not None or self._failure:
             raise LinkError("this connection was used; make another one")
         self._library = import_optional("pylibfranka", "franka")
-        before = _datagram_sockets()
+        before = _sockets()
         # Without a real-time kernel, too: the diagnosis measures what this machine can do.
         ignored = self._library.RealtimeConfig.kIgnore
-        with self._final_errors():
-            self._robot = self._library.Robot(self._host, ignored)
-        self._packets = (_datagram_sockets() - before).pop()
-        if not os.path.exists("/sys/kernel/realtime"):
-            self._notify(
-                "warning: this kernel has no PREEMPT_RT, which Franka requires; expect lost packets"
-            )
+        scheduling = os.sched_getscheduler(0), os.sched_getparam(0)
+        try:
+            with self._final_errors():
+                self._robot = self._library.Robot(self._host, ignored)
+        finally:  # libfranka gives this thread the highest priority of the machine
+            os.sched_setscheduler(0, *scheduling)
+        opened = {kind: number for number, kind in _sockets() - before}
+        self._packets, self._commands = opened[socket.SOCK_DGRAM], opened[socket.SOCK_STREAM]
         self.measured()
 
     def measured(self) -> Array:
@@ -126,8 +146,12 @@ class FrankaRobot:
             LinkError: The controller accepts no motions.
         """
         self._at_rest("start another")
+        with self._final_errors():
+            self._robot.set_collision_behavior(TORQUES, TORQUES, FORCES, FORCES)
+            if self._load is not None:
+                self._robot.set_load(*self._load, POINT)
         self._fresh()
-        self._streams = True
+        self._streams, self._same = True, 0
         self._velocity = self._acceleration = np.zeros(JOINTS)
         self._path.clear()
         self._state = None
@@ -144,25 +168,38 @@ class FrankaRobot:
         if self._control is None:
             if self._next(until) is None:
                 return None
-            mode = self._library.ControllerMode.JointImpedance
+            mode, robot = self._library.ControllerMode.JointImpedance, self._robot
             with self._final_errors():
-                self._control = self._robot.start_joint_velocity_control(mode)
+                self._control = (
+                    robot.start_joint_position_control(mode)
+                    if self._position
+                    else robot.start_joint_velocity_control(mode)
+                )
         if not self._arrived(until):
             return None
         with self._final_errors():
             state, _ = self._control.readOnce()
         now, time = self._clock.now(), float(state.time.to_sec())
-        if self._state is not None:
-            self._elapsed, velocity = max(time - self._time, PERIOD), np.array(state.dq_d)
+        if self._state is None:
+            self._desired = np.array(state.q_d)
+        else:
+            self._elapsed, velocity = time - self._time, np.array(state.dq_d)
+            moves = np.abs(velocity).max() > MOVES
+            self._same = self._same + 1 if moves and state.q == self._state.q else 0
+            if self._same >= MOST_SAME:
+                self._fail(f"reports the same joints {MOST_SAME} times; restart the controller")
             self._acceleration = (velocity - self._velocity) / self._elapsed
             self._velocity = velocity
+            # More accurate than the reported q_d, which has 32 bits.
+            before = velocity - 0.5 * (self._elapsed - PERIOD) * self._acceleration
+            self._desired = self._desired + self._elapsed * before
         self._state, self._time = state, time
         # The controller's clock paces the path evenly; packets are late by different times.
         self._offset = min(self._offset + DRIFT * self._elapsed, now - time)
         return Request(time + self._offset, tuple(state.q), tuple(state.tau_ext_hat_filtered))
 
     def answer(self, q: Sequence[float] | Array) -> None:
-        """Answer with the velocity that leads to a point of the path [rad], shape (7,).
+        """Answer with the command that leads to a point of the path [rad], shape (7,).
 
         Raises:
             LinkError: The link is down, or the motion was stopped.
@@ -172,7 +209,8 @@ class FrankaRobot:
         measured = np.array(self._state.q)
         before = self._path[-1] if self._path else there
         self._path.append(there)
-        v = (there - before) / self._elapsed + GAIN * (self._path[0] - measured)
+        error = before - self._desired if self._position else self._path[0] - measured
+        v = (there - before) / self._elapsed + GAIN * error
         self._command(v, measured)
 
     def stop(self) -> None:
@@ -197,12 +235,19 @@ class FrankaRobot:
         """Disconnect; the controller stops a motion that runs."""
         if self._robot is not None:
             self._failure = self._failure or "the connection was closed"
+            # libfranka would end a motion first, and wait for a silent controller without end.
+            with suppress(OSError), socket.socket(fileno=os.dup(self._commands)) as commands:
+                commands.shutdown(socket.SHUT_RDWR)
         self._control = self._robot = None
 
     def _command(self, v: Array, q: Array, *, finished: bool = False) -> None:
         bounds = velocity_limits(q)
         v = np.zeros(JOINTS) if finished else limited(v, self._velocity, self._acceleration, bounds)
-        command = self._library.JointVelocities(v.tolist())
+        command = (
+            self._library.JointPositions((self._desired + PERIOD * v).tolist())
+            if self._position
+            else self._library.JointVelocities(v.tolist())
+        )
         command.motion_finished = finished
         with self._final_errors():
             self._control.writeOnce(command)
@@ -211,8 +256,11 @@ class FrankaRobot:
         """Return the next state while no motion runs, and check that one can begin."""
         if (state := self._next(self._clock.now() + SILENCE)) is None:
             self._fail(f"sent nothing for {SILENCE:g} s; check its cable and its power")
-        if state.robot_mode.name != "Idle":
-            self._fail(f"accepts no motion: {MODES[state.robot_mode.name]}")
+        mode, errors = state.robot_mode.name, str(state.current_errors)
+        if mode != "Idle" or errors != "[]":
+            cause = MODES.get(mode, f"it reports an error; {RECOVER}")
+            named = "" if errors == "[]" else f" ({errors}: {_cause(errors)})"
+            self._fail(f"accepts no motion: {cause}{named}")
         return state
 
     def _next(self, until: float) -> Any:
@@ -252,8 +300,7 @@ class FrankaRobot:
             remedy = (
                 RECOVER if errors else "check its power and its cable, and activate FCI in Desk"
             )
-            remedies = (cause for name, cause in CAUSES.items() if name in errors)
-            self._fail(f"reports {said!r}; {next(remedies, remedy)}", error)
+            self._fail(f"reports {said!r}; {_cause(errors, remedy)}", error)
 
     def _fail(self, why: str, error: Exception | None = None) -> NoReturn:
         """Give up the link for good."""
@@ -261,14 +308,18 @@ class FrankaRobot:
         raise LinkError(self._failure) from error
 
 
-def _datagram_sockets() -> set[int]:
-    """Return the numbers of this process's open datagram sockets."""
-    found = set[int]()
+def _cause(errors: str, otherwise: str = RECOVER) -> str:
+    """Return the cause and remedy of the controller's errors."""
+    return next((cause for name, cause in CAUSES.items() if name in errors), otherwise)
+
+
+def _sockets() -> set[tuple[int, int]]:
+    """Return the numbers and the kinds of this process's open sockets."""
+    found = set[tuple[int, int]]()
     for name in os.listdir("/proc/self/fd"):
         with suppress(OSError):
             number = int(name)
             if stat.S_ISSOCK(os.fstat(number).st_mode):
                 with socket.socket(fileno=os.dup(number)) as opened:
-                    if opened.type == socket.SOCK_DGRAM:
-                        found.add(number)
+                    found.add((number, opened.type))
     return found

@@ -51,8 +51,10 @@ def host_and_port(address: str) -> tuple[str, int]:
 
 def open_robot(address: str, session: Session) -> KstRobot:
     """Return the driver for an address; nothing is opened before it is connected."""
-    clock, notify, attend = session
-    return KstRobot(dial(*host_and_port(address)), clock, notify=notify, attend=attend)
+    if session.load is not None:
+        raise InputError("a KST server takes no load; set it on the smartPAD, not in rig.toml")
+    stream = dial(*host_and_port(address))
+    return KstRobot(stream, session.clock, notify=session.notify, attend=session.attend)
 
 
 def emulate(
