@@ -62,7 +62,7 @@ class RigSettings(Value):
     minus the distance from the axis of A7, and z the height of a media flange: 0, 35 or 61."""
     load_kg: float | None = Field(default=None, gt=0.0, le=20.0)
     """Mass of pendulum and holder [kg], which `franka://` sets before a motion; by default that of
-    Desk stays in force. On a KUKA it is set on the smartPAD."""
+    Desk stays in force. On a KUKA it is a tool in Sunrise.Workbench."""
     load_mm: tuple[Millimetres, Millimetres, Millimetres] | None = None
     """Their centre of mass in the flange frame [mm]; by default half way to the pivot."""
     counts_per_rev: int = Field(default=8192, ge=64, le=2**24)

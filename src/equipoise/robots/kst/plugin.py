@@ -52,7 +52,7 @@ def host_and_port(address: str) -> tuple[str, int]:
 def open_robot(address: str, session: Session) -> KstRobot:
     """Return the driver for an address; nothing is opened before it is connected."""
     if session.load is not None:
-        raise InputError("a KST server takes no load; set it on the smartPAD, not in rig.toml")
+        raise InputError("a KST server takes no load_kg; enter it as a tool in Sunrise.Workbench")
     stream = dial(*host_and_port(address))
     return KstRobot(stream, session.clock, notify=session.notify, attend=session.attend)
 
