@@ -31,7 +31,6 @@ from equipoise.rig.clocks import DrainingClock, SystemClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import Rig
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, PacedRobot, ServoedArm
-from equipoise.rig.paced import PacedStream
 from equipoise.rig.phases.balancing import POLICY_TIME_SHARE
 from equipoise.rig.realtime import prepare
 from equipoise.rig.request import RunRequest
@@ -69,7 +68,7 @@ def preflight(
     """
     policy, settings, seconds = request.policy, request.settings, 1.0  # of each measurement
     waiting = DrainingClock(rig.clock, rig.sensor)
-    paced = isinstance(rig.clock, PacedStream)
+    paced = isinstance(rig.robot, Clock)  # its stream is the clock of its rig
     trips = round_trips(rig.robot, waiting, seconds, paced=paced)
     rule = rig.plugin.flange_speed
     max_speed = max_flange_speed(settings.described_arm, trips, request.max_speed, rule)
