@@ -27,7 +27,7 @@ def test_a_load_is_half_way_to_the_pivot_unless_its_centre_is_given(tmp_path):
     assert RigSettings(pivot_mm=(-130, 0, 35), load_kg=0.5).load == (0.5, (-0.065, 0.0, 0.0175))
     text = "load_kg = 0.5\nload_mm = [1, 2, 3]\n"
     assert read_rig(written(tmp_path, text)).load == (0.5, (0.001, 0.002, 0.003))
-    with pytest.raises(InputError, match="smartPAD"):
+    with pytest.raises(InputError, match="Sunrise.Workbench"):
         open_robot("kst://127.0.0.1", VirtualClock(), load=RigSettings(load_kg=0.5).load)
 
 

@@ -20,7 +20,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TEST
-from equipoise.model.worlds import CLEAN, TwinSettings, World
+from equipoise.model.worlds import CLEAN, WORLDS, TwinSettings, World
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.rig.simulate import simulate_run
 from equipoise.safety.rules import TRACK_LIMIT
@@ -99,22 +99,22 @@ def test_outcomes_depend_on_seed_and_number_alone():
 
 
 SERVOS = {
-    "velocity": ACTUATOR,
+    "nominal": ACTUATOR,
     "pd": Actuator.assumed("kst", delay=0.0105, lag=0.004, cycle=0.016),
     "trajectory40": Actuator.assumed("kst", delay=0.0105, lag=0.008, cycle=0.040),
 }
 
 
-@pytest.mark.parametrize("inner", SERVOS)
-def test_a_trial_that_is_told_no_actuator_selects_that_of_its_servo(inner):
-    world = TwinSettings(guards=True, inner=inner)
+@pytest.mark.parametrize("name", SERVOS)
+def test_a_trial_that_is_told_no_actuator_selects_that_of_its_servo(name):
+    world = TwinSettings.model_validate(WORLDS[name])
     carried = (*reversed(SERVOS.values()), Actuator.assumed("lag", lag=0.03))
     simulation = twins(world, actuators=carried)
-    told = twins(world, actuators=(SERVOS[inner],)).loop()
+    told = twins(world, actuators=(SERVOS[name],)).loop()
     loop = simulation.loop()
     for trial in TRIALS:
         result = run_trial(loop, KernelPolicy(LQR), trial, 2.0)
-        assert simulation.actuators[loop.chosen] == SERVOS[inner]
+        assert simulation.actuators[loop.chosen] == SERVOS[name]
         # The move before the release leaves no trace in the trial, nor does the trial before.
         assert result == run_trial(told, KernelPolicy(LQR), trial, 2.0)
         assert result[1] == TRUNCATED
