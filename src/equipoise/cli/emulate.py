@@ -70,8 +70,9 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     task |= {"pendulum": emulated.pendulum}
     links = {"robot": emulation.hardware.address, "encoder": encoder}
     then = command("deploy", yours, **links, **task, makes="run.mcap")
-    # The emulated robot takes the first core: the loop of the run stays on the last one.
-    realtime.prepare(core=0)
+    # The emulated robot takes the first core: the loop of the run stays on the last one. The
+    # kernel's threads that carry its bytes get their turns there.
+    realtime.prepare(core=0, priority=0)
     output.result(robot=links["robot"], encoder=encoder, actions=sorted(emulation.acts), then=then)
     output.stream.flush()
 

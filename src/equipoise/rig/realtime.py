@@ -14,11 +14,12 @@ PRIORITY: Final = 60
 interrupts, which carry the loop's bytes, have 50 on a real-time kernel unless they are tuned."""
 
 
-def prepare(core: int = -1) -> dict[str, str]:
+def prepare(core: int = -1, priority: int = PRIORITY) -> dict[str, str]:
     """Apply all settings to this process; call it once all memory is allocated and all code ran.
 
     Args:
         core: Index of the core to stay on among the allowed ones (default: the last).
+        priority: Priority under SCHED_FIFO; 0 for the highest of an ordinary process.
 
     Returns:
         For the name of each setting `granted`, or why this machine refused it.
@@ -34,11 +35,16 @@ def prepare(core: int = -1) -> dict[str, str]:
             raise OSError("there is one core only")
         os.sched_setaffinity(0, {allowed[core]})
 
+    def go_first() -> None:
+        """Run before other work."""
+        if priority:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        else:
+            os.setpriority(os.PRIO_PROCESS, 0, -20)
+
     settings: dict[str, Callable[[], None]] = {
         "memory locked": _lock_memory,
-        "real-time priority": lambda: os.sched_setscheduler(
-            0, os.SCHED_FIFO, os.sched_param(PRIORITY)
-        ),
+        "real-time priority": go_first,
         "own core": stay,
     }
     granted: dict[str, str] = {}

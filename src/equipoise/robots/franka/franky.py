@@ -129,7 +129,12 @@ class Controller(FrankaRobotServer):
         self._receive()
         if self.current_motion_id and (error := self._move()):
             self.stop(error)
-        self._post_process_commands()
+        if self.current_motion_id and self._positions:
+            self.robot.joint_position_control(self._q)
+        elif self.current_motion_id:
+            self.robot.joint_velocity_control(self._dq)
+        else:
+            super()._post_process_commands()
 
     def reply(self) -> None:
         """Reply to a client that waits for the begin or the end of a motion, between two cycles."""
@@ -185,25 +190,20 @@ class Controller(FrankaRobotServer):
         return next(broken, "")
 
     def _post_process_commands(self) -> None:
-        if self.current_motion_id and self._positions:
-            self.robot.joint_position_control(self._q)
-        elif self.current_motion_id:
-            self.robot.joint_velocity_control(self._dq)
-        else:
-            super()._post_process_commands()
+        """Leave the drives to `process_commands`, after the checks."""
 
     def _get_state_bytes(self) -> bytes:
         if self._frozen:
             return self._frozen
-        state = self.robot_state
+        changes: dict[str, Any] = {"tau_ext_hat_filtered": self.external}
         if self.current_motion_id:
-            state = state.replace(dq_d=tuple(self._dq))
+            changes["dq_d"] = tuple(self._dq)
         if self.current_motion_id and self._positions:
-            state = state.replace(q_d=tuple(self._q))
+            changes["q_d"] = tuple(self._q)
         if self._mode != RobotMode.kIdle:
             errors = tuple(self._errors)
-            state = state.replace(robot_mode=self._mode, errors=errors, reflex_reason=errors)
-        return state.replace(tau_ext_hat_filtered=self.external).pack_state()
+            changes |= {"robot_mode": self._mode, "errors": errors, "reflex_reason": errors}
+        return self.robot_state.replace(**changes).pack_state()
 
 
 class FrankyRig(Bench):
