@@ -113,7 +113,7 @@ class SelfTest(NamedTuple):
 
 
 @kernel
-def _driven_swing(
+def driven_swing(
     theta: float, theta_dot: float, u: Array, h: float, pendulum: PendulumParameters, thetas: Array
 ) -> None:
     """Write theta [rad] after each step of length h, the pivot's acceleration u held over each."""
@@ -251,7 +251,7 @@ class _Response(NamedTuple):
         thetas = np.empty_like(self.grid)
         # No friction drives: below zero the fit finds nothing better.
         parameters = PendulumParameters(w2, k, max(c, 0.0), max(coulomb, 0.0))
-        _driven_swing(theta, theta_dot, self.u, MODEL_STEP, parameters, thetas)
+        driven_swing(theta, theta_dot, self.u, MODEL_STEP, parameters, thetas)
         return gain * np.interp(self.time - tau, self.grid, thetas) + zero
 
     def sensitivities(self, unknowns: Array) -> Array:
