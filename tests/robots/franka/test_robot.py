@@ -124,8 +124,19 @@ def test_a_fault_ends_the_stream_and_names_its_remedy(bench, fault, words):
         stream(robot, at(0.2, lambda: fault(bench.rig, robot.now())))
 
 
-@pytest.mark.full
-@pytest.mark.parametrize(("fault", "words"), FAULTS.values(), ids=FAULTS)
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        pytest.param(
+            *case,
+            marks=pytest.mark.full
+            if name in ("reflex", "joints that stand still")
+            else pytest.mark.slow,
+            id=name,
+        )
+        for name, case in FAULTS.items()
+    ],
+)
 def test_a_fault_ends_a_balance_with_the_arm_at_rest_and_its_cause_in_the_log(
     tmp_path, fault, words
 ):
@@ -158,6 +169,16 @@ def test_a_fault_ends_a_balance_with_the_arm_at_rest_and_its_cause_in_the_log(
         rig.bench.advance(time + seconds)
         assert np.abs(rig.bench.q - before[-1]).max() < (0.05 if len(before) == 1 else 1e-3)
         before.append(rig.bench.q)
+
+
+def test_a_stop_ends_while_the_reported_velocity_stays(bench, monkeypatch):
+    robot = bench.robot
+    robot.connect()
+    stream(robot, lambda time: 0.01 * time, 0.2)
+    monkeypatch.setattr(driver, "MOVES", np.inf)  # slower than a motion that is seen to stand still
+    bench.rig.freeze(times=True)
+    with pytest.raises(LinkError, match="does not rest within 1 s"):
+        robot.stop()
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,8 @@ DRIFT: Final = 1e-4
 """Maximum difference of the two clocks' rates [-]; quartz has 1e-5."""
 AT_REST: Final = 1e-3
 """Velocity below which a motion may end [rad/s]."""
+STOPPING: Final = 1.0
+"""Time in which the joints come to rest [s]; from their highest velocity they need 0.6."""
 MOVES: Final = 0.01
 """Commanded velocity of a joint at which its angle cannot stay the same [rad/s]."""
 MOST_SAME: Final = 20
@@ -222,9 +224,12 @@ class FrankaRobot:
         self._link()
         if not self._streams:
             return
+        end = self._clock.now() + STOPPING
         while True:
             if (request := self.request(self._clock.now() + SILENCE)) is None:
                 self._fail(f"sent nothing for {SILENCE:g} s")
+            if self._clock.now() > end:
+                self._fail(f"does not rest within {STOPPING:g} s; press the emergency stop")
             if np.abs(self._velocity).max() < AT_REST:
                 break
             self._command(np.zeros(JOINTS), np.array(request.q))
