@@ -143,7 +143,16 @@ def test_the_values_solve_bellmans_equation_and_are_symmetric():
 def test_the_effects_cover_the_twin_and_the_clean_twin_has_none_of_them():
     gap = module("gap")
     no_effect = {
-        *("cycle", "inner", "pd_frequency", "pivot_outward", "substeps", "guards", "max_speed"),
+        *(
+            "cycle",
+            "inner",
+            "reach_time",
+            "pd_frequency",
+            "pivot_outward",
+            "substeps",
+            "guards",
+            "max_speed",
+        ),
         *("drag", "assumed_coulomb", "rotor_inertia"),
     }
     assert set(TwinSettings.model_fields) == no_effect | set(gap["CLEAN"])
