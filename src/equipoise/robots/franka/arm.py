@@ -12,6 +12,8 @@ from typing import Final
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.urdf import read_urdf
 
+URDF: Final = Path(__file__).with_name("fr3.urdf")
+"""The arm from its first link to its flange."""
 HOME_DEG: Final = (90.0, -20.0, 0.0, -130.0, 0.0, 110.0, 0.0)
 """Home posture [deg]."""
 ACCELERATION: Final = 10.0
@@ -21,7 +23,7 @@ ACCELERATION: Final = 10.0
 def fr3() -> Arm:
     """Return the FR3, as the entry point of that name."""
     return read_urdf(
-        Path(__file__).with_name("fr3.urdf"),
+        URDF,
         held=3,
         home=[radians(angle) for angle in HOME_DEG],
         acceleration=ACCELERATION,

@@ -14,11 +14,12 @@ Limits are those of libfranka's `rate_limiting.h` and of the FR3's URDF, whichev
 """
 
 from typing import Final
+from xml.etree import ElementTree
 
 import numpy as np
 
 from equipoise.rig.interfaces import Array
-from equipoise.robots.franka.arm import ACCELERATION, fr3
+from equipoise.robots.franka.arm import ACCELERATION, URDF
 
 PERIOD: Final = 0.001
 """Cycle of the controller [s]."""
@@ -33,7 +34,10 @@ SHARE: Final = 0.95
 """Share of the controller's limits that is used [-]."""
 JERK: Final = 5000.0
 """Jerk at which the controller stops the arm [rad/s^3]."""
-LOWER, UPPER, VELOCITY = np.array([(one.lower, one.upper, one.velocity) for one in fr3().joints]).T
+LOWER, UPPER, VELOCITY = (
+    np.array([float(limit.attrib[name]) for limit in ElementTree.parse(URDF).iter("limit")])
+    for name in ("lower", "upper", "velocity")
+)
 """Position limits [rad], and velocity limits far from them [rad/s]."""
 OFFSET: Final = np.array([0.652, 0.25, 0.2005, 0.3542, 0.5738, 0.4885, 0.4592])
 """Reduction of the velocity limits near the position limits [rad/s]."""
