@@ -17,9 +17,8 @@ import numpy as np
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
-from equipoise.settings import GRAVITY
 from equipoise.worlds.twin.hand import Hand, HandParams, Side, draw_hand_params
-from equipoise.worlds.twin.physics import TICK, rod_centre
+from equipoise.worlds.twin.physics import TICK, rod_centre, rod_inertia
 from equipoise.worlds.twin.simulated_arm import SimulatedArm
 from equipoise.worlds.twin.twin import Array, TrueState, Twin, advance
 
@@ -69,8 +68,7 @@ class Bench:
         """The world's numbers."""
         self._mechanism = mechanism
         self._reach = rod_centre(pendulum.w2)
-        inertia = settings.pendulum_mass * GRAVITY * self._reach / pendulum.w2
-        self.hand = Hand(inertia, self._reach)
+        self.hand = Hand(rod_inertia(pendulum.w2, settings.pendulum_mass), self._reach)
         """Hand of the operator, at the middle of the rod."""
         self._random = np.random.default_rng(seed)
         self._start, self._ticks = start, 0

@@ -21,8 +21,7 @@ from franka_sim.server import state_stream
 
 from equipoise.rig.simulated_rig import Bench, Mechanism
 from equipoise.robots.franka import franky
-from equipoise.settings import GRAVITY
-from equipoise.worlds.twin.physics import rod_centre
+from equipoise.worlds.twin.physics import rod_inertia
 
 ASSETS = Path(franky_sim.__file__).parent / "assets"
 franky.LINK = "fr3_link7"
@@ -44,7 +43,7 @@ class Mechanics(mujoco_franka_sim.MujocoFrankaSim):
             _scene(arm, pendulum, settings).write(scene)
             super().__init__(model_path=scene)
             self.initialize_simulation()
-        inertia = settings.pendulum_mass * GRAVITY * rod_centre(pendulum.w2) / pendulum.w2
+        inertia = rod_inertia(pendulum.w2, settings.pendulum_mass)
         self.model.dof_damping[self.phi] = pendulum.c * inertia
         self.model.dof_frictionloss[self.phi] = pendulum.coulomb * inertia
         self._drag = pendulum.drag * inertia

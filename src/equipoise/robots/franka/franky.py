@@ -34,8 +34,13 @@ from equipoise.rig.plugins import Bodies
 from equipoise.rig.simulated_rig import Bench, Mechanism
 from equipoise.robots.franka.robot import JOINTS
 from equipoise.robots.franka.velocity import ACCELERATION, JERK, PERIOD, VELOCITY
-from equipoise.settings import GRAVITY
-from equipoise.worlds.twin.physics import DRY_TIME, bar_inertial, pivot, rod_centre, rod_inertial
+from equipoise.worlds.twin.physics import (
+    DRY_TIME,
+    bar_inertial,
+    pivot,
+    rod_inertial,
+    set_friction,
+)
 
 HOST: Final = "127.0.0.1"
 """Address of the emulated hardware."""
@@ -245,10 +250,7 @@ class FrankyRig(Bench):
         except OSError as error:
             raise OutsideError(f"{error}; stop the program that uses ports 1337 and 1338") from None
         phi = model.joint("phi").dofadr[0]
-        inertia = settings.pendulum_mass * GRAVITY * rod_centre(pendulum.w2) / pendulum.w2
-        model.dof_damping[phi] = pendulum.c * inertia
-        model.dof_dampingpoly[phi, 0] = pendulum.drag * inertia
-        model.dof_frictionloss[phi] = pendulum.coulomb * inertia
+        set_friction(model, phi, pendulum, settings.pendulum_mass)
         data.qpos[phi] = np.pi
         mujoco().mj_forward(model, data)
         self._simulator: Any = simulator

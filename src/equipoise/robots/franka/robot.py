@@ -1,10 +1,9 @@
 """Driver of a Franka Research 3, a `PacedRobot`, on the vendor's `pylibfranka`.
 
 The controller sends its state every millisecond, and expects a velocity or, in position mode, the
-integral of the same velocities. A motion stops by itself
-after 20 packets without an answer, after a reflex, and after a command beyond the limits
-(`equipoise.robots.franka.velocity`). Any such end is final: nothing here recovers from an error,
-the operator does.
+integral of the same velocities. A motion stops by itself after 20 packets without an answer, after
+a reflex, and after a command beyond the limits (`equipoise.robots.franka.velocity`). Any such end
+is final: nothing here recovers from an error, the operator does.
 
 `pylibfranka` waits up to a second for a packet, and holds Python's lock meanwhile. The driver calls
 it only once a packet has arrived, at the socket that `pylibfranka` has opened.

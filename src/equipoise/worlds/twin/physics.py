@@ -69,14 +69,26 @@ def set_pendulum(model: Any, data: Any, pendulum: PendulumParameters) -> None:
     body, phi = model.nbody - 1, model.nv - 1
     m = model.body_mass[body]
     rod = rod_inertial(pendulum.w2, m)
-    I = m * GRAVITY * rod.com[2] / pendulum.w2
     model.body_ipos[body], model.body_inertia[body] = rod.com, np.take(rod.inertia, (0, 3, 5))
-    # MuJoCo's torque is -(damping + dampingpoly |rate|) rate.
-    model.dof_damping[phi], model.dof_dampingpoly[phi, 0] = pendulum.c * I, pendulum.drag * I
-    model.dof_frictionloss[phi] = pendulum.coulomb * I
+    set_friction(model, phi, pendulum, m)
     mj = mujoco()
     mj.mj_setConst(model, data)
     mj.mj_resetData(model, data)
+
+
+def set_friction(model: Any, phi: int, pendulum: PendulumParameters, mass: float) -> None:
+    """Set the frictions of a pendulum's joint in a MuJoCo model.
+
+    Args:
+        model: Changed in place.
+        phi: Number of the joint's degree of freedom.
+        pendulum: w2 and the frictions.
+        mass: Mass of the pendulum [kg].
+    """
+    I = rod_inertia(pendulum.w2, mass)
+    # MuJoCo's torque is -(damping + dampingpoly |rate|) rate.
+    model.dof_damping[phi], model.dof_dampingpoly[phi, 0] = pendulum.c * I, pendulum.drag * I
+    model.dof_frictionloss[phi] = pendulum.coulomb * I
 
 
 @functools.lru_cache(maxsize=8)
@@ -103,6 +115,16 @@ def rod_centre(w2: float) -> float:
     return 3.0 * GRAVITY / (4.0 * w2)
 
 
+def rod_inertia(w2: float, mass: float) -> float:
+    """Return the inertia of a uniform rod about its pivot [kg m^2].
+
+    Args:
+        w2: w2 of the rod as a pendulum [1/s^2].
+        mass: Its mass [kg].
+    """
+    return mass * GRAVITY * rod_centre(w2) / w2
+
+
 def rod_inertial(w2: float, mass: float) -> Inertial:
     """Return the inertial of a uniform rod, from its pivot upwards along z.
 
@@ -111,7 +133,7 @@ def rod_inertial(w2: float, mass: float) -> Inertial:
         mass: Its mass [kg].
     """
     l = rod_centre(w2)
-    across, along = mass * GRAVITY * l / w2 - mass * l**2, 0.5 * mass * SIZES.rod**2
+    across, along = rod_inertia(w2, mass) - mass * l**2, 0.5 * mass * SIZES.rod**2
     inertia = np.diag([across, across, along])
     return Inertial.of("pendulum", mass, np.array([0.0, 0.0, l]), inertia)
 
