@@ -67,6 +67,16 @@ def test_a_push_is_named_and_measured(run, size):
     assert (first.cause, first.time) == (RootCause.PUSH, pytest.approx(4.8, abs=0.05))
 
 
+def test_a_pause_of_the_setpoints_is_named(run):
+    x_dot = run.tables["tick"]["x_dot"].copy()
+    i = 300 + int(np.argmax(np.abs(x_dot[300:-1])))
+    x_dot[i + 1 :] -= x_dot[i + 1]  # at rest
+    paused = changed_table(fallen(run, lambda time: 0.0 * time), "tick", x_dot=x_dot)
+    first = explain(paused)[0]
+    assert (first.cause, first.time) == (RootCause.PAUSE, pytest.approx(0.01 * (i + 1)))
+    assert f"{abs(x_dot[i]):.2f} m/s" in first.evidence
+
+
 def test_a_wrong_zero_is_named_and_measured(run):
     error = np.deg2rad(3.0)
     wrong = fallen(run, lambda time: error + 0.0 * time)

@@ -58,6 +58,8 @@ class RootCause(StrEnum):
     """The encoder's zero is wrong, or shifted, or the base is tilted."""
     DELAY = "unpredicted delay"
     """The arm follows later than the controller predicts."""
+    PAUSE = "pause of the setpoints"
+    """The arm stopped while it moved, because the computer or the link stood still."""
 
 
 ADVICE: Final[dict[Outcome | RootCause, str]] = {
@@ -89,7 +91,10 @@ ADVICE: Final[dict[Outcome | RootCause, str]] = {
         (Outcome.DRIFT, Outcome.TILT),
         "check the mounting of base and flange, and the actuator in use",
     ),
-    Outcome.TICK: "find with `equipoise rig doctor` what delays this machine",
+    **dict.fromkeys(
+        (Outcome.TICK, RootCause.PAUSE),
+        "find with `equipoise rig doctor` what delays this machine",
+    ),
     **dict.fromkeys(
         (
             *(Outcome.ENCODER_STALE, Outcome.ENCODER_LOST, Outcome.ENCODER_ILLEGAL),
@@ -154,7 +159,7 @@ def explain(run: RunLog) -> list[Cause]:
 
 def root_causes(run: RunLog) -> list[Cause]:
     """Return the root causes that the measurements of a balancing show."""
-    found = [_outside(run)]
+    found = [_outside(run), _pause(run)]
     # A run that is too short, or of an unknown arm, has no unexplained rate.
     with suppress(ArtefactError, RecordingError, ValueError):
         moved = read_motion(run, run.conditions.arm)
@@ -274,6 +279,26 @@ def _delay(log: RunLog, moved: ModelMotion) -> Cause | None:
     return Cause(RootCause.DELAY, 0.6 + 0.2 * min(rest / 0.02, 1.0), log.lasted, text)
 
 
+def _pause(log: RunLog) -> Cause | None:
+    """Detect the largest speed that the flange lost at once in the last part."""
+    lost = np.append(0.0, -np.diff(log.x_dot))
+    lost[log.time < log.lasted - LATE] = 0.0
+    i = int(np.argmax(np.abs(lost)))
+    if abs(lost[i]) < 0.05:  # [m/s]: a tick changes it by 0.04 at most
+        return None
+    when, size = float(log.time[i]), float(log.conditions.pendulum.k * lost[i])
+    text = (
+        f"at {when:.2f} s no setpoints came, and the flange stopped from {abs(lost[i]):.2f} m/s, "
+        f"which changes the pendulum's rate by {degrees(size):+.0f} deg/s"
+    )
+    return Cause(RootCause.PAUSE, _impact(size), when, text)
+
+
+def _impact(size: float) -> float:
+    """Return the score of a sudden change of phi_dot [rad/s]; 1.2 end a run by themselves."""
+    return 0.5 + 0.32 * min(abs(size) / 1.2, 1.0)
+
+
 def _push(log: RunLog, time: Array, rate: Array) -> Cause | None:
     """Detect the largest step of the unexplained rate in the last part."""
     duration = 0.08  # [s]: of a push
@@ -292,8 +317,7 @@ def _push(log: RunLog, time: Array, rate: Array) -> Cause | None:
         f"at {when:.2f} s the pendulum's rate changed by {degrees(size):+.0f} deg/s within "
         f"{1e3 * duration:.0f} ms, more than gravity and the flange explain"
     )
-    # 1.2 rad/s end a run by themselves.
-    return Cause(RootCause.PUSH, 0.5 + 0.32 * min(abs(size) / 1.2, 1.0), when, text)
+    return Cause(RootCause.PUSH, _impact(size), when, text)
 
 
 def _zero(log: RunLog, time: Array, rate: Array) -> Cause | None:
