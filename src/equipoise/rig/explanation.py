@@ -103,7 +103,8 @@ ADVICE: Final[dict[Outcome | RootCause, str]] = {
         "check the encoder's cable, power, coupling and wiring",
     ),
     Outcome.SELF_TEST: "follow the advice of the self-test",
-    Outcome.UNIDENTIFIED: "train with --actuator and the actuator file of this run",
+    Outcome.UNIDENTIFIED: "follow the evidence; where this run wrote an actuator file, train with "
+    "--actuator and that file",
     Outcome.POLICY: "correct the policy, and try it on --robot twin:nominal first",
     **dict.fromkeys((Outcome.FAULT, Outcome.ERROR), "repair what the evidence names"),
     Outcome.BROKEN_OFF: "find what ended the program: power, memory, a full disk, a signal",
