@@ -185,7 +185,7 @@ ELSEWHERE = {
     r"jupyter|jupytext": "tests/test_course.py opens the notebooks",
     r"sudo|printf|arduino-cli|list_ports": "changes or asks this computer's hardware",
     r"coppeliasim": "needs CoppeliaSim: tests/worlds/test_coppeliasim.py",
-    r"kst://|serial://|doctor|fr3\.(?:toml|json)": "needs a rig: tests/robots, tests/rig, tests/cli",
+    r"kst://|serial://|doctor|fr3\.(toml|json)": "needs a rig: tests/robots, tests/rig, tests/cli",
     r"benchmarks/|experiments/": "tests/test_bench.py, tests/test_experiments.py",
     r"rl/|docker|podman": "needs what another page makes",
     r"^make ": "a step of the checks",
