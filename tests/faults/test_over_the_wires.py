@@ -4,8 +4,10 @@ import re
 
 import pytest
 
+from equipoise.control.policy import shipped_policy
 from equipoise.logs.run_log import RunLog
 from equipoise.outcomes import Outcome
+from equipoise.rig.config import RigSettings
 from tests.program import LONGEST, program, wait_until
 
 ANSWERS = ((r"Type (\w+)\.", r"\1"), ("y or n", "y"))
@@ -14,14 +16,22 @@ HAND = (("button", "press"), ("Lift the pendulum", "lift"), ("Armed", "release")
 """Prompts of the run, and what a hand does at the emulated rig."""
 
 
-@pytest.mark.full
+@pytest.mark.parametrize(
+    ("arm", "words"),
+    [
+        pytest.param("iiwa7", ("--port", "0"), marks=pytest.mark.full),
+        pytest.param("fr3", ("--robot", "franka"), marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.compiled_only
-def test_a_policy_balances_over_the_wires_of_the_emulated_rig(tmp_path):
-    log = tmp_path / "run.mcap"
-    with program("rig", "emulate", "--port", "0", "--seed", "3") as rig:
+def test_a_policy_balances_over_the_wires_of_the_emulated_rig(arm, words, tmp_path):
+    policy, log = tmp_path / "policy.json", tmp_path / "run.mcap"
+    described = RigSettings(arm=arm).described_arm
+    shipped_policy().model_copy(update={"arm": described}).save(policy)
+    with program("rig", "emulate", "--arm", arm, *words, "--seed", "3") as rig:
         robot, encoder = (rig.find(rf"{name} +(\S+://\S+)")[1] for name in ("robot", "encoder"))
-        words = ("--robot", robot, "--encoder", encoder, "--duration", "3", "--out", str(log))
-        with program("deploy", *words) as run:
+        links = ("--robot", robot, "--encoder", encoder, "--arm", arm)
+        with program("deploy", str(policy), *links, "--duration", "3", "--out", str(log)) as run:
             read = 0
 
             def over():
