@@ -32,6 +32,7 @@ from equipoise.errors import ArtefactError, RecordingError
 from equipoise.identification.refine import ModelMotion, read_motion
 from equipoise.logs.run_log import RunLog
 from equipoise.outcomes import Outcome, describe
+from equipoise.rig.phases.context import RESTART_ACCELERATION
 from equipoise.worlds.reachability import diverging_angle, fall_rate, recoverable_angle
 
 Array = npt.NDArray[np.float64]
@@ -285,7 +286,8 @@ def _pause(log: RunLog) -> Cause | None:
     lost = np.append(0.0, -np.diff(log.x_dot))
     lost[log.time < log.lasted - LATE] = 0.0
     i = int(np.argmax(np.abs(lost)))
-    if abs(lost[i]) < 0.05:  # [m/s]: a tick changes it by 0.04 at most
+    u_max = log.conditions.u_max or float(np.abs(log.u).max())
+    if abs(lost[i]) < 1.2 * (u_max + RESTART_ACCELERATION) * log.conditions.h:  # of a command
         return None
     when, size = float(log.time[i]), float(log.conditions.pendulum.k * lost[i])
     text = (
