@@ -209,10 +209,15 @@ def _local_fits(time: Array, values: Array, at: Array, half: float) -> tuple[Arr
     return (y - slope * t) / n + slope * at, slope
 
 
+def _u_max(log: RunLog) -> float:
+    """Return the policy's maximum u [m/s^2]; where it is unknown, that of the run."""
+    return log.conditions.u_max or float(np.abs(log.u).max())
+
+
 def _outside(log: RunLog) -> Cause | None:
     """Detect the time after which no command could hold the pendulum."""
     pendulum = log.conditions.pendulum
-    u_max = log.conditions.u_max or float(np.abs(log.u).max())
+    u_max = _u_max(log)
     diverging = diverging_angle(log.phi, log.phi_dot, pendulum)
     bound, mu = recoverable_angle(pendulum, u_max), fall_rate(pendulum) + pendulum.c
     beyond = np.abs(diverging) > bound
@@ -286,7 +291,7 @@ def _pause(log: RunLog) -> Cause | None:
     lost = np.append(0.0, -np.diff(log.x_dot))
     lost[log.time < log.lasted - LATE] = 0.0
     i = int(np.argmax(np.abs(lost)))
-    u_max = log.conditions.u_max or float(np.abs(log.u).max())
+    u_max = _u_max(log)
     if abs(lost[i]) < 1.2 * (u_max + RESTART_ACCELERATION) * log.conditions.h:  # of a command
         return None
     when, size = float(log.time[i]), float(log.conditions.pendulum.k * lost[i])

@@ -125,7 +125,7 @@ def examine(
 def warm_up(request: RunRequest) -> None:
     """Run all code of a tick and of the self-test's model, to compile it before the stream starts.
 
-    The policy's part is timed.
+    The policy's part is timed. The policy that an identified arm is compared with is read.
 
     Raises:
         ArmError: Home is a singular posture.
@@ -148,7 +148,7 @@ def warm_up(request: RunRequest) -> None:
     driven_swing(0.0, 0.0, np.zeros(1), MODEL_STEP, PendulumParameters(1.0, 1.0, 0.0), np.zeros(2))
     FlangeKinematics(arm, params).pose(arm.home)
     if request.identify is not None:
-        shipped_policy()  # it is compared with the arm; to read it then takes 50 ms
+        shipped_policy()  # to read it in a tick takes 50 ms, once all memory is locked
     typical, limit = median(took), POLICY_TIME_SHARE * request.policy.h
     if typical > limit:
         raise InputError(

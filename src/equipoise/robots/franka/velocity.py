@@ -34,10 +34,12 @@ SHARE: Final = 0.95
 """Share of the controller's limits that is used [-]."""
 JERK: Final = 5000.0
 """Jerk at which the controller stops the arm [rad/s^3]."""
-LOWER, UPPER, VELOCITY = (
-    np.array([float(limit.attrib[name]) for limit in ElementTree.parse(URDF).iter("limit")])
-    for name in ("lower", "upper", "velocity")
-)
+LOWER, UPPER, VELOCITY = np.array(
+    [
+        [float(limit.attrib[name]) for name in ("lower", "upper", "velocity")]
+        for limit in ElementTree.parse(URDF).iter("limit")
+    ]
+).T
 """Position limits [rad], and velocity limits far from them [rad/s]."""
 OFFSET: Final = np.array([0.652, 0.25, 0.2005, 0.3542, 0.5738, 0.4885, 0.4592])
 """Reduction of the velocity limits near the position limits [rad/s]."""
