@@ -1,6 +1,7 @@
 """Compilation and its cache, each case in a process of its own."""
 
 import os
+import re
 import subprocess
 import sys
 
@@ -82,20 +83,35 @@ def test_without_compilation_kernels_are_plain_functions(tmp_path):
     assert not (tmp_path / "cache").exists()
 
 
-def test_the_key_of_the_cache_changes_with_every_file_of_the_package(tmp_path, monkeypatch):
+def test_the_key_of_the_cache_changes_with_the_files_that_kernels_depend_on(tmp_path, monkeypatch):
     from equipoise import jit
 
     monkeypatch.setattr(jit, "PACKAGE", tmp_path)
-    (tmp_path / "inner").mkdir()
+    for package in ("control/inner", "cli"):
+        (tmp_path / package).mkdir(parents=True)
     seen = set()
     for name, text in (
         ("a.py", ""),
-        ("inner/a.py", ""),
-        ("inner/a.py", "x = 1"),
+        ("control/inner/a.py", ""),
+        ("control/inner/a.py", "x = 1"),
         ("b.py", "x = 1"),
     ):
         (tmp_path / name).write_text(text)
         seen.add(jit.package_digest.__wrapped__())
-    (tmp_path / "notes.txt").write_text("no code")
-    assert jit.package_digest.__wrapped__() in seen
     assert len(seen) == 4
+    for name in ("notes.txt", "control/notes.txt", "cli/help.py"):
+        (tmp_path / name).write_text("no kernel")
+        assert jit.package_digest.__wrapped__() in seen
+
+
+def test_every_kernel_is_in_a_package_of_the_key():
+    from equipoise import jit
+
+    word = r"@(kernel|called|inlined|compilable)\b|= (function_pointer|struct_ref)\("
+    holding = [
+        file.relative_to(jit.PACKAGE).parts
+        for file in jit.PACKAGE.rglob("*.py")
+        if re.search(word, file.read_text())
+    ]
+    assert len(holding) > 10
+    assert {parts[0] for parts in holding if len(parts) > 1} <= set(jit.KERNEL_PACKAGES)

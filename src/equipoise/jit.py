@@ -5,10 +5,10 @@ nothing; `nogil`, so that threads run in parallel; no `fastmath`, so that equal 
 bits; and a cache on disk.
 
 Numba's own cache depends only on the file of a kernel, but a kernel also contains the code of the
-kernels that it calls. This cache depends on a digest of *all* files of the package, in the user's
-cache directory (`EQUIPOISE_CACHE_DIR` moves it). Loading cached code runs it, so the folder is
-created for this user alone. If it cannot be written, kernels compile in each process, after one
-warning.
+kernels that it calls. This cache depends on a digest of all files of `KERNEL_PACKAGES` and of those
+beside them, in the user's cache directory (`EQUIPOISE_CACHE_DIR` moves it). Loading cached code
+runs it, so the folder is created for this user alone. If it cannot be written, kernels compile in
+each process, after one warning.
 
 `@compilable` keeps a function in Python and lets kernels call it.
 
@@ -46,6 +46,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 PACKAGE = Path(__file__).parent
 _njit: Any = numba.njit  # its types lack some options
+KERNEL_PACKAGES: Final = ("control", "identification", "learning", "model", "safety", "worlds")
+"""Packages whose files hold kernels, or constants of kernels."""
 OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Options of Numba of every kernel."""
 
@@ -58,9 +60,12 @@ def cache_directory() -> Path:
 
 @functools.cache
 def package_digest() -> str:
-    """Return a digest of every Python file of the package."""
+    """Return a digest of every Python file that machine code can depend on."""
     digest = hashlib.sha256()
-    for file in sorted(PACKAGE.rglob("*.py")):
+    files = [*PACKAGE.glob("*.py")]
+    for package in KERNEL_PACKAGES:
+        files += (PACKAGE / package).rglob("*.py")
+    for file in sorted(files):
         digest.update(str(file.relative_to(PACKAGE)).encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()[:16]
 
