@@ -134,7 +134,7 @@ def search_table(
     candidates = [*begun, *modes]
     best = candidates[raced(candidates, 0)[0]]
     Q = (best[:, None] == LEVELS).astype(float).tolist()
-    return policy.model_copy(update={"Q": tuple(map(tuple, Q)), "checkpoints": (), "tests": ()})
+    return policy.model_copy(update={"Q": tuple(map(tuple, Q)), "checkpoints": (), "test": None})
 
 
 def main() -> None:

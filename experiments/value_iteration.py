@@ -119,7 +119,7 @@ def solve_table(
     best = tables[race(setup, candidates, seed=0, workers=workers)[0][0]]
     visits = tuple(map(tuple, N.sum(axis=2).tolist()))
     Q = tuple(map(tuple, best.tolist()))
-    return policy.model_copy(update={"Q": Q, "visits": visits, "checkpoints": (), "tests": ()})
+    return policy.model_copy(update={"Q": Q, "visits": visits, "checkpoints": (), "test": None})
 
 
 def main() -> None:

@@ -149,9 +149,7 @@ def balance(policy):
 
 USES = {
     "pendulum.json": lambda value: balance(shipped_policy().model_copy(update={"pendulum": value})),
-    "actuator.json": lambda value: balance(
-        shipped_policy().model_copy(update={"actuators": (value,)})
-    ),
+    "actuator.json": lambda value: balance(shipped_policy().model_copy(update={"actuator": value})),
     "policy.json": balance,
     "evaluation.json": lambda value: [each.summary() for each in (value.results, *value.baselines)],
 }

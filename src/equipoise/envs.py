@@ -150,7 +150,7 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
             read_pendulum(pendulum),
             read_arm(arm),
             settings or Settings(),
-            (IDEAL_ACTUATOR if world_class(world).ideal_arm else given,),
+            IDEAL_ACTUATOR if world_class(world).ideal_arm else given,
             paper.STEP,
         )
         self.reward = reward

@@ -158,8 +158,8 @@ def test_refine_writes_what_moved(equipoise, tmp_path):
         for name in ("w2", "k")
     }
     pendulum = policy.pendulum.model_copy(update=wrong)
-    actuators = (Actuator.assumed("kst", delay=0.010, lag=0.008),)
-    changes = {"pendulum": pendulum, "actuators": actuators}
+    actuator = Actuator.assumed("kst", delay=0.010, lag=0.008)
+    changes = {"pendulum": pendulum, "actuator": actuator}
     policy.model_copy(update=changes).save(tmp_path / "policy.json", command="test")
     ran = equipoise("refine", "policy.json", "run.mcap", "--json")
     assert ran.code == 0, ran

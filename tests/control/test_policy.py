@@ -40,7 +40,7 @@ def table(values=None, **changes):
         "visits": ((0,) * 8,) * 270,
         "h": 0.01,
         "arm": iiwa(7),
-        "actuators": (IDEAL_ACTUATOR,),
+        "actuator": IDEAL_ACTUATOR,
         "settings": Settings(),
         "seed": 0,
         "learner": 0,
@@ -126,7 +126,7 @@ ROW = (0.0,) * 8
         {"visits": ((0,) * 8,) * 271},
         {"Q": ((float("nan"),) * 8,) * 270},
         {"actions": (*paper.ACTIONS, 3.0)},
-        {"actuators": ()},
+        {"actuator": None},
         {"settings": Settings(boxes=BoxSettings(x=(-0.1, -0.05, 0.05, 0.1)))},
     ],
 )

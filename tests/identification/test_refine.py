@@ -58,7 +58,7 @@ def run(seed, factor=1.0, duration=20.0, **numbers):
 
 
 def policy_knowing(actuator=ACTUATOR):
-    return shipped_policy().model_copy(update={"actuators": (actuator,)})
+    return shipped_policy().model_copy(update={"actuator": actuator})
 
 
 # What is read from a log

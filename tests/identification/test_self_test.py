@@ -7,11 +7,12 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from equipoise.control.actuator_choice import MOVE_TIME, flange_move
 from equipoise.identification.self_test import (
+    MOVE_TIME,
     SWING_TIME,
     ZERO_INTERVAL,
     SelfTestVerdict,
+    flange_move,
     self_test,
 )
 from equipoise.model.pendulum import PendulumParameters, step

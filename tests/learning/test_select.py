@@ -14,7 +14,6 @@ from equipoise.learning.select import (
     confidence_sequence,
     kernel_of_tables,
     not_worse,
-    trial_simulations,
     trials_to_meet,
 )
 from equipoise.model.actuator import shipped_actuator
@@ -88,9 +87,9 @@ QUICK = ("selection.duration=3", "selection.rounds=4", "selection.test_trials=30
 
 @pytest.fixture(scope="module")
 def make_setup(pendulum):
-    def make(*overrides, actuators=None):
+    def make(*overrides):
         settings = resolve(overrides=[*QUICK, *overrides])
-        return Setup(pendulum, iiwa(7), settings, actuators or (shipped_actuator(),), paper.STEP)
+        return Setup(pendulum, iiwa(7), settings, shipped_actuator(), paper.STEP)
 
     return make
 
@@ -100,7 +99,7 @@ def race(setup, field, **given):
 
 
 def measure_share(setup, table, **given):
-    (simulation,) = trial_simulations(setup, seed=3, stream=TARGET_TEST)
+    simulation = PlantSimulation("model", setup, seed=3, stream=TARGET_TEST)
     return select.measure_share(simulation, table, **given)
 
 
@@ -148,7 +147,8 @@ def test_a_result_is_that_of_the_policy_alone_on_the_same_trials(make_setup):
     setup, field = make_setup(), candidates(5)
     for i, result in race(setup, field):
         spread = setup.settings.selection.spread
-        (simulation,) = trial_simulations(setup, seed=3, stream=SELECTION, spread=spread)
+        varied = setup._replace(spread=spread)
+        simulation = PlantSimulation("model", varied, seed=3, stream=SELECTION)
         trials = simulation.draw(result.trials)
         kernel = kernel_of_tables(setup, field[i][1])
         simulation.run(kernel, trials, range(result.trials), duration=3.0)

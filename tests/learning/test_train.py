@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from equipoise.artefacts import Estimate
+from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, SettingsError
 from equipoise.learning import target as target_module
-from equipoise.learning import train as train_module
 from equipoise.learning.choice import compile_learner
 from equipoise.learning.episodes import (
-    ENDED,
     new_training_loop,
     new_training_state,
     train_episodes,
@@ -20,7 +19,6 @@ from equipoise.learning.target import measure_policy, train_to_target
 from equipoise.learning.train import check_task, train, training_config
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
 from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.settings import resolve
@@ -58,13 +56,6 @@ def learners(pendulum):
     return [train(pendulum, ARM, settings(), seed=5, learner=i) for i in range(3)]
 
 
-@pytest.fixture(scope="module")
-def of_both(pendulum):
-    """A policy behind two actuators, tested behind each."""
-    given = {"actuator": [KST, SLOW], "target": 0.5, "learners": 1, "seed": 5}
-    return train_to_target(pendulum, ARM, settings(), **given)
-
-
 def test_equal_seeds_give_equal_files_and_others_other_tables(pendulum, learners):
     assert train(pendulum, ARM, settings(), seed=5, workers=3).digest == learners[0].digest
     policies = [*learners, train(pendulum, ARM, settings(), seed=6)]
@@ -83,11 +74,11 @@ def test_equal_seeds_give_equal_files_and_others_other_tables(pendulum, learners
     ],
 )
 def test_the_first_learner_that_meets_the_target_or_the_best_one_is_the_result(
-    monkeypatch, pendulum, learners, of_both, verdicts, chosen
+    monkeypatch, pendulum, learners, verdicts, chosen
 ):
     def tested(policy, **_):
         met, low = verdicts[policy.learner]  # no later learner is tested
-        return (of_both.tests[0].model_copy(update={"met": met, "interval": (low, 1.0)}),)
+        return shipped_policy().test.model_copy(update={"met": met, "interval": (low, 1.0)})
 
     monkeypatch.setattr(target_module, "train", lambda *_, learner, **__: learners[learner])
     monkeypatch.setattr(target_module, "measure_policy", tested)
@@ -110,48 +101,14 @@ def test_each_stage_of_each_learner_is_shown_to_its_end(pendulum, learners):
         assert shares == sorted(shares)
         assert shares[-1] == 1.0 > shares[0]
     alone = learners[found.learner]
-    assert found.model_copy(update={"tests": ()}).digest == alone.digest
-    assert found.tests == measure_policy(alone, target=0.9, error=(0.025, 0.05 / 6)[found.learner])
+    assert found.model_copy(update={"test": None}).digest == alone.digest
+    assert found.test == measure_policy(alone, target=0.9, error=(0.025, 0.05 / 6)[found.learner])
 
 
 def test_a_target_that_the_test_cannot_show_is_refused(pendulum):
     for target, learners in ((0.99, 6), (1.0, 6), (0.5, 0)):
         with pytest.raises(InputError):
             train_to_target(pendulum, ARM, settings(), target=target, learners=learners)
-
-
-# Behind actuators
-
-
-def test_behind_two_actuators_episodes_take_turns_on_one_table(monkeypatch, pendulum, of_both):
-    alone, ended = train(pendulum, ARM, settings(), actuator=KST, seed=5), []
-    original = train_module.new_training_state
-
-    def spy(*given):
-        ended.append((state := original(*given)).totals)
-        return state
-
-    def both(*given):
-        train_episodes(*given)
-        assert abs(int(ended[0][ENDED]) - int(ended[1][ENDED])) <= BATCH_SIZE
-
-    monkeypatch.setattr(train_module, "new_training_state", spy)
-    monkeypatch.setattr(train_module, "train_episodes", both)
-    again = train(pendulum, ARM, settings(), actuator=[KST, SLOW], seed=5)
-    assert again.actuators == (KST, SLOW)
-    assert again.episodes == alone.episodes == 60
-    assert [int(totals[ENDED]) for totals in ended] == [30, 30]
-    assert again.Q == of_both.Q != alone.Q
-
-
-def test_each_of_two_actuators_has_its_test_and_the_worst_one_counts(of_both):
-    for actuator, test in zip(of_both.actuators, of_both.tests, strict=True):
-        alone = of_both.model_copy(update={"actuators": (actuator,)})
-        assert (test,) == measure_policy(alone, target=0.5, error=0.025)
-    missed = of_both.tests[0].model_copy(update={"met": False, "interval": (0.0, 0.1)})
-    bad = of_both.model_copy(update={"tests": (of_both.tests[1], missed)})
-    assert bad.test == missed
-    assert "misses the target" in bad.shortfall
 
 
 # The selection
@@ -200,7 +157,7 @@ def test_race_and_test_have_trials_of_their_own(monkeypatch, pendulum):
 
 def test_the_test_of_a_policy_is_its_evaluation_with_other_seeds(pendulum, learners):
     policy = learners[0]
-    (test,) = measure_policy(policy, target=0.0)
+    test = measure_policy(policy, target=0.0)
     setup = setup_of(policy, "model")
     simulation = simulate("model", setup, seed=policy.seed, stream=TARGET_TEST)
     trials = simulation.draw(test.trials)

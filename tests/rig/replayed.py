@@ -38,20 +38,16 @@ class PolicyClock:
 def replay(run, policy):
     """Return the number of equal ticks, and the names of what differs first; empty for nothing."""
     conditions, reply = run.conditions, run.tables["reply"]
-    carried = {each.digest: each for each in policy.actuators}
-    actuator, *others = (
-        carried[digest] for digest in (conditions.actuator, *conditions.alternatives)
-    )
+    assert conditions.actuator == policy.actuator.digest
     if isinstance(policy, BoundPolicy):
         policy = replace(policy, settings=conditions.settings)
     request = RunRequest(
         policy,
-        actuator,
+        policy.actuator,
         RigSettings.model_validate(conditions.rig),
         conditions.world,
         conditions.encoder,
         conditions.duration,
-        alternatives=tuple(others),
         identify=identify_actuator if conditions.identifies else None,
     )
     limit = None if run.end is None else run.end.max_speed

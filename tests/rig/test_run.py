@@ -8,7 +8,6 @@ from equipoise.control.ticks import OperatorMessage
 from equipoise.identification.actuator import identify_actuator
 from equipoise.logs.recorder import Recorder, read_events
 from equipoise.logs.run_log import RunLog
-from equipoise.model.actuator import Actuator
 from equipoise.outcomes import Phase
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import RigSettings
@@ -67,41 +66,21 @@ def test_it_stands_on_the_twin_and_the_log_says_how(tmp_path):
     assert run.end.outcome == "lasted"
 
 
-@pytest.mark.full
-def test_a_run_that_is_told_no_actuator_selects_it_before_the_lift(tmp_path):
-    own, out = POLICY.actuator, tmp_path / "run.mcap"
-    slow = Actuator.assumed("kst", delay=0.01, lag=0.008, cycle=0.04)
-    middle = Actuator.assumed("kst", delay=0.01, lag=0.004, cycle=0.016)
-    policy = POLICY.model_copy(update={"actuators": (own, middle, slow), "tests": ()})
-    wanted = request(policy=policy, robot="twin:trajectory40", alternatives=(middle, slow), seed=1)
-    assert run_virtually(wanted, out, Spy()).outcome == "lasted"
-    run = RunLog.load(out, damaged=True)
-    names = [event.name for event in run.events]
-    assert names.index("self-test") < names.index("actuator") < names.index("lift")
-    (said,) = (event.text for event in run.events if event.name == "actuator")
-    assert said.startswith("The arm responds as actuator 3 of 3, kst, delay 10.0 ms, t_c 40.0 ms")
-    # The log holds all that the selection needs.
-    assert replay(run, policy) == (len(run.tables["tick"]), [])
-    # Told the wrong one, the same run falls.
-    told = request(policy=policy, robot="twin:trajectory40", seed=1)
-    assert run_virtually(told, None, Spy()).outcome != "lasted"
-
-
 @pytest.mark.slow
 def test_an_excitation_before_the_lift_refuses_a_policy_for_another_arm(tmp_path):
     out = tmp_path / "run.mcap"
     wanted = request(robot="twin:pd", identify=identify_actuator)
     end = run_virtually(wanted, out, Spy())
     assert (end.outcome, end.exit_code, end.lasted) == ("arm not identified", 1, 0.0)
-    assert "It fits none of the actuators of policy" in end.reason
+    assert "It does not fit the actuator of policy" in end.reason
     run = RunLog.load(out, damaged=True)
     found = run.end.identified
     assert found.cycle.value == pytest.approx(0.016, rel=0.02)
     assert run.conditions.identifies
     assert replay(run, POLICY) == (len(run.tables["tick"]), [])
-    # A policy that was trained for it, too, fits.
-    both = POLICY.model_copy(update={"actuators": (wanted.actuator, found), "tests": ()})
-    assert describe_fit(both, found).endswith("It fits actuator 2 of the policy's 2.")
+    # A policy that was trained for it fits.
+    trained = POLICY.model_copy(update={"actuator": found, "test": None})
+    assert describe_fit(trained, found).endswith("It fits the actuator of policy.")
 
 
 def test_it_stands_behind_the_protocols_of_the_hardware():

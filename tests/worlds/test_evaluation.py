@@ -61,7 +61,7 @@ def test_a_summary_counts_what_happened():
 def test_an_evaluation_says_what_was_evaluated(evaluation, small_policy, settings):
     assert (evaluation.policy, evaluation.arm) == (small_policy.digest, "iiwa14")
     assert (evaluation.world, evaluation.world_settings) == ("model", None)
-    assert evaluation.actuators == (small_policy.actuator.digest,)
+    assert evaluation.actuator == small_policy.actuator.digest
     assert (evaluation.settings, evaluation.seed, evaluation.duration) == (settings, 3, 1.5)
     names = list(baselines(small_policy.pendulum.parameters(), 0.01))
     assert [beside.name for beside in evaluation.baselines] == names

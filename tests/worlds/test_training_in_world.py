@@ -14,14 +14,14 @@ from equipoise.learning.episodes import (
     new_training_state,
     train_episodes,
 )
-from equipoise.learning.select import trial_simulations
-from equipoise.learning.train import actuators_in, train, train_in_world, training_config
+from equipoise.learning.train import actuator_in, train, train_in_world, training_config
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TRAINING_NOISE
 from equipoise.settings import resolve
 from equipoise.worlds import Setup
+from equipoise.worlds.ideal import PlantSimulation
 
 pytestmark = pytest.mark.compiled_only
 
@@ -46,8 +46,8 @@ def test_an_episode_in_a_world_teaches_what_it_teaches_compiled(learner, actuato
     for seed in range(3):
         states = [new_training_state(boxes, 2), new_training_state(boxes, 2)]
         key = np.array((seed, 0))
-        setup = Setup(PENDULUM, ARM, settings, (actuator,), paper.STEP)
-        (world,) = trial_simulations(setup, seed=seed, stream=TRAINING_NOISE)
+        setup = Setup(PENDULUM, ARM, settings, actuator, paper.STEP)
+        world = PlantSimulation("model", setup, seed=seed, stream=TRAINING_NOISE)
         given = (world.params, world.pendulum, config, kernel)
         compiled, stepped = (new_training_loop(*given, state, key) for state in states)
         train_episodes(compiled, 1)
@@ -72,16 +72,9 @@ def test_a_world_that_cannot_train_is_refused():
     settings, own = resolve(overrides=FEW), Actuator.assumed("lag", delay=0.01, lag=0.01)
     kinematic = "coppeliasim://localhost"
     with pytest.raises(InputError):
-        actuators_in("ideal", settings, None)
-    for world, actuators in (
-        ("twin:nominal", (own, shipped_actuator())),
-        ("model", ()),
-        ("model", (own, own)),
-    ):
-        with pytest.raises(InputError):
-            actuators_in(world, settings, actuators)
+        actuator_in("ideal", settings, None)
     with pytest.raises(InputError):
-        actuators_in(kinematic, settings, own)
-    assert actuators_in(kinematic, settings, None) == (IDEAL_ACTUATOR,)
+        actuator_in(kinematic, settings, own)
+    assert actuator_in(kinematic, settings, None) == IDEAL_ACTUATOR
     with pytest.raises(SettingsError):
-        actuators_in("moon", settings, None)
+        actuator_in("moon", settings, None)

@@ -20,7 +20,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TEST
-from equipoise.model.worlds import CLEAN, WORLDS, TwinSettings, World
+from equipoise.model.worlds import CLEAN, TwinSettings, World
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.rig.simulate import simulate_run
 from equipoise.safety.rules import TRACK_LIMIT
@@ -53,9 +53,9 @@ TRIALS = [
 pytestmark = pytest.mark.compiled_only
 
 
-def twins(world=WORLD, seed=1, settings=None, actuators=(ACTUATOR,)):
+def twins(world=WORLD, seed=1, settings=None, actuator=ACTUATOR):
     settings = Settings() if settings is None else settings
-    setup = Setup(PENDULUM, ARM, settings, actuators, 0.01)
+    setup = Setup(PENDULUM, ARM, settings, actuator, 0.01)
     return TwinSimulation(World("twin:test", world), setup, seed=seed, stream=TEST)
 
 
@@ -98,35 +98,13 @@ def test_outcomes_depend_on_seed_and_number_alone():
     assert run(chance, trials=renumbered) != run(chance)
 
 
-SERVOS = {
-    "nominal": ACTUATOR,
-    "pd": Actuator.assumed("kst", delay=0.0105, lag=0.004, cycle=0.016),
-    "trajectory40": Actuator.assumed("kst", delay=0.0105, lag=0.008, cycle=0.040),
-}
-
-
-@pytest.mark.parametrize("name", SERVOS)
-def test_a_trial_that_is_told_no_actuator_selects_that_of_its_servo(name):
-    world = TwinSettings.model_validate(WORLDS[name])
-    carried = (*reversed(SERVOS.values()), Actuator.assumed("lag", lag=0.03))
-    simulation = twins(world, actuators=carried)
-    told = twins(world, actuators=(SERVOS[name],)).loop()
-    loop = simulation.loop()
-    for trial in TRIALS:
-        result = run_trial(loop, KernelPolicy(LQR), trial, 2.0)
-        assert simulation.actuators[loop.chosen] == SERVOS[name]
-        # The move before the release leaves no trace in the trial, nor does the trial before.
-        assert result == run_trial(told, KernelPolicy(LQR), trial, 2.0)
-        assert result[1] == TRUNCATED
-
-
 def test_a_recorded_trial_is_the_loop_as_python_writes_it():
     trial, steps = TRIALS[1], 150
     simulation = twins(seed=3)
     outcome, rows = record(simulation, KernelPolicy(LQR), trial, 0.01 * steps)
     assert outcome[:2] == (steps, TRUNCATED)
 
-    controller, memory, sum_x2 = simulation.params[0], new_controller_state(), 0.0
+    controller, memory, sum_x2 = simulation.params, new_controller_state(), 0.0
     pendulum = PARAMETERS._replace(c=0.15 * trial.variation.friction_factor, coulomb=0.1)
     _, _, phi, phi_dot = trial.start
     twin = Twin(ARM, pendulum, WORLD, seed=3, index=1)
@@ -191,7 +169,7 @@ def test_a_run_towards_the_end_of_the_track_is_stopped_in_time(away):
         # The verdict is that of the rule, and came as soon as it could.
         q, dq = (ARM.with_held(block[::BATCH_SIZE]) for block in (memory.q, memory.dq))
         dq[ARM.held_joint - 1] = 0.0
-        speed, limits = abs(memory.reference[TWIST * BATCH_SIZE]), simulation.safety[0].limits
+        speed, limits = abs(memory.reference[TWIST * BATCH_SIZE]), simulation.safety.limits
         slowing = ramp(q.tolist(), dq.tolist(), speed, limits)
         furthest, time = abs(x), 0.0
         while time < slowing.duration + 0.2:
@@ -218,9 +196,9 @@ def test_an_arm_that_is_elsewhere_than_expected_ends_a_trial():
 
 def test_a_setpoint_that_may_not_be_sent_ends_a_trial_before_it_is_sent():
     simulation = twins(GUARDED, seed=3)
-    limits = simulation.safety[0].limits
+    limits = simulation.safety.limits
     slow = limits._replace(acceleration=tuple(0.5 for _ in limits.acceleration))
-    simulation.safety[0] = simulation.safety[0]._replace(limits=slow)
+    simulation.safety = simulation.safety._replace(limits=slow)
     loop, cause, rows = run_until_the_guard(LQR, simulation)
     assert TRIAL_OUTCOMES[cause] == Outcome.ACCELERATION
     assert len(rows.u) == 1

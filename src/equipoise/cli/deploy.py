@@ -136,10 +136,10 @@ def _request(
         chosen = replace(chosen, arm=described.described_arm)
     output.warn(opt.shortfall(chosen))
     given = task.actuator
-    carried = chosen.actuators if given is None else (read_actuator(given),)
+    actuator = chosen.actuator if given is None else read_actuator(given)
     return RunRequest(
         chosen,
-        carried[0],
+        actuator,
         described,
         robot,
         encoder,
@@ -147,7 +147,6 @@ def _request(
         max_speed=on_rig.max_speed,
         dry_run=on_rig.dry_run,
         seed=run.seed,
-        alternatives=carried[1:],
         identify=identify_actuator if on_rig.identify else None,
     )
 

@@ -15,8 +15,8 @@ class Plant(Options):
 
     arm: str = "iiwa7"
     """iiwa7, iiwa14, another registered arm, a URDF or a rig.toml."""
-    actuator: list[str] | None = None
-    """From equipoise identify RUN, or ideal; by default the shipped actuator. Repeatable."""
+    actuator: str | None = None
+    """From equipoise identify RUN, or ideal; by default the shipped actuator."""
     world: str = "model"
     """World of the episodes: model, compiled; or a twin or coppeliasim://HOST:PORT, slowly."""
 
@@ -54,9 +54,6 @@ def train(
     are trained one after the other until a policy meets the target in held-out
     trials. Exit code 1: no learner meets it; the best policy is written and
     marked.
-
-    Several --actuator make one policy for an arm whose model is uncertain:
-    episodes take turns behind them, and each has to meet the target.
     """
     from equipoise.learning.target import TARGET, train_to_target
     from equipoise.learning.train import check_task
@@ -83,15 +80,14 @@ def train(
             workers=random.threads,
             show=show,
         )
-    actuators = {f"actuator {i}": each.digest for i, each in enumerate(best.actuators, start=1)}
-    inputs = {"pendulum": source.digest, "world": plant.world, **actuators}
+    inputs = {"pendulum": source.digest, "world": plant.world, "actuator": best.actuator.digest}
     best.save(out, command="train", inputs=inputs)
     output.result(
         seed=best.seed,
         learner=best.learner,
         episodes=best.episodes,
         steps=best.steps,
-        tests={f"actuator {i}": test.model_dump() for i, test in enumerate(best.tests, start=1)},
+        test=best.test and best.test.model_dump(),
         policy=out,
         warnings=[best.shortfall],
         code=int(bool(best.shortfall)),

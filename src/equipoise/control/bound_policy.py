@@ -215,7 +215,7 @@ def bind_policy(
         kernel=own.kernel if isinstance(own, KernelPolicy) else None,
         pendulum=read_pendulum(pendulum),
         arm=read_arm(arm),
-        actuators=(read_actuator(actuator),),
+        actuator=read_actuator(actuator),
         settings=settings or Settings(),
     )
 

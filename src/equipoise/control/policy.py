@@ -13,7 +13,7 @@ import numbers
 from dataclasses import dataclass
 from importlib import resources
 from math import floor, isfinite, nan
-from typing import Annotated, Any, ClassVar, Final, NamedTuple, Protocol, Self
+from typing import Annotated, Any, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -37,9 +37,6 @@ Array = npt.NDArray[np.float64]
 
 TABLE, LINEAR, SNAPPED, RANDOM = range(4)
 """Kinds of `PolicyKernel`."""
-
-MAX_ACTUATORS: Final = 8
-"""Maximum number of actuators of one policy: every one multiplies the time of the selection."""
 
 
 class Policy(Protocol):
@@ -184,10 +181,7 @@ class LearningPoint(Value):
 
 
 class Checkpoint(Value):
-    """A greedy policy from the course of the training, with its results on selection seeds.
-
-    Of several actuators, the results are those behind the one with the lowest score.
-    """
+    """A greedy policy from the course of the training, with its results on selection seeds."""
 
     episodes: Count
     """Number of episodes before it."""
@@ -259,9 +253,8 @@ class TabularPolicy(Artefact):
     """Pendulum of the training."""
     arm: Arm
     """Arm of the training, with its home posture."""
-    actuators: Annotated[tuple[Actuator, ...], Field(min_length=1, max_length=MAX_ACTUATORS)]
-    """Responses of the arm to its setpoints in the training, the controller's default first. With
-    several, the controller selects one from the motion of the self-test, unless it is given."""
+    actuator: Actuator
+    """Response of the arm to its setpoints in the training."""
     settings: Settings
     """Resolved settings of the training."""
     seed: Seed
@@ -276,15 +269,13 @@ class TabularPolicy(Artefact):
     """Course of the training."""
     checkpoints: tuple[Checkpoint, ...]
     """Candidates of the selection, the chosen one first; empty if the last table was taken."""
-    tests: Annotated[tuple[TargetTest, ...], Field(max_length=MAX_ACTUATORS)] = ()
-    """Tests of the selected policy behind each actuator; empty if it was not tested."""
+    test: TargetTest | None = None
+    """Test of the selected policy; None if it was not tested."""
 
     @model_validator(mode="after")
     def _fits_the_boxes(self) -> Self:
         if self.actions != paper.ACTIONS:
             raise ValueError("the actions are not the ones of this Equipoise (the paper's eight)")
-        if len(self.tests) not in (0, len(self.actuators)):
-            raise ValueError("tests must have one entry for each actuator, or none")
         shape = (self.settings.boxes.count, grid.ACTIONS)
         for name, table in (("Q", self.Q), ("visits", self.visits)):
             if len(table) != shape[0] or any(len(row) != shape[1] for row in table):
@@ -302,16 +293,6 @@ class TabularPolicy(Artefact):
     def name(self) -> str:
         """Name in results."""
         return "policy"
-
-    @property
-    def actuator(self) -> Actuator:
-        """Default actuator of the controller: the first one."""
-        return self.actuators[0]
-
-    @property
-    def test(self) -> TargetTest | None:
-        """Test behind the actuator with the lowest lower end of the interval; None without one."""
-        return min(self.tests, key=lambda test: test.interval[0], default=None)
 
     @property
     def shortfall(self) -> str:
@@ -375,8 +356,8 @@ class BoundPolicy:
     """Nominal pendulum."""
     arm: Arm
     """Arm with its home posture."""
-    actuators: tuple[Actuator, ...]
-    """Models of the arm's response that the controller carries, the default one first."""
+    actuator: Actuator
+    """Model of the arm's response in the controller."""
     settings: Settings
     """Settings of plant, controller and evaluation."""
     h: float = paper.STEP
@@ -384,11 +365,6 @@ class BoundPolicy:
     u_max: float = paper.U_MAX
     """Largest acceleration [m/s^2], that of the paper's actions: safety limits assume it, and a
     larger u is clipped."""
-
-    @property
-    def actuator(self) -> Actuator:
-        """Default model of the arm's response in the controller: the first one."""
-        return self.actuators[0]
 
     def reset(self) -> None:
         """Begin a trial or a run.

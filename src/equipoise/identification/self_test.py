@@ -23,7 +23,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.control.actuator_choice import MOVE_DISTANCE
+from equipoise.control.minimum_jerk import Path
 from equipoise.identification.least_squares import (
     blocks_of_time,
     fit_unknowns,
@@ -35,6 +35,10 @@ from equipoise.model.pendulum import PendulumParameters, step
 
 Array = npt.NDArray[np.float64]
 
+MOVE_DISTANCE: Final = 0.04
+"""Distance of the flange's move [m]."""
+MOVE_TIME: Final = 0.8
+"""Duration of the move [s]."""
 SWING_TIME: Final = 4.0
 """Observation of the pendulum after the move [s]: five periods."""
 COUNTS_TOLERANCE: Final = 0.05
@@ -68,6 +72,16 @@ GAIN, W2, TAU, ZERO, C, COULOMB, THETA, THETA_DOT = range(8)
 """Indices of the unknowns."""
 SCALES: Final = np.array([1.0, 70.0, 0.1, 0.1, 1.0, 1.0, 0.1, 1.0])
 """Typical size of each unknown, in its unit."""
+
+
+def flange_move(x: float, direction: float = 1.0) -> Path:
+    """Return the path of the flange in the self-test, from x to 40 mm further [m].
+
+    Args:
+        x: Start of the path [m].
+        direction: 1 or -1.
+    """
+    return Path((x,), (x + direction * MOVE_DISTANCE,), MOVE_TIME)
 
 
 class SelfTestVerdict(Enum):

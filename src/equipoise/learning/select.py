@@ -54,21 +54,6 @@ at the track. Over 40 policies the rank correlation of rms(x) in 24 trials with 
 trials of five minutes was 0.85; that of the share that lasted was 0.81."""
 
 
-def trial_simulations(
-    setup: Setup, *, seed: int, stream: int, spread: float = 1.0
-) -> list[PlantSimulation]:
-    """Return the simulation of trials on the plant of a training, behind each actuator.
-
-    Args:
-        setup: Pendulum, arm, settings and actuators.
-        seed: Master seed.
-        stream: Purpose of the trials.
-        spread: Factor on the variation of the plants [-].
-    """
-    setups = (setup._replace(actuators=(one,), spread=spread) for one in setup.actuators)
-    return [PlantSimulation(MODEL, one, seed=seed, stream=stream) for one in setups]
-
-
 def kernel_of_tables(setup: Setup, u_of_box: Array) -> PolicyKernel:
     """Return the policy of several tables, from their accelerations one after the other."""
     return table_kernel(u_of_box, make_grid(setup.settings.boxes, setup.pendulum.parameters().k))
@@ -84,11 +69,8 @@ def race(
 ) -> list[tuple[int, Checkpoint]]:
     """Race candidates on common trials; return their indices and results, the best first.
 
-    Behind several actuators, the score of a candidate is that behind the one where it is lowest,
-    and the duration of a trial in the sign tests is the shortest one.
-
     Args:
-        setup: Pendulum, arm, settings and actuators.
+        setup: Pendulum, arm, settings and actuator.
         candidates: Number of training episodes of each, and its accelerations [m/s^2], shape
             (boxes,); at least one.
         seed: Master seed of the trials.
@@ -96,10 +78,12 @@ def race(
         running: Called before each round, and at the end.
     """
     rule, count = setup.settings.selection, len(candidates)
-    simulations = trial_simulations(setup, seed=seed, stream=SELECTION, spread=rule.spread)
+    simulation = PlantSimulation(
+        MODEL, setup._replace(spread=rule.spread), seed=seed, stream=SELECTION
+    )
     policy = kernel_of_tables(setup, np.concatenate([table for _, table in candidates]))
     most, finished = FIRST_BLOCK * 2 ** (rule.rounds - 1), 0
-    shape = len(simulations), count, most
+    shape = count, most
     steps, sum_x2, cause = np.zeros(shape, np.int64), np.zeros(shape), np.zeros(shape, np.int64)
     results: dict[int, Checkpoint] = {}
     alive, first = list(range(count)), 0
@@ -107,30 +91,21 @@ def race(
         last = max(2 * first, FIRST_BLOCK)
         rounds_left = (most // last).bit_length() - 1
         block, later = len(alive) * (last - first), rounds_left * rule.round_trials
-        running(finished, finished + len(simulations) * (block + later))
-        for j, simulation in enumerate(simulations):
-            trials = simulation.draw(last - first, first).of_tables(alive)
-            rows = range(len(trials.table))
-            simulation.run(policy, trials, rows, duration=rule.duration, workers=workers)
-            at = j, trials.table, trials.number
-            steps[at], sum_x2[at], cause[at] = trials.steps, trials.sum_x2, trials.cause
-        finished += len(simulations) * block
+        running(finished, finished + block + later)
+        trials = simulation.draw(last - first, first).of_tables(alive)
+        rows = range(len(trials.table))
+        simulation.run(policy, trials, rows, duration=rule.duration, workers=workers)
+        at = trials.table, trials.number
+        steps[at], sum_x2[at], cause[at] = trials.steps, trials.sum_x2, trials.cause
+        finished += block
         for i in alive:
-            each = [
-                _scored(
-                    setup,
-                    candidates[i][0],
-                    int(np.sum(cause[j, i, :last] == TRUNCATED)),
-                    steps[j, i, :last],
-                    sum_x2[j, i, :last],
-                )
-                for j in range(len(simulations))
-            ]
-            results[i] = min(each, key=lambda result: result.score)
+            survived = int(np.sum(cause[i, :last] == TRUNCATED))
+            results[i] = _scored(
+                setup, candidates[i][0], survived, steps[i, :last], sum_x2[i, :last]
+            )
         alive.sort(key=lambda i: (-results[i].score, i))
-        shortest = np.min(steps[:, alive, :last], axis=0)
         # All sign tests together drop the best candidate with a probability of 5 % at most.
-        kept = not_worse(shortest, 0.05 / (count * rule.rounds))
+        kept = not_worse(steps[alive, :last], 0.05 / (count * rule.rounds))
         alive = [i for i, keep in zip(alive, kept, strict=True) if keep]
         alive = alive[: max(rule.round_trials // last, 1)]
         if len(alive) == 1 or last == most:

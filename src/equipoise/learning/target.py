@@ -13,10 +13,10 @@ from equipoise.learning.select import (
     ERROR,
     Running,
     measure_share,
-    trial_simulations,
     trials_to_meet,
 )
-from equipoise.learning.train import Actuators, check_task, stage_of, train
+from equipoise.learning.train import check_task, stage_of, train
+from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.resolve import read_arm
 from equipoise.model.pendulum import Pendulum, read_pendulum
@@ -24,6 +24,7 @@ from equipoise.model.random import TARGET_TEST
 from equipoise.model.worlds import MODEL
 from equipoise.settings import Settings
 from equipoise.worlds import setup_of
+from equipoise.worlds.ideal import PlantSimulation
 
 LEARNERS: Final = 6
 """Maximum number of learners of a training by default."""
@@ -39,7 +40,7 @@ def train_to_target(
     *,
     target: Share = TARGET,
     learners: Annotated[int, Field(ge=1)] = LEARNERS,
-    actuator: Actuators = None,
+    actuator: Actuator | StrPath | None = None,
     world: str = MODEL,
     seed: Seed = 0,
     workers: Workers = 1,
@@ -90,14 +91,14 @@ def train_to_target(
             workers=workers,
             show=show,
         )
-        tests = measure_policy(
+        test = measure_policy(
             policy,
             target=target,
             error=_error(learner),
             workers=workers,
             running=running(stage_of("test", learner), show),
         )
-        tested.append(policy.model_copy(update={"tests": tests}))
+        tested.append(policy.model_copy(update={"test": test}))
         if not tested[-1].shortfall:
             break
     return max(tested, key=_rank)
@@ -121,17 +122,10 @@ def measure_policy(
     error: float = ERROR,
     workers: int = 1,
     running: Running = lambda _, __: None,
-) -> tuple[TargetTest, ...]:
-    """Test a policy behind each of its actuators; see `equipoise.learning.select.measure_share`.
-
-    A policy whose share is below the target behind any of them meets it behind all with a
-    probability of at most `error`.
-    """
-    u_of_box = policy.u_of_box
+) -> TargetTest:
+    """Test a policy on the plant of its training; see `equipoise.learning.select.measure_share`."""
     setup = setup_of(policy, MODEL)
-    return tuple(
-        measure_share(
-            simulation, u_of_box, target=target, error=error, workers=workers, running=running
-        )
-        for simulation in trial_simulations(setup, seed=policy.seed, stream=TARGET_TEST)
+    simulation = PlantSimulation(MODEL, setup, seed=policy.seed, stream=TARGET_TEST)
+    return measure_share(
+        simulation, policy.u_of_box, target=target, error=error, workers=workers, running=running
     )

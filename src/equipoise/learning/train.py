@@ -6,8 +6,6 @@ policies of the running average of the later tables. They race on common trials
 any number of workers. `equipoise.learning.target` trains learners until one meets a target.
 """
 
-import os
-from collections.abc import Sequence
 from math import inf
 from typing import Any
 
@@ -19,7 +17,6 @@ from equipoise.arguments import Workers, checked
 from equipoise.artefacts import Count, Seed, StrPath
 from equipoise.control.grid import make_grid
 from equipoise.control.policy import (
-    MAX_ACTUATORS,
     Checkpoint,
     LearningPoint,
     TabularPolicy,
@@ -47,7 +44,7 @@ from equipoise.learning.episodes import (
     train_episodes,
 )
 from equipoise.learning.learner import UpdateParams
-from equipoise.learning.select import race, trial_simulations
+from equipoise.learning.select import race
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, read_actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.resolve import read_arm
@@ -56,13 +53,12 @@ from equipoise.model.random import TRAINING_NOISE
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.settings import Settings
 from equipoise.worlds import ClosedLoop, Setup, simulate, world_class
+from equipoise.worlds.ideal import PlantSimulation
 from equipoise.worlds.interface import predicted
 from equipoise.worlds.reachability import check_releases
 from equipoise.worlds.trials import Trial
 
 Array = npt.NDArray[np.float64]
-Actuators = Actuator | StrPath | Sequence[Actuator | StrPath] | None
-"""Actuator of the arm or its file, several of them, or None for the default."""
 
 
 @checked
@@ -71,7 +67,7 @@ def train(
     arm: Arm | StrPath | None = None,
     settings: Settings | None = None,
     *,
-    actuator: Actuators = None,
+    actuator: Actuator | StrPath | None = None,
     world: str = MODEL,
     seed: Seed = 0,
     learner: Count = 0,
@@ -89,9 +85,7 @@ def train(
         settings: Resolved settings; the sections clik, controller, plant, learning and selection
             are used.
         actuator: Actuator of the arm, its file, or `ideal`; by default ideal with `plant.ideal`,
-            else the shipped one, identified from the twin. With several, the episodes take turns
-            behind them, and the selection scores a policy behind the one where it is worst; the
-            first one is the controller's default.
+            else the shipped one, identified from the twin.
         world: World of the episodes: `model`, the compiled plant; or a twin, or an address of
             CoppeliaSim, one episode after the other. Selection and test run on the plant.
         seed: Master seed.
@@ -103,16 +97,16 @@ def train(
         The policy, with its learning curve and the results of its race.
 
     Raises:
-        InputError: The world takes no such actuators.
+        InputError: The world takes no such actuator.
         OutsideError: CoppeliaSim fails.
         SettingsError: No controller saves any of the releases, or the world is unknown.
     """
     pendulum, arm, settings = read_pendulum(pendulum), read_arm(arm), settings or Settings()
     check_task(pendulum, settings, actuator, world=world)
-    actuators = actuators_in(world, settings, actuator)
+    response = actuator_in(world, settings, actuator)
     settings = settings.model_copy(update={"learning": with_digests(settings.learning)})
     rule, episodes = settings.selection, settings.learning.episodes
-    setup = Setup(pendulum, arm, settings, actuators, paper.STEP)
+    setup = Setup(pendulum, arm, settings, response, paper.STEP)
     training = _Training(setup, world, seed, learner)
     averaged, found = np.zeros_like(training.tables.Q), dict[bytes, tuple[int, Array]]()
     every = rule.every or max(1, episodes // 200)  # points of a curve without candidates
@@ -148,7 +142,7 @@ def train(
         h=paper.STEP,
         pendulum=pendulum,
         arm=arm,
-        actuators=actuators,
+        actuator=response,
         settings=settings,
         seed=seed,
         learner=learner,
@@ -167,7 +161,7 @@ def stage_of(name: str, learner: int) -> str:
 def check_task(
     pendulum: Pendulum,
     settings: Settings,
-    actuator: Actuators = None,
+    actuator: Actuator | StrPath | None = None,
     *,
     world: str = MODEL,
     target: float = 0.0,
@@ -182,26 +176,22 @@ def check_task(
         target: Share of the releases that a policy shall balance.
 
     Returns:
-        A warning with the share of releases that no controller saves, or None; of several
-        actuators, for the first one that gives a warning.
+        A warning with the share of releases that no controller saves, or None.
 
     Raises:
-        InputError: The world takes no such actuators.
+        InputError: The world takes no such actuator.
         SettingsError: No controller saves any of the releases, or the share that the target needs.
     """
     parameters = pendulum.parameters(linearised=settings.plant.linearised)
-    warnings = [
-        check_releases(parameters, settings, each, least=target)
-        for each in actuators_in(world, settings, actuator)
-    ]
-    return next(filter(None, warnings), None)
+    response = actuator_in(world, settings, actuator)
+    return check_releases(parameters, settings, response, least=target)
 
 
-def actuators_in(world: str, settings: Settings, given: Actuators) -> tuple[Actuator, ...]:
-    """Return the actuators of a training in a world: the ideal one for an arm without delay.
+def actuator_in(world: str, settings: Settings, given: Actuator | StrPath | None) -> Actuator:
+    """Return the actuator of a training in a world: the ideal one for an arm without delay.
 
     Raises:
-        InputError: The world takes no such actuators.
+        InputError: The world takes no such actuator.
         SettingsError: The world is unknown.
     """
     if world == IDEAL:
@@ -212,41 +202,27 @@ def actuators_in(world: str, settings: Settings, given: Actuators) -> tuple[Actu
     kinematic = world != MODEL and world_class(world).ideal_arm
     if given is None:
         ideal = kinematic or settings.plant.ideal
-        return (IDEAL_ACTUATOR if ideal else shipped_actuator(),)
-    several = [given] if isinstance(given, Actuator | str | os.PathLike) else given
-    actuators = tuple(map(read_actuator, several))
-    if kinematic and actuators != (IDEAL_ACTUATOR,):
+        return IDEAL_ACTUATOR if ideal else shipped_actuator()
+    actuator = read_actuator(given)
+    if kinematic and actuator != IDEAL_ACTUATOR:
         raise InputError(f"the arm of the world {world} has no delay; leave out the actuator")
-    most = MAX_ACTUATORS if world == MODEL else 1
-    if not 1 <= len(actuators) <= most or len({each.digest for each in actuators}) < len(actuators):
-        raise InputError(
-            f"{len(actuators)} actuators are given, expected 1 to {most} different ones in the "
-            f"world {world}"
-        )
-    return actuators
+    return actuator
 
 
 class _Training:
-    """Episodes of one learner behind each actuator, which share its tables."""
+    """Episodes of one learner."""
 
     def __init__(self, setup: Setup, world: str, seed: int, learner: int) -> None:
         settings = setup.settings
         self._learning = settings.learning
-        plants = trial_simulations(setup, seed=seed, stream=TRAINING_NOISE)
+        plant = PlantSimulation(MODEL, setup, seed=seed, stream=TRAINING_NOISE)
         config = training_config(settings, setup.pendulum.parameters().k)
         kernel = compile_learner(settings.learning)
-        first = new_training_state(settings.boxes.count, load_learner(settings.learning).tables)
-        self.tables = first.tables
-        others = (new_training_state(0)._replace(tables=first.tables) for _ in plants[1:])
-        self._states: list[TrainingState] = [first, *others]
-        self._loops: list[Any] = []
-        for i, (plant, state) in enumerate(zip(plants, self._states, strict=True)):
-            # The boxes do not resolve speeds below the limit; selection finds tables that respect
-            # it.
-            params = plant.params._replace(speed_limit=inf)
-            episodes = (config.episodes + len(plants) - 1 - i) // len(plants)
-            share, key = config._replace(episodes=episodes), np.array((seed, learner))
-            self._loops.append(new_training_loop(params, plant.pendulum, share, kernel, state, key))
+        state = new_training_state(settings.boxes.count, load_learner(settings.learning).tables)
+        self.tables, self._state = state.tables, state
+        # The boxes do not resolve speeds below the limit; selection finds tables that respect it.
+        params, key = plant.params._replace(speed_limit=inf), np.array((seed, learner))
+        self._loop: Any = new_training_loop(params, plant.pendulum, config, kernel, state, key)
         self._elsewhere: ClosedLoop | None = None
         if world != MODEL:
             simulation = simulate(world, setup, seed=seed, stream=TRAINING_NOISE)
@@ -254,8 +230,8 @@ class _Training:
 
     @property
     def totals(self) -> list[int]:
-        """Sums of `TrainingState.totals` over all actuators."""
-        return np.sum([state.totals for state in self._states], axis=0).tolist()
+        """`TrainingState.totals`."""
+        return self._state.totals.tolist()
 
     def run(self, until: int) -> LearningPoint:
         """Train until a number of episodes have ended, and return the point of the curve.
@@ -265,9 +241,9 @@ class _Training:
         """
         before = self.totals
         if self._elsewhere is None:
-            self._run_in_turn(until)
+            train_episodes(self._loop, until)
         else:
-            train_in_world(self._loops[0], self._states[0], self._elsewhere, until)
+            train_in_world(self._loop, self._state, self._elsewhere, until)
         raise_guest_error(self._learning)
         totals = self.totals
         if not np.isfinite(self.tables.Q).all():
@@ -280,16 +256,6 @@ class _Training:
         return LearningPoint(
             episodes=totals[ENDED], steps=totals[STEPS], duration=paper.STEP * steps / ended
         )
-
-    def _run_in_turn(self, until: int) -> None:
-        """Train until a number of episodes have ended, with equal numbers behind each actuator.
-
-        Each next episode ends behind the actuator with the fewest ones, so that none of them shapes
-        the common table alone for longer than an episode.
-        """
-        while sum(ended := [int(state.totals[ENDED]) for state in self._states]) < until:
-            least = ended.index(min(ended))
-            train_episodes(self._loops[least], until if len(ended) == 1 else ended[least] + 1)
 
 
 def train_in_world(training: Any, state: TrainingState, loop: ClosedLoop, until: int) -> None:

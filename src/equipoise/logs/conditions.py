@@ -50,9 +50,6 @@ class RunConditions(Value):
     """Master seed of pendulum, start and noise of simulated parts."""
     actuator: Name
     """Digest of the actuator assumed by the controller, or `ideal`."""
-    alternatives: Annotated[tuple[Name, ...], Field(max_length=64)] = ()
-    """Digests of further actuators, of which the run selects one; empty without a selection, and in
-    simulation, where `actuator` is the selected one."""
     identifies: bool = False
     """Whether an excitation before the lift identifies the actuator of the controller."""
     counts_per_rev: int | None = Field(ge=1, le=2**24)

@@ -207,8 +207,6 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> list[
         same = False
         home, other = ([float(f"{degrees(q):g}") for q in one.home] for one in (arm, trained))
         found = f"home_deg = {home}, the policy is for {other}"
-    fits = fitting_actuators(policy, actuator)
-    nearest = policy.actuators[fits[0] if fits else 0]
     joint, room = _nearest_limit(arm, arm.home)
     return [
         find(
@@ -219,9 +217,9 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> list[
         ),
         find(
             "arm's response",
-            f"{_response(actuator)}, trained for {_response(nearest)}",
+            f"{_response(actuator)}, trained for {_response(policy.actuator)}",
             "train with --actuator and the file that identify makes of this rig's excitation",
-            bad=not fits,
+            bad=not actuator_fits(policy, actuator),
         ),
         find(
             "encoder's resolution",
@@ -238,14 +236,9 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> list[
     ]
 
 
-def fitting_actuators(policy: TaskPolicy, actuator: Actuator) -> list[int]:
-    """Return the numbers of a policy's actuators that an identified one fits, from zero."""
-    return [i for i, one in enumerate(policy.actuators) if _fits(policy, one, actuator)]
-
-
-def _fits(policy: TaskPolicy, trained: Actuator, actuator: Actuator) -> bool:
+def actuator_fits(policy: TaskPolicy, actuator: Actuator) -> bool:
     """Return whether delay, lags and response times are within the spread of the training."""
-    plant = policy.settings.plant
+    trained, plant = policy.actuator, policy.settings.plant
     if plant.ideal or trained.kind == "ideal" or actuator.kind != trained.kind:
         return False
     pairs = zip(actuator.lags, trained.lags, strict=True)

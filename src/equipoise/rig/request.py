@@ -13,7 +13,7 @@ from equipoise.control.policy import TaskPolicy, shipped_policy
 from equipoise.logs.conditions import RunConditions
 from equipoise.model.actuator import Actuator
 from equipoise.outcomes import Phase
-from equipoise.rig.checks import fitting_actuators
+from equipoise.rig.checks import actuator_fits
 from equipoise.rig.config import RigSettings
 from equipoise.safety.rules import SafetyParams, make_safety_params
 from equipoise.worlds.twin.excitation import excitation
@@ -54,8 +54,6 @@ class RunRequest:
     """Whether the run ends before the arm moves."""
     seed: int = 0
     """Seed of an emulated rig."""
-    alternatives: tuple[Actuator, ...] = ()
-    """Further actuators: with any, the run selects one of all from the move of the self-test."""
     identify: Callable[[Array, Array], Actuator] | None = None
     """Identification of the arm from an excitation before the lift, such as
     `equipoise.identification.actuator.identify_actuator`; None without one."""
@@ -135,7 +133,6 @@ class RunRequest:
             duration=self.duration,
             seed=self.seed,
             actuator=self.actuator.digest,
-            alternatives=tuple(each.digest for each in self.alternatives),
             identifies=self.identify is not None,
             counts_per_rev=self.settings.counts_per_rev,
             settings=policy.settings,
@@ -149,16 +146,16 @@ class RunRequest:
 
 
 def describe_fit(policy: TaskPolicy, actuator: Actuator) -> str:
-    """Return a sentence: an identified actuator, and the policies that fit it.
+    """Return a sentence: an identified actuator, and whether it fits the policy.
 
     Args:
         policy: The policy of the run.
         actuator: The identified actuator.
     """
-    text, fits = f"The arm: {actuator.summary}.", fitting_actuators(policy, actuator)
-    if fits:
-        return f"{text} It fits actuator {fits[0] + 1} of the policy's {len(policy.actuators)}."
+    text = f"The arm: {actuator.summary}."
+    if actuator_fits(policy, actuator):
+        return f"{text} It fits the actuator of {policy.name}."
     cure = "train one with equipoise train --actuator and the actuator of this run"
-    if fitting_actuators(shipped_policy(), actuator):
+    if actuator_fits(shipped_policy(), actuator):
         cure = "the shipped policy fits"
-    return f"{text} It fits none of the actuators of {policy.name}; {cure}."
+    return f"{text} It does not fit the actuator of {policy.name}; {cure}."

@@ -57,8 +57,7 @@ def simulate_run(
     Args:
         policy: The policy; as in `evaluate`.
         world: `ideal`, `model`, a name that `read_world` knows, or a twin with its numbers.
-        actuator: The controller's model of the arm's response (default: that of the training). A
-            policy with several selects one on a twin, see `equipoise.control.actuator_choice`.
+        actuator: The controller's model of the arm's response (default: that of the training).
         seed: Master seed of pendulum, noise, start and zero.
         duration: Length of the run [s] (default: that of an evaluation's trial).
         settings: Noise of the plant, ranges of the start, the controller (default: the policy's).
@@ -79,7 +78,6 @@ def simulate_run(
     recorder, twin = Recorder(), simulation.twin
     _, cause, _ = run_trial(loop, policy, trial, duration, recorder)
     rows = recorder.rows
-    used = setup.actuators[loop.chosen]
     time = np.arange(len(rows.u), dtype=np.float64) * h
     sent = (time[:, None] + np.arange(SETPOINTS_PER_TICK) * h / SETPOINTS_PER_TICK).ravel()
     setpoints = rows.setpoints.reshape(-1, FREE_JOINTS)
@@ -107,7 +105,7 @@ def simulate_run(
             h=h,
             duration=duration,
             seed=seed,
-            actuator=IDEAL if used.kind == "ideal" else used.digest,
+            actuator=IDEAL if setup.actuator.kind == "ideal" else setup.actuator.digest,
             zero_error=loop.zero,
             pendulum=loop.pendulum,
             **_twin_conditions(twin),

@@ -83,9 +83,9 @@ def setup_of(
 
     In a world with an ideal arm, such as `ideal`, the arm has no delay, also with a given actuator.
     """
-    carried = policy.actuators if actuator is None else (read_actuator(actuator),)
-    responses = (IDEAL_ACTUATOR,) if world_class(world).ideal_arm else carried
-    return Setup(policy.pendulum, policy.arm, settings or policy.settings, responses, policy.h)
+    given = policy.actuator if actuator is None else read_actuator(actuator)
+    response = IDEAL_ACTUATOR if world_class(world).ideal_arm else given
+    return Setup(policy.pendulum, policy.arm, settings or policy.settings, response, policy.h)
 
 
 def simulate(world: str | World, setup: Setup, *, seed: int, stream: int) -> Simulation:

@@ -19,7 +19,7 @@ from equipoise.arguments import Workers, checked
 from equipoise.artefacts import Artefact, Name, Seed, StrPath, Value
 from equipoise.control.baselines import baselines
 from equipoise.control.bound_policy import AnyPolicy, read_policy
-from equipoise.control.policy import MAX_ACTUATORS, PolicyKernel, TaskPolicy
+from equipoise.control.policy import PolicyKernel, TaskPolicy
 from equipoise.model.actuator import Actuator
 from equipoise.model.random import TEST
 from equipoise.model.worlds import MODEL, TwinSettings, World
@@ -123,9 +123,8 @@ class Evaluation(Artefact):
     """Name of the arm."""
     arm_digest: Name
     """Digest of the arm."""
-    actuators: Annotated[tuple[Name, ...], Field(min_length=1, max_length=MAX_ACTUATORS)]
-    """Digests of the controller's models of the arm's response; of several, each trial on a twin
-    selects one from the move of the self-test before its release."""
+    actuator: Name
+    """Digest of the controller's model of the arm's response."""
     pendulum: Name
     """Digest of the pendulum that the trials vary."""
     settings: Settings
@@ -179,9 +178,7 @@ def evaluate(
         world: Name of a world, such as `ideal`, `model` or `twin:nominal`, or a twin with its
             numbers.
         actuator: The controller's model of the arm's response, its file, or `ideal` (default: the
-            policy's; in `ideal` always the ideal one). A policy with several selects one in each
-            trial on a twin, see `equipoise.control.actuator_choice`; on a plant the first one
-            holds.
+            policy's; in `ideal` always the ideal one).
         seed: Master seed of the trials.
         with_baselines: Run the baselines on the same trials.
         workers: Number of threads for compiled policies; the result does not depend on it.
@@ -217,7 +214,7 @@ def evaluate(
         world_settings=simulation.twin,
         arm=arm.name,
         arm_digest=arm.digest,
-        actuators=tuple(each.digest for each in setup.actuators),
+        actuator=setup.actuator.digest,
         pendulum=pendulum.digest,
         settings=settings,
         seed=seed,

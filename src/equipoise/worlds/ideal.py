@@ -78,7 +78,7 @@ class PlantSimulation(Simulation):
     PIECE: ClassVar[int] = 4 * BATCH_SIZE
 
     def __init__(self, world: str | World, setup: Setup, *, seed: int, stream: int) -> None:
-        """Set up the plant, with the first one of several actuators; see `Simulation`.
+        """Set up the plant; see `Simulation`.
 
         Raises:
             ArmError: Home is a singular posture.

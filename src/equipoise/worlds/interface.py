@@ -54,8 +54,6 @@ class ClosedLoop(ABC):
     """True parameters of the pendulum in this trial."""
     zero: float | None = None
     """Encoder zero offset in phi in this trial [rad]; `None` without an encoder."""
-    chosen: int = 0
-    """Number of the actuator of the setup that the controller assumes in this trial."""
     now: float = 0.0
     """Time since the release [s]."""
     tracked: float = 0.0
@@ -98,18 +96,12 @@ class Setup(NamedTuple):
     """The arm with its home posture."""
     settings: Settings
     """Ranges of the trials' conditions, noise of the plant, the controller."""
-    actuators: tuple[Actuator, ...]
-    """The controller's models of the arm's response. Of several, a trial on a twin selects one from
-    the move of the self-test before the release; elsewhere the first one holds."""
+    actuator: Actuator
+    """The controller's model of the arm's response."""
     h: float
     """Time between ticks [s]."""
     spread: float = 1.0
     """Factor on the variation of the plants [-]."""
-
-    @property
-    def actuator(self) -> Actuator:
-        """Default model of the arm's response: the first one."""
-        return self.actuators[0]
 
 
 class Simulation(ABC):

@@ -116,9 +116,6 @@ class RunContext:
         self.respond = partial(request.response, counts_per_rev=counts_per_rev, max_speed=max_speed)
         """Returns what follows from an actuator on this rig."""
         self.response = response = self.respond(request.actuator)
-        carried = (request.actuator, *request.alternatives) if request.alternatives else ()
-        self.alternatives = tuple(self.respond(actuator) for actuator in carried)
-        """Responses of which the move of the self-test selects one; none, or two and more."""
         self.excitation = request.excitation()
         """Motion before the lift that identifies the arm, as of `RunRequest.excitation`."""
         self.controller = Controller(self.arm, response.params, request.policy.settings.boxes)

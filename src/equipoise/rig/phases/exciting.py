@@ -3,12 +3,14 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from equipoise.control.actuator_choice import motion_rows
+import numpy as np
+
 from equipoise.errors import InputError
 from equipoise.model.actuator import Actuator
+from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.outcomes import End, Outcome, Phase
 from equipoise.printable import printable
-from equipoise.rig.checks import fitting_actuators
+from equipoise.rig.checks import actuator_fits
 from equipoise.rig.phases.context import RunContext, RunPhase, Setpoints
 from equipoise.rig.phases.release import Lifting
 from equipoise.rig.request import Array, describe_fit
@@ -67,7 +69,7 @@ class Exciting(RunPhase):
         over = (row - len(setpoints)) * 0.5 * h
         if over > 0.3 and self._measures:
             self._measures = False
-            run.job = partial(self._identify, motion_rows(self._sent), motion_rows(self._measured))
+            run.job = partial(self._identify, _motion(self._sent), _motion(self._measured))
             run.notify("notice", "The arm is identified; this takes some seconds.")
         if run.result is not None:
             try:
@@ -76,7 +78,7 @@ class Exciting(RunPhase):
                 found: Actuator = run.result
                 run.identified = found
                 text = describe_fit(run.request.policy, found)
-                if not fitting_actuators(run.request.policy, found):
+                if not actuator_fits(run.request.policy, found):
                     raise InputError(text)
                 response = run.respond(found)
             except Exception as error:  # the arm comes to rest, whatever failed
@@ -86,6 +88,12 @@ class Exciting(RunPhase):
             run.assume(response)
             run.go(Lifting(run))
         return run.still()
+
+
+def _motion(rows: list[tuple[float, ...]]) -> Array:
+    """Return times [s] and free joints [rad] in an array, shape (m, 7), each time once."""
+    motion = np.array(rows).reshape(-1, 1 + FREE_JOINTS)
+    return motion[np.unique(motion[:, 0], return_index=True)[1]]
 
 
 def _interrupted(part: str) -> End:

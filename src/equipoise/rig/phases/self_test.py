@@ -1,4 +1,4 @@
-"""Self-test swing of the hanging pendulum, its zero, and the selection of an actuator."""
+"""Self-test swing of the hanging pendulum, and its zero."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -6,20 +6,17 @@ from math import pi
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-from equipoise.control.actuator_choice import (
-    MOVE_TIME,
-    REST_AFTER_MOVE,
-    choose_actuator,
-    describe_choice,
-    flange_move,
-    motion_rows,
-)
 from equipoise.control.minimum_jerk import Path
 from equipoise.control.ticks import Sample
-from equipoise.identification.self_test import SWING_TIME, SelfTest, SelfTestVerdict, self_test
-from equipoise.model.actuator import Actuator
+from equipoise.identification.self_test import (
+    MOVE_TIME,
+    SWING_TIME,
+    SelfTest,
+    SelfTestVerdict,
+    flange_move,
+    self_test,
+)
 from equipoise.outcomes import End, Outcome, Phase
 from equipoise.rig.phases.context import RunContext, RunPhase, Setpoints
 from equipoise.rig.phases.exciting import Exciting
@@ -36,31 +33,6 @@ MAX_SWINGS: Final = 4
 """Maximum number of swings of a self-test, repeated until the zero's interval is small."""
 
 
-Array = npt.NDArray[np.float64]
-
-
-def judge_swing(
-    test: Callable[[], SelfTest], carried: Sequence[Actuator], sent: Array, measured: Array
-) -> tuple[SelfTest, list[float]]:
-    """Judge a swing; if it is right, compare the arm with the policy's actuators.
-
-    Args:
-        test: Judges the swing.
-        carried: The actuators; none without a selection.
-        sent: Setpoints of the move, as of `choose_actuator`.
-        measured: Measured joints of the move.
-
-    Returns:
-        The result, and that of `choose_actuator`; empty without a selection.
-
-    Raises:
-        RecordingError: The move cannot be compared.
-    """
-    result = test()
-    selects = carried and result.verdict is SelfTestVerdict.PASSED
-    return result, choose_actuator(carried, sent, measured) if selects else []
-
-
 class SelfTesting(RunPhase):
     """The flange moves by 40 mm, the pendulum answers and swings out, and the flange returns."""
 
@@ -72,9 +44,7 @@ class SelfTesting(RunPhase):
         self._reference = reference
         self._swings = 0
         self._swing(REST_BEFORE)
-        self._sent, self._measured = list[tuple[float, ...]](), list[tuple[float, ...]]()
         self._judged: SelfTest | None = None
-        self._chosen: int | None = None
 
     def _swing(self, begin: float) -> None:
         """Plan a swing that begins at a time of the phase [s], to the other side each time."""
@@ -93,28 +63,12 @@ class SelfTesting(RunPhase):
             self._encoder.append((sample.time, sample.counts))
 
     def take_joints(self, time: float, q: Sequence[float]) -> None:
-        """Record the pivot, and the move."""
-        run = self.run
+        """Record the pivot."""
         if not self._asked:
-            self._pivot.append((time, run.flange.pose(tuple(q)).x))
-        if self._records_move:
-            self._measured.append((time, *run.arm.without_held(q)))
-
-    def note_sent(self, time: float, q: Sequence[float]) -> None:
-        """Record the move."""
-        if self._records_move:
-            self._sent.append((time, *self.run.arm.without_held(q)))
-
-    @property
-    def _records_move(self) -> bool:
-        """Whether the first move is under way, from which an actuator is selected."""
-        moves = self.ticks * self.run.h - self._begin < MOVE_TIME + REST_AFTER_MOVE
-        return self._swings == 1 and moves
+            self._pivot.append((time, self.run.flange.pose(tuple(q)).x))
 
     def begin_anew(self, missed: int, unsent: bool) -> None:
-        """Go on from rest; a move with a pause selects no actuator."""
-        if self._records_move:
-            self._sent, self._measured = [], []
+        """Go on from rest."""
         self.run.rest_on_track(missed, unsent)
 
     def wait(self, now: float) -> Setpoints:
@@ -134,7 +88,7 @@ class SelfTesting(RunPhase):
         if t >= MOVE_TIME + SWING_TIME and not self._asked:
             self._asked = True
             params = run.response.params
-            test = partial(
+            run.job = partial(
                 self_test,
                 *np.array(self._encoder).reshape(-1, 2).T.copy(),
                 *np.array(self._pivot).reshape(-1, 2).T.copy(),
@@ -143,30 +97,22 @@ class SelfTesting(RunPhase):
                 resting=run.encoder.zero or 0.0,
                 delay=0.0,
             )
-            carried = tuple(each.actuator for each in run.alternatives)
-            motion = motion_rows(self._sent), motion_rows(self._measured)
-            run.job = partial(judge_swing, test, carried, *motion)
         if self._asked and run.result is not None:
             failure = self._judge(run.result)
             if failure is not None:
                 return run.stop_and_rest(End(Outcome.SELF_TEST, {"text": failure}), now)
         return run.command(0.0)
 
-    def _judge(self, judged: tuple[SelfTest, list[float]] | Exception) -> str | None:
+    def _judge(self, result: SelfTest | Exception) -> str | None:
         """Act on the verdict; return why the run has to stop, if it has to."""
         run, h = self.run, self.run.h
-        if isinstance(judged, Exception):
-            return f"the self-test failed ({judged})"
-        result, residuals = judged
+        if isinstance(result, Exception):
+            return f"the self-test failed ({result})"
         run.notify("self-test", f"Self-test: {result.reason}.")
         if result.verdict is SelfTestVerdict.REPEAT and self._swings < MAX_SWINGS:
             self._swing(self.ticks * h + REST_BEFORE)
         elif result.verdict in (SelfTestVerdict.PASSED, SelfTestVerdict.ZERO):
             self._judged = result
-            if residuals:
-                self._chosen = int(np.argmin(residuals))
-                carried = [each.actuator for each in run.alternatives]
-                run.notify("actuator", describe_choice(residuals, carried))
             self._go_home()
         else:
             return result.reason
@@ -177,7 +123,7 @@ class SelfTesting(RunPhase):
         self._begin = (self.ticks + 1) * self.run.h
 
     def _return(self, judged: SelfTest) -> Setpoints:
-        """Return home, take the selected actuator, and go on to the next phase."""
+        """Return home, and go on to the next phase."""
         run, h = self.run, self.run.h
         t = self.ticks * h - self._begin
         if t < RETURN_TIME + REST_BEFORE:
@@ -189,8 +135,6 @@ class SelfTesting(RunPhase):
             run.go(self._reference(run))
             return run.still()
         run.encoder.zero = (run.encoder.zero or 0.0) + judged.zero / run.response.params.resolution
-        if self._chosen is not None:
-            run.assume(run.alternatives[self._chosen])
         identify = run.request.identify
         run.go(Lifting(run) if identify is None else Exciting(run, identify))
         return run.still()

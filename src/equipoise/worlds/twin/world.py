@@ -5,12 +5,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from equipoise.control.actuator_choice import choose_actuator, motion_rows, move_setpoints
-from equipoise.control.control_step import (
-    SETPOINTS_PER_TICK,
-    make_controller_params,
-    new_controller_state,
-)
+from equipoise.control.control_step import make_controller_params, new_controller_state
 from equipoise.control.policy import PolicyKernel
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.worlds import World, pendulum_on, read_world
@@ -44,23 +39,15 @@ class TwinSimulation(Simulation):
         world = world if isinstance(world, World) else read_world(world)
         super().__init__(world, setup, seed=seed, stream=stream)
         numbers = self.twin = self.numbers = world.settings
-        arm, settings, self.actuators, h = setup.arm, setup.settings, setup.actuators, setup.h
+        arm, settings, actuator, h = setup.arm, setup.settings, setup.actuator, setup.h
         self.servo = make_servo_params(arm, numbers)
         """Constants of the servo."""
-        self.params = tuple(
-            make_controller_params(
-                arm, settings, each, self.pendulum, h=h, counts_per_rev=numbers.counts_per_rev
-            )
-            for each in self.actuators
+        self.params = make_controller_params(
+            arm, settings, actuator, self.pendulum, h=h, counts_per_rev=numbers.counts_per_rev
         )
-        """Constants of the controller with each actuator."""
-        self.safety = [
-            trial_safety(arm, numbers, actuator, h, settings.plant.max_speed)
-            for actuator in self.actuators
-        ]
-        """Safety limits with each actuator."""
-        self.move = move_setpoints(arm, self.params[0]) if len(self.actuators) > 1 else None
-        """Setpoints of the move before a release [rad], shape (m, 6); None without a selection."""
+        """Constants of the controller."""
+        self.safety = trial_safety(arm, numbers, actuator, h, settings.plant.max_speed)
+        """Safety limits of a trial."""
         self._idle: list[TwinLoop] = []
 
     def draw(self, count: int, first: int = 0) -> Trials:
@@ -82,7 +69,7 @@ class TwinSimulation(Simulation):
         self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
     ) -> None:
         """Run trials of a compiled policy in this thread; see `Simulation.run`."""
-        max_steps = round(duration / self.params[0].h)
+        max_steps = round(duration / self.params.h)
         try:
             loop = self._idle.pop()  # of a thread that has finished
         except IndexError:
@@ -95,27 +82,21 @@ class TwinSimulation(Simulation):
 
 
 class TwinLoop(ClosedLoop):
-    """Closed loop on a twin, which the trials use in turn.
-
-    Of several actuators the controller selects one: before the release, with the pendulum hanging,
-    the arm makes the move of the self-test, and its setpoints and measured joints decide.
-    """
+    """Closed loop on a twin, which the trials use in turn."""
 
     def __init__(self, simulation: TwinSimulation) -> None:
         """Build the twin, and allocate the controller."""
         arm, nominal = simulation.setup.arm, simulation.pendulum
         self._simulation = simulation
         self._twin = Twin(arm, nominal, simulation.numbers, servo=simulation.servo)
-        self.params, self.controller = simulation.params[0], new_controller_state()
+        self.params, self.controller = simulation.params, new_controller_state()
         twin, q = self._twin.kernel, np.zeros(FREE_JOINTS)
+        monitor = new_trial_monitor(arm, simulation.safety)
         # The twin owns the memory of the engine and has to outlive its trials.
-        self._trials: list[Any] = [
-            new_twin_handle(
-                TwinTrial(twin, params, self.controller, q, new_trial_monitor(arm, safety))
-            )
-            for params, safety in zip(simulation.params, simulation.safety, strict=True)
-        ]
-        self._trial, self._state = self._trials[0], np.zeros(4)
+        self._trial: Any = new_twin_handle(
+            TwinTrial(twin, self.params, self.controller, q, monitor)
+        )
+        self._state = np.zeros(4)
 
     def run(self, policy: PolicyKernel, trial: Trial, max_steps: int) -> tuple[int, int, float]:
         """Run a trial of a compiled policy; see `trial.run_trial`."""
@@ -137,24 +118,7 @@ class TwinLoop(ClosedLoop):
         varied = scaled(simulation.pendulum, own.inertia_factor, own.friction_factor)
         self.pendulum = pendulum_on(simulation.setup.pendulum, simulation.numbers, varied)
         self._twin.set_trial(self.pendulum, simulation.seed, trial.number)
-        if simulation.move is not None:
-            self._select(simulation.move)
         self.zero = float(self._twin.kernel.sensors.zero[0])
-
-    def _select(self, move: Array) -> None:
-        """Make a move with the hanging pendulum, and select the actuator from it."""
-        twin, sent, measured = self._twin, list[tuple[float, ...]](), list[tuple[float, ...]]()
-        twin.reset()
-        for q in move:
-            sent.append((twin.now, *q))
-            twin.send(q)
-            twin.advance(self.params.h / SETPOINTS_PER_TICK)
-            joints, stamp = twin.measured()
-            measured.append((stamp, *joints))
-        motion = motion_rows(sent), motion_rows(measured)
-        chosen = int(np.argmin(choose_actuator(self._simulation.actuators, *motion)))
-        self.params, self._trial = self._simulation.params[chosen], self._trials[chosen]
-        self.chosen = chosen
 
     def step(self, u: float) -> int:
         """Advance by one tick with u [m/s^2], and return the cause of the failure."""
