@@ -78,7 +78,7 @@ CONTENTS = {
     "Explanation": [
         "/docs/explanation/latency",
         "/docs/explanation/zero",
-        "/docs/explanation/certificates",
+        "/docs/explanation/claims",
         "/docs/explanation/lqr",
         "/docs/explanation/sim-to-real-gap",
         "/docs/explanation/inside-the-cabinet",

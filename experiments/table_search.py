@@ -98,7 +98,7 @@ def search_table(
     """Search for the best table of a grid.
 
     Args:
-        policy: A policy of the same task, which gives pendulum, arm, actuators and settings.
+        policy: A policy of the same task, which gives pendulum, arm, actuator and settings.
         starts: Tables to begin with, accelerations of each box [m/s^2], shape (boxes,).
         generations: Number of generations.
         tables: Number of tables of a generation.

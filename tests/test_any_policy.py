@@ -6,7 +6,6 @@ import pytest
 from equipoise.control.bound_policy import load_policy
 from equipoise.rig.simulate import simulate_run
 from equipoise.settings import resolve
-from equipoise.worlds.certification import certify, make_claim
 from equipoise.worlds.evaluation import evaluate
 from tests.control.test_bound_policy import KINDS, folder
 
@@ -17,7 +16,7 @@ FEW = resolve(overrides=["evaluation.trials=2", "evaluation.duration=0.5"])
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_every_kind_is_evaluated_certified_and_deployed_repeatably(folder, name):
+def test_every_kind_is_evaluated_and_deployed_repeatably(folder, name):
     policy = load_policy(name)
     for world in ("ideal", "model", "twin:nominal"):
         evaluation = evaluate(policy, FEW, world=world, with_baselines=False)
@@ -25,9 +24,6 @@ def test_every_kind_is_evaluated_certified_and_deployed_repeatably(folder, name)
         assert len(evaluation.results.survival) == 2
         again = evaluate(load_policy(name), FEW, world=world, with_baselines=False)
         assert again.digest == evaluation.digest
-    claim = make_claim(0.5, 0.6, 0.2, world="twin:nominal", trials=3)
-    certificate = certify(policy, claim)
-    assert certify(load_policy(name), claim).digest == certificate.digest
     runs = [simulate_run(load_policy(name), world="twin:nominal", duration=0.5) for _ in range(2)]
     assert runs[0].conditions.policy == policy.digest
     assert np.array_equal(runs[0].u, runs[1].u)

@@ -22,7 +22,6 @@ ARGUMENTS = {
     eq.simulate_run: ("policy", "settings", "actuator", "seed", "duration", "world"),
     eq.excite: ("arm", "pendulum", "world", "seed", "duration"),
     eq.load_policy: ("name", "pendulum", "arm", "settings"),
-    eq.make_claim: ("probability", "confidence", "duration", "world", "trials"),
     eq.identify: ("trajectory",),
     eq.identify_run: ("run",),
     eq.iiwa: ("size",),

@@ -18,7 +18,6 @@ from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.worlds import read_world
 from equipoise.rig.config import read_rig
 from equipoise.settings import resolve
-from equipoise.worlds.certification import Certificate, certify, make_claim
 from equipoise.worlds.evaluation import Evaluation, evaluate
 from tests.cli.damage import digest, mutations, outcomes
 
@@ -60,11 +59,6 @@ def swing_text():
     return "time_s,theta_rad\n" + "".join(rows)
 
 
-def certified():
-    claim = make_claim(0.9, 0.9, 0.05, trials=30)
-    return certify(shipped_policy(), claim)
-
-
 def evaluated():
     settings = shipped_policy().settings
     few = settings.evaluation.model_copy(update={"trials": 20, "duration": 0.3})
@@ -80,7 +74,6 @@ FORMATS = {
     "pendulum.json": (shipped_pendulum(), Pendulum.load),
     "actuator.json": (shipped_actuator(), Actuator.load),
     "policy.json": (shipped_policy(), TabularPolicy.load),
-    "certificate.json": (certified, Certificate.load),
     "evaluation.json": (evaluated, Evaluation.load),
 }
 

@@ -15,4 +15,4 @@ bound = 0.05 ** (1 / 10)
 trials = int(np.ceil(np.log(0.05) / np.log(0.99)))
 
 # %%
-allowed = claim.allowed
+allowed = max(n for n in range(count) if eq.lower_bound(count - n, count, 0.95) >= claim)

@@ -37,8 +37,7 @@ if TYPE_CHECKING:
     from equipoise.reproduction.pipeline import reproduce
     from equipoise.rig.simulate import excite, simulate_run
     from equipoise.settings import Settings, resolve
-    from equipoise.worlds.certification import Certificate, certify, make_claim
-    from equipoise.worlds.evaluation import Evaluation, evaluate
+    from equipoise.worlds.evaluation import Evaluation, evaluate, lower_bound, trials_for
 
     __version__: str
 
@@ -48,7 +47,7 @@ __all__ += ["Arm", "iiwa", "read_urdf"]
 __all__ += ["Actuator", "excite", "identify_run", "shipped_actuator"]
 __all__ += ["TabularPolicy", "shipped_policy", "train", "train_to_target"]
 __all__ += ["Policy", "RunLog", "bind_policy", "load_policy", "read_world", "simulate_run"]
-__all__ += ["Certificate", "Evaluation", "certify", "evaluate", "make_claim", "reproduce"]
+__all__ += ["Evaluation", "evaluate", "lower_bound", "reproduce", "trials_for"]
 __all__ += ["EquipoiseError", "Settings", "__version__", "resolve"]
 
 _HOMES = {
@@ -57,7 +56,7 @@ _HOMES = {
     "control.policy": ("Policy", "TabularPolicy", "shipped_policy"),
     "rig.simulate": ("excite", "simulate_run"),
     "errors": ("EquipoiseError",),
-    "worlds.evaluation": ("Evaluation", "evaluate"),
+    "worlds.evaluation": ("Evaluation", "evaluate", "lower_bound", "trials_for"),
     "identification.actuator": ("identify_run",),
     "identification.recording": ("Trajectory", "read_swing", "simulate_swing", "write_swing"),
     "identification.swing": ("identify",),
@@ -69,7 +68,6 @@ _HOMES = {
     "model.worlds": ("read_world",),
     "logs.run_log": ("RunLog",),
     "settings": ("Settings", "resolve"),
-    "worlds.certification": ("Certificate", "certify", "make_claim"),
     "reproduction.pipeline": ("reproduce",),
     "learning.target": ("train_to_target",),
     "learning.train": ("train",),

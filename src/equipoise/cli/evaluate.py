@@ -1,5 +1,6 @@
 """`equipoise evaluate`: measures how long a policy stands, and why it falls."""
 
+from math import ceil, log
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +12,7 @@ from equipoise.cli.verb import Options, command, verb
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
-    from equipoise.worlds.evaluation import TrialResults
+    from equipoise.worlds.evaluation import Summary, TrialResults
 
 
 class Trials(Options):
@@ -26,7 +27,7 @@ class Trials(Options):
     """Duration of a trial [s]; by default 60."""
     baselines: bool = True
     """Run LQR, PD and random actions too."""
-    claim: float | None = None
+    claim: Annotated[float | None, Field(gt=0.0, lt=1.0)] = None
     """Claim that a trial lasts with at least this probability, e.g. 0.99."""
 
 
@@ -47,24 +48,25 @@ def evaluate(
     Four baselines run the same trials. Exit code 1: the median trial ended
     early.
 
-    --claim grants or refuses a claim at 95 % confidence, by an exact bound.
-    Claim and policy determine the number of trials and their seed, so a second
-    attempt is the same. Exit code 1: refused.
+    --claim grants or refuses a claim at 95 % confidence, by an exact bound. It
+    determines the number of trials, and leaves out the baselines. Exit code 1:
+    refused.
     """
-    if trials.claim is not None:
-        certify(output, policy, trials.claim, trials, task, random, files)
-        return
     from equipoise.control.bound_policy import BUILT_IN
     from equipoise.executors import counted
-    from equipoise.worlds.evaluation import evaluate
+    from equipoise.worlds.evaluation import evaluate, trials_for
 
     chosen = task.read(policy)
     out = files.file("evaluation.json", policy, task.pendulum)
     settings, given = chosen.settings, {"trials": trials.trials, "duration": trials.duration}
+    if trials.claim is not None:
+        given["trials"] = trials.trials or trials_for(trials.claim)
+        check_claim(given["trials"], trials.claim)
+    with_baselines = trials.baselines and trials.claim is None
     changes = {name: value for name, value in given.items() if value is not None}
     changed = settings.evaluation.model_validate({**dict(settings.evaluation), **changes})
     output.warn(opt.shortfall(chosen))
-    total = changed.trials * (1 + len(BUILT_IN) * trials.baselines)
+    total = changed.trials * (1 + len(BUILT_IN) * with_baselines)
     with output.progress() as show:
         evaluation = evaluate(
             chosen,
@@ -72,13 +74,17 @@ def evaluate(
             world=trials.world,
             actuator=task.actuator,
             seed=random.seed,
-            with_baselines=trials.baselines,
+            with_baselines=with_baselines,
             workers=random.threads,
             done=counted("evaluate", total, show),
         )
     inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
     evaluation.save(out, command="evaluate", inputs=inputs)
     fields = _trial_fields(evaluation.results)
+    code = int(fields["median_s"] < evaluation.duration)
+    if trials.claim is not None:
+        fields["claim"] = claim_fields(evaluation.results.summary(), trials.claim)
+        code = int(not fields["claim"]["granted"])
     output.result(
         world=evaluation.world,
         arm=evaluation.arm,
@@ -87,7 +93,7 @@ def evaluate(
         **fields,
         baselines={each.name: _trial_fields(each) for each in evaluation.baselines},
         evaluation=out,
-        code=int(fields["median_s"] < evaluation.duration),
+        code=code,
         then=_deploy(policy, trials, task),
     )
 
@@ -104,40 +110,30 @@ def _trial_fields(results: "TrialResults") -> dict[str, Any]:
     return {name: getattr(found, name) for name in names} | {"median_s": found.median}
 
 
-def certify(
-    output: Output,
-    policy: Path | None,
-    probability: float,
-    trials: Trials,
-    task: opt.Task,
-    random: opt.Random,
-    files: opt.Files,
-) -> None:
-    """Grant or refuse a claim about a policy, and write the certificate."""
-    if random.seed or task.actuator is not None:
-        raise InputError("a claim fixes seed and actuator; leave out --seed and --actuator")
-    from equipoise.executors import counted
-    from equipoise.worlds import certification
+def check_claim(trials: int, claim: float) -> None:
+    """Check that trials can grant a claim.
 
-    chosen = task.read(policy)
-    out = files.file("certificate.json", policy, task.pendulum)
-    length = 60.0 if trials.duration is None else trials.duration
-    claim = certification.make_claim(
-        probability, duration=length, world=trials.world, trials=trials.trials
-    )
-    with output.progress() as show:
-        done = counted("evaluate", claim.trials, show)
-        certificate = certification.certify(chosen, claim, workers=random.threads, done=done)
-    certificate.save(out, command="evaluate", inputs={"policy": chosen.digest})
-    output.result(
-        claim=str(claim),
-        granted=certificate.granted,
-        bound=certificate.bound,
-        trials=claim.trials,
-        failures=certificate.failed,
-        allowed=claim.allowed,
-        outcomes=_trial_fields(certificate.evaluation.results)["outcomes"],
-        certificate=out,
-        code=int(not certificate.granted),
-        then=_deploy(policy, trials, task),
-    )
+    Raises:
+        InputError: They are too few, even if all survive.
+    """
+    from equipoise.worlds.evaluation import CLAIM_CONFIDENCE, allowed_failures
+
+    if allowed_failures(trials, claim) < 0:
+        least = ceil(log(1.0 - CLAIM_CONFIDENCE) / log(claim))
+        raise InputError(
+            f"{trials:,} trials cannot grant a claim of {claim:g}, even if all last; give "
+            f"--trials {least} or more"
+        )
+
+
+def claim_fields(found: "Summary", claim: float) -> dict[str, Any]:
+    """Return the verdict on a claim as fields of a result."""
+    from equipoise.worlds.evaluation import CLAIM_CONFIDENCE, allowed_failures, lower_bound
+
+    bound = lower_bound(found.survived, found.trials, CLAIM_CONFIDENCE)
+    return {
+        "probability": claim,
+        "granted": bound >= claim,
+        "bound": bound,
+        "allowed_failures": allowed_failures(found.trials, claim),
+    }

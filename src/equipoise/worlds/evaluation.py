@@ -7,19 +7,21 @@ seeds serve no other purpose, trial i is the same for every policy, and the base
 trials.
 """
 
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable
-from typing import Annotated, ClassVar, NamedTuple, Self
+from typing import Annotated, ClassVar, Final, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, model_validator
-from scipy.special import betaincinv
+from scipy.special import bdtr, betaincinv
 
 from equipoise.arguments import Workers, checked
 from equipoise.artefacts import Artefact, Name, Seed, StrPath, Value
 from equipoise.control.baselines import baselines
 from equipoise.control.bound_policy import AnyPolicy, read_policy
 from equipoise.control.policy import PolicyKernel, TaskPolicy
+from equipoise.errors import InputError
 from equipoise.model.actuator import Actuator
 from equipoise.model.random import TEST
 from equipoise.model.worlds import MODEL, TwinSettings, World
@@ -67,6 +69,55 @@ def exact_interval(count: int, of: int) -> tuple[float, float]:
         of: Number of trials, at least one.
     """
     return lower_bound(count, of, 0.975), 1.0 - lower_bound(of - count, of, 0.975)
+
+
+CLAIM_CONFIDENCE: Final = 0.95
+"""Minimum probability that a claim is refused for a policy below it [-]."""
+
+
+def allowed_failures(trials: int, claim: float) -> int:
+    """Return the maximum number of failed trials that grants a claim; -1 if none does.
+
+    A claim is granted if the exact lower bound of the probability to survive a trial reaches it.
+
+    Args:
+        trials: Number of trials, fixed in advance.
+        claim: Claimed probability to survive a trial [-].
+
+    Example:
+        >>> allowed_failures(1000, 0.99), allowed_failures(298, 0.99)
+        (4, -1)
+    """
+
+    def refused(failures: int) -> bool:
+        return lower_bound(trials - failures, trials, CLAIM_CONFIDENCE) < claim
+
+    return bisect_left(range(trials + 1), True, key=refused) - 1
+
+
+def trials_for(claim: float) -> int:
+    """Return the default number of trials of a claim.
+
+    With it, a policy with a tenth of the claimed failure probability is granted the claim with a
+    probability of at least 0.95. Round numbers leave little room for tuning.
+
+    Args:
+        claim: Claimed probability to survive a trial [-].
+
+    Raises:
+        InputError: The claim takes more than the maximum number of trials.
+
+    Example:
+        >>> trials_for(0.99), trials_for(0.999)
+        (1000, 10000)
+    """
+    for trials in (digit * 10**power for power in range(6) for digit in (1, 2, 5)):
+        allowed = allowed_failures(trials, claim)
+        if allowed >= 0 and float(bdtr(allowed, trials, 0.1 * (1.0 - claim))) >= 0.95:
+            return trials
+    raise InputError(
+        f"a claim of {claim:.10g} takes more than {MOST_TRIALS:,} trials; claim a lower probability"
+    )
 
 
 class TrialResults(Value):
