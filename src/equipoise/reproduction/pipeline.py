@@ -10,12 +10,14 @@ Each stage takes the previous value and saves its own, so that any stage can be 
 files. `equipoise.apps.report.page.build` makes the page from the folder.
 """
 
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Any, Final
 
 from equipoise.arguments import Workers, checked
 from equipoise.artefacts import Seed, StrPath
@@ -27,10 +29,8 @@ from equipoise.identification.recording import Trajectory, read_swing, write_swi
 from equipoise.identification.swing import identify
 from equipoise.learning.target import LEARNERS, TARGET, train_to_target
 from equipoise.learning.train import train
-from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.resolve import read_arm
-from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.reproduction.results import (
     EVALUATION,
@@ -50,11 +50,10 @@ from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.reproduction.warm_up import TWIN, is_warm, warm_up
 from equipoise.rig.simulate import simulate_run
 from equipoise.settings import Settings, changed, resolve
-from equipoise.worlds.evaluation import Evaluation, evaluate
+from equipoise.worlds.evaluation import evaluate
 
-T = TypeVar("T")
-S = TypeVar("S", Pendulum, TabularPolicy, Evaluation, RunLog)
-
+COMMAND: Final = "reproduce"
+"""Command in the provenance of the files."""
 QUICK: Final = {
     "learning.episodes": 5000,
     "selection.candidates": 16,
@@ -98,101 +97,42 @@ def reproduce(
         OutsideError: A file cannot be written.
     """
     out, arm = Path(out), read_arm(arm)
-    swing = swing if swing is None or isinstance(swing, Trajectory) else read_swing(swing)
-    settings = shortened(settings or Settings()) if quick else settings or Settings()
-    workers = workers or available_cores()
-    has_twin = _has_twin(arm)
+    settings = settings or Settings()
     literal = resolve("paper").model_copy(update={"evaluation": settings.evaluation})
-    literal = shortened(literal) if quick else literal
-    stages: dict[str, float] = {}
-
-    def stage(name: str, work: Callable[[], T]) -> T:
-        report(name, None, "")
-        begin = time.perf_counter()
-        value = work()
-        stages[name] = round(time.perf_counter() - begin, 2)
-        report(name, 1.0, "")
-        return value
-
-    def saved(name: str, file: str, work: Callable[[], S], **inputs: str) -> S:
-        value = stage(name, work)
-        value.save(out / file, command="reproduce", inputs=inputs)
-        return value
-
+    if quick:
+        settings, literal = shortened(settings), shortened(literal)
+    given = read_swing(swing) if isinstance(swing, str | os.PathLike) else swing
+    workers = workers or available_cores()
     if not is_warm():
         warm_up(workers, report)
-    given = stage("swing", lambda: swing or synthetic_swing(seed))
-    write_swing(out / SWING, given)
-    # The identification reads the file in the folder, so that a figure shows the same data.
-    recorded = replace(read_swing(out / SWING), source=given.source, released=given.released)
-    pendulum = saved(
-        "identify",
-        PENDULUM,
-        lambda: identify(recorded, settings.identification),
-        swing=recorded.sha256,
+    stage = Stages(report)
+
+    with stage("swing"):
+        given = given or synthetic_swing(seed)
+        write_swing(out / SWING, given)
+        # The identification reads the file in the folder, so that a figure shows the same data.
+        recorded = replace(read_swing(out / SWING), source=given.source, released=given.released)
+    with stage("identify"):
+        pendulum = identify(recorded, settings.identification)
+        pendulum.save(out / PENDULUM, command=COMMAND, inputs={"swing": recorded.sha256})
+    task: Any = {"pendulum": pendulum, "arm": arm, "seed": seed, "workers": workers}
+    # Without a selection, or with few episodes, the first learner is taken as it is.
+    selected = settings.selection.every > 0 and not quick
+    target = (
+        {"target": TARGET, "learners": LEARNERS} if selected else {"target": 0.0, "learners": 1}
     )
-
-    def of_recipe(
-        prefix: str, simulation: str, trained: Callable[[Show], TabularPolicy]
-    ) -> RecipeResults:
-        title = prefix.replace("-", " ")
-        policy = saved(
-            f"{title}train",
-            prefix + POLICY,
-            lambda: trained(lambda name, *shown: report(title + name, *shown)),
-            pendulum=pendulum.digest,
+    with stage("train"):
+        policy = train_to_target(settings=settings, **target, **task, show=report)
+        policy.save(out / POLICY, command=COMMAND, inputs={"pendulum": pendulum.digest})
+    default = _measure(policy, MODEL, out, "", seed, workers, stage)
+    with stage("literal train"):
+        show: Show = lambda name, *shown: report(f"literal {name}", *shown)  # noqa: E731
+        policy = train(settings=literal, **task, show=show)
+        policy.save(
+            out / f"{LITERAL}{POLICY}", command=COMMAND, inputs={"pendulum": pendulum.digest}
         )
+    found = _measure(policy, IDEAL, out, LITERAL, seed, workers, stage)
 
-        def evaluated(name: str, file: str, world: str) -> Evaluation:
-            trials = settings.evaluation.trials
-            trials = min(TWIN_TRIALS, trials) if world == TWIN else trials
-            baselines = world == MODEL
-            total = trials * (1 + len(BUILT_IN) * baselines)
-            return saved(
-                name,
-                file,
-                lambda: evaluate(
-                    policy,
-                    changed(policy.settings, {"evaluation.trials": trials}),
-                    world=world,
-                    seed=seed,
-                    with_baselines=baselines,
-                    workers=workers,
-                    done=counted(name, total, report),
-                ),
-                policy=policy.digest,
-            )
-
-        evaluation = evaluated(f"{title}evaluate", prefix + EVALUATION, simulation)
-        on_twin = None
-        if has_twin:
-            on_twin = evaluated(f"{title}twin", prefix + TWIN_EVALUATION, TWIN)
-        run = saved(
-            f"{title}deploy",
-            prefix + RUN,
-            lambda: simulate_run(policy, world=TWIN if has_twin else simulation, seed=seed),
-            policy=policy.digest,
-        )
-        return RecipeResults(policy, evaluation, on_twin, run)
-
-    def train_default(show: Show) -> TabularPolicy:
-        # Without a selection, or with few episodes, the first learner is taken as it is.
-        selected = not quick and settings.selection.every > 0
-        return train_to_target(
-            pendulum,
-            arm,
-            settings,
-            target=TARGET if selected else 0.0,
-            learners=LEARNERS if selected else 1,
-            seed=seed,
-            workers=workers,
-            show=show,
-        )
-
-    def train_literal(show: Show) -> TabularPolicy:
-        return train(pendulum, arm, literal, seed=seed, workers=workers, show=show)
-
-    by_recipe = of_recipe("", MODEL, train_default), of_recipe(LITERAL, IDEAL, train_literal)
     record = ReproductionRecord(
         quick=quick,
         seed=seed,
@@ -201,12 +141,83 @@ def reproduce(
         swing_sha256=given.sha256,
         simulated=swing is None,
         files={},
-        stages=stages,
+        stages=stage.durations,
     )
-    results = Results(record, recorded, pendulum, *by_recipe)
+    results = Results(record, recorded, pendulum, default, found)
     record = record.model_copy(update={"files": digests(results)})
-    record.save(out / RECORD, command="reproduce", inputs=record.files)
+    record.save(out / RECORD, command=COMMAND, inputs=record.files)
     return results._replace(record=record)
+
+
+def _measure(
+    policy: TabularPolicy,
+    simulation: str,
+    out: Path,
+    prefix: str,
+    seed: int,
+    workers: int,
+    stage: "Stages",
+) -> RecipeResults:
+    """Evaluate a policy in the simulation of its training and on the twin, and record a run.
+
+    Args:
+        policy: The trained policy.
+        simulation: World of its training.
+        out: Folder of the files.
+        prefix: Prefix of their names.
+        seed: Master seed of trials and run.
+        workers: Number of threads.
+        stage: Stages of the reproduction.
+    """
+    title, has_twin = prefix.replace("-", " "), _has_twin(policy.arm)
+    inputs, trials = {"policy": policy.digest}, policy.settings.evaluation.trials
+    with stage(f"{title}evaluate") as name:
+        with_baselines = simulation == MODEL
+        total = trials * (1 + len(BUILT_IN) * with_baselines)
+        evaluation = evaluate(
+            policy,
+            world=simulation,
+            seed=seed,
+            with_baselines=with_baselines,
+            workers=workers,
+            done=counted(name, total, stage.report),
+        )
+        evaluation.save(out / f"{prefix}{EVALUATION}", command=COMMAND, inputs=inputs)
+    on_twin = None
+    if has_twin:
+        with stage(f"{title}twin") as name:
+            few = min(TWIN_TRIALS, trials)
+            on_twin = evaluate(
+                policy,
+                changed(policy.settings, {"evaluation.trials": few}),
+                world=TWIN,
+                seed=seed,
+                with_baselines=False,
+                workers=workers,
+                done=counted(name, few, stage.report),
+            )
+            on_twin.save(out / f"{prefix}{TWIN_EVALUATION}", command=COMMAND, inputs=inputs)
+    with stage(f"{title}deploy"):
+        run = simulate_run(policy, world=TWIN if has_twin else simulation, seed=seed)
+        run.save(out / f"{prefix}{RUN}", command=COMMAND, inputs=inputs)
+    return RecipeResults(policy, evaluation, on_twin, run)
+
+
+class Stages:
+    """Stages of a reproduction: context managers that report and time them."""
+
+    def __init__(self, report: Show) -> None:
+        """Begin without a stage; `report` receives begin and end of each."""
+        self.report, self.durations = report, dict[str, float]()
+
+    @contextmanager
+    def __call__(self, name: str) -> Generator[str]:
+        """Report and time a stage."""
+        self.report(name, None, "")
+        begin = time.perf_counter()
+        yield name
+        self.durations[name] = round(time.perf_counter() - begin, 2)
+        self.report(name, 1.0, "")
 
 
 def shortened(settings: Settings) -> Settings:
