@@ -68,7 +68,6 @@ falls = Transition(
     reward=-1.0,
     discount=learning.gamma,
     box_next=18,
-    action_next=-1,
     failed=True,
     ended=True,
     epsilon=0.0,

@@ -5,6 +5,7 @@
 # SARSA, train it as the built-in ones are trained, and find out, with an interval, whether it is better.
 
 # %%
+import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -72,11 +73,12 @@ check(
 # ## The training
 #
 # The setting `learning.learner` names it, as `MODULE:NAME`. Everything else is the same for all learners.
-# Until your file is complete, this trains SARSA, the built-in relative. If you change the file after a training,
+# Until your file is complete, this trains double Q-learning, a relative from examples/learners. If you change the file after a training,
 # restart the kernel: Python imports a module only once.
 
 # %%
-mine = "my_learner:learner" if Path("my_learner.py").exists() else "sarsa"
+sys.path.append("../examples/learners")
+mine = "my_learner:learner" if Path("my_learner.py").exists() else "double_q:learner"
 
 
 def trained(learner, seed, episodes):

@@ -12,6 +12,7 @@ table are no learners but bounds. Every controller assumes the actuator of the t
 
 import argparse
 import json
+import sys
 import time
 from pathlib import Path
 from typing import NamedTuple
@@ -27,12 +28,14 @@ from equipoise.executors import available_cores
 from equipoise.worlds.evaluation import Summary
 from equipoise.worlds.twin.servo_model import equivalent_actuator
 
+sys.path.append(str(Path(__file__).parents[1] / "examples" / "learners"))
+
 TRAINED = {
     "paper": ("paper",),
     "robust": ("robust",),
-    "sarsa": ("robust", "learning.learner=sarsa"),
-    "watkins": ("robust", "learning.learner=watkins"),
-    "double_q": ("robust", "learning.learner=double_q"),
+    "expected-sarsa": ("robust", "learning.learner=expected_sarsa:learner"),
+    "watkins": ("robust", "learning.learner=watkins:learner"),
+    "double-q": ("robust", "learning.learner=double_q:learner"),
     "fine": ("fine",),
 }
 """Recipe and settings of each row that is trained."""

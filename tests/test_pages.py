@@ -78,7 +78,7 @@ def test_each_python_block_of_a_page_is_run_somewhere(page):
 
 WRITES = {
     "docs/how-to/change-the-reward.md": {"alive.json": "alive", "gentle.json": "own_reward:gentle"},
-    "docs/how-to/bring-a-learner.md": {"sarsa.json": "sarsa", "own.json": "own_learner:learner"},
+    "docs/how-to/bring-a-learner.md": {"own.json": "own_learner:learner"},
     "docs/how-to/bring-a-policy.md": {},
 }
 

@@ -184,8 +184,8 @@ class LearningSettings(Value):
     """Learning rule and episodes."""
 
     learner: Name = "q_learning"
-    """Learning rule: the paper's `q_learning`, equation (1); `sarsa`, `watkins`, `double_q`, or
-    MODULE:NAME of a custom one."""
+    """Learning rule: the paper's `q_learning`, equation (1), or MODULE:NAME of a custom one, as in
+    examples/learners."""
     reward: Name = "failure"
     """Reward of a step: `failure`, which only a failure costs; `alive`, `centred`, or MODULE:NAME
     of a custom function. The paper does not give its reward."""

@@ -79,10 +79,7 @@ def same(progress, other):
         ("robust", ["learning.epsilon_initial=0.5", "learning.mirrored=false"]),
         ("robust", ["learning.hold_action=false", "learning.episode_duration=0.4"]),
         ("paper", ["learning.episode_duration=0.6"]),
-        ("robust", ["learning.learner=sarsa", "learning.episode_duration=0.4"]),
-        ("paper", ["learning.learner=sarsa", "learning.reward=alive"]),
-        ("robust", ["learning.learner=watkins", "learning.episode_duration=0.4"]),
-        ("robust", ["learning.learner=double_q", "learning.episode_duration=0.4"]),
+        ("paper", ["learning.reward=alive"]),
         (
             "paper",
             ["learning.mirrored=true", "plant.inertia_sigma=0.1", "learning.episode_duration=1"],

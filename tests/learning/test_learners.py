@@ -1,25 +1,35 @@
 """Learners on a small world with a closed form, by hand, and guests' learners and rewards."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from equipoise.errors import InputError, SettingsError
 from equipoise.learning.choice import compile_learner, with_digests
 from equipoise.learning.learner import Transition, UpdateParams, new_tables
-from equipoise.learning.learners import LEARNERS, double_q
-from equipoise.learning.learners.watkins import TRACE_DECAY
+from equipoise.learning.q_learning import learner as q_learning
 from equipoise.learning.rewards import REWARDS, Observation
 from equipoise.learning.train import train
 from equipoise.settings import LearningSettings
+from equipoise.user_code import load_object
 from tests.reference import learning as reference
 
 GAMMA, EPSILON, STATES = 0.9, 0.5, 3
 
 
-def transition(box, action, reward, box_next, action_next=-1, **changes):
-    after = Transition(
-        box, action, reward, GAMMA, box_next, action_next, False, False, EPSILON, 0.0, 0
-    )
+EXAMPLES = Path(__file__).parents[2] / "examples" / "learners"
+
+
+@pytest.fixture
+def example(monkeypatch):
+    """Return the learner of an example by its name."""
+    monkeypatch.syspath_prepend(EXAMPLES)
+    return lambda name: load_object(f"{name}:learner", "learner")
+
+
+def transition(box, action, reward, box_next, **changes):
+    after = Transition(box, action, reward, GAMMA, box_next, False, False, EPSILON, 0.0, 0)
     return after._replace(**changes)
 
 
@@ -28,9 +38,8 @@ def corridor(state, action):
     return min(state + (-1, 1, 0, 0, 0, 0, 0, 0)[action], STATES)
 
 
-def learned(name, updates, seed=0):
+def learned(learner, updates, seed=0):
     """Return the tables after a walk on the corridor, with falling learning rates."""
-    learner = LEARNERS[name]
     tables = new_tables(270, learner.tables)
     params = UpdateParams(1.0, 0.2, 0.0, False)
     rng = np.random.default_rng(seed)
@@ -39,14 +48,11 @@ def learned(name, updates, seed=0):
     for _ in range(updates):
         after = corridor(state, action)
         failed, ended = after == 0, after == 0 or rng.random() < 0.05
-        action_next = learner.select(tables, after, EPSILON, *rng.random(2))
-        given = transition(state, action, -float(failed), after, action_next)
+        given = transition(state, action, -float(failed), after)
         given = given._replace(failed=failed, ended=ended, chance=rng.random())
         learner.update(tables, given, params)
-        state, action = (after, action_next)
-        if ended:
-            state = int(rng.integers(1, STATES + 1))
-            action = learner.select(tables, state, EPSILON, *rng.random(2))
+        state = int(rng.integers(1, STATES + 1)) if ended else after
+        action = learner.select(tables, state, EPSILON, *rng.random(2))
     return tables
 
 
@@ -54,9 +60,9 @@ def learned(name, updates, seed=0):
 @pytest.mark.parametrize(
     ("name", "updates"), [("q_learning", 60_000), ("watkins", 10_000), ("double_q", 60_000)]
 )
-def test_learners_of_the_best_policy_find_its_values(name, updates):
+def test_learners_of_the_best_policy_find_its_values(example, name, updates):
     # The best policy never falls: Q* is 0 but for the step into the fall, -1, and each way is seen.
-    Q = learned(name, updates).Q
+    Q = learned(q_learning if name == "q_learning" else example(name), updates).Q
     exact = np.zeros((STATES + 1, 8))
     exact[1, 0] = -1.0
     # Actions that look bad are tried seldom, and still remember some of their first targets.
@@ -64,10 +70,10 @@ def test_learners_of_the_best_policy_find_its_values(name, updates):
 
 
 @pytest.mark.compiled_only
-def test_sarsa_finds_the_values_of_the_policy_that_explores():
+def test_expected_sarsa_finds_the_values_of_the_policy_that_explores(example):
     # Against the closed form of its own last policy: Q = (1 - gamma P)^-1 r, with P by its greedy
     # action and epsilon. Exploration falls off the edge in 6 % of the steps beside it.
-    Q = learned("sarsa", 200_000).Q
+    Q = learned(example("expected_sarsa"), 200_000).Q
     pairs = [(s, a) for s in range(1, STATES + 1) for a in range(8)]
     index = {pair: n for n, pair in enumerate(pairs)}
     P, r = np.zeros((len(pairs), len(pairs))), np.zeros(len(pairs))
@@ -86,32 +92,32 @@ def test_sarsa_finds_the_values_of_the_policy_that_explores():
 
 
 @pytest.mark.parametrize(("chance", "moved"), [(0.2, 0), (0.7, 1)])
-def test_double_q_moves_one_table_towards_the_value_of_the_other(chance, moved):
+def test_double_q_moves_one_table_towards_the_value_of_the_other(example, chance, moved):
     rng = np.random.default_rng(3)
     A, B = rng.normal(size=(2, 270, 8))
     tables = new_tables(270, 1)
     tables.Q[:], tables.own[0] = (A + B) / 2, (A - B) / 2
     given = transition(4, 5, -0.25, 9, chance=chance)
-    double_q.update(tables, given, UpdateParams(0.5, 0.0, 0.0, False))
+    example("double_q").update(tables, given, UpdateParams(0.5, 0.0, 0.0, False))
     mine, other = (A, B) if moved == 0 else (B, A)
     mine[4, 5] = 0.5 * mine[4, 5] + 0.5 * (-0.25 + GAMMA * other[9, np.argmax(mine[9])])
     np.testing.assert_allclose(tables.Q + tables.own[0], A, rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(tables.Q - tables.own[0], B, rtol=0.0, atol=1e-14)
 
 
-def test_watkins_carries_a_failure_back_until_an_action_that_was_not_the_best():
-    watkins, params = LEARNERS["watkins"], UpdateParams(1.0, 0.0, 0.0, False)
-    tables = new_tables(270, watkins.tables)
-    watkins.update(tables, transition(1, 0, 0.0, 2, 0, lane=3), params)
+def test_watkins_carries_a_failure_back_until_an_action_that_was_not_the_best(example):
+    watkins, params = example("watkins"), UpdateParams(1.0, 0.0, 0.0, False)
+    tables, decay = new_tables(270, watkins.tables), 0.7 * GAMMA
+    watkins.update(tables, transition(1, 0, 0.0, 2, lane=3), params)
     tables.Q[4, 1] = -0.5  # so that action 1 in box 4 is not the best
-    watkins.update(tables, transition(2, 0, 0.0, 4, 1, lane=3), params)
-    watkins.update(tables, transition(4, 1, 0.5, 5, 2, lane=3), params)
-    watkins.update(tables, transition(5, 2, 0.0, 6, 0, lane=3), params)
-    failure = transition(6, 0, -1.0, 0, 0, lane=3, failed=True, ended=True)
+    watkins.update(tables, transition(2, 0, 0.0, 4, lane=3), params)
+    watkins.update(tables, transition(4, 1, 0.5, 5, lane=3), params)
+    watkins.update(tables, transition(5, 2, 0.0, 6, lane=3), params)
+    failure = transition(6, 0, -1.0, 0, lane=3, failed=True, ended=True)
     watkins.update(tables, failure, params)
     assert tables.Q[6, 0] == -1.0
-    assert tables.Q[5, 2] == pytest.approx(-GAMMA * TRACE_DECAY)
-    assert tables.Q[4, 1] == pytest.approx(0.5 - (GAMMA * TRACE_DECAY) ** 2)
+    assert tables.Q[5, 2] == pytest.approx(-decay)
+    assert tables.Q[4, 1] == pytest.approx(0.5 - decay**2)
     assert tables.Q[2, 0] == tables.Q[1, 0] == 0.0
     assert not tables.own.any()
 

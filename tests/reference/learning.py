@@ -90,9 +90,8 @@ class Episode:
         reset(plant, self.block, own, variation, start, 0)
         self.look_ahead, self.length = settings.boxes.look_ahead, 1.0 / pendulum.k
         self.cell = self.place()
-        self.action, self.held, self.gained, self.coin = -1, 0, 0.0, 0.0
+        self.action, self.held, self.gained = -1, 0, 0.0
         self.discount = 1.0  # gamma to the number of steps held, a product as it grows
-        self.traces = {}
 
     def observation(self):
         """Return what the policy sees."""
@@ -118,8 +117,6 @@ class Episode:
         return self.block.cause[0] != TRUNCATED
 
 
-TRACE_DECAY = 0.7
-
 REWARDS = {
     "failure": lambda x, phi, failed: -1.0 * failed,
     "alive": lambda x, phi, failed: 1.0 - failed,
@@ -134,11 +131,8 @@ def train(plant, pendulum, settings, until, seed, learner, reward=None):
     """Return the table after `until` episodes have ended."""
     s = settings.learning
     reward = reward or REWARDS[s.reward]
-    # D: half the difference of the two tables of double Q-learning.
-    Q, D, visits = {}, {}, {}
-    for cell in np.ndindex(6, 5, 3, 3):
-        Q[cell], D[cell] = [0.0] * 8, [0.0] * 8
-        visits[cell] = [0] * 8
+    Q = {cell: [0.0] * 8 for cell in np.ndindex(6, 5, 3, 3)}
+    visits = {cell: [0] * 8 for cell in Q}
     begun = ended = steps = 0
     longest = round(s.episode_duration / 0.01)
 
@@ -148,8 +142,7 @@ def train(plant, pendulum, settings, until, seed, learner, reward=None):
         return Episode(plant, pendulum, settings, seed, learner, begun - 1)
 
     def choose(episode):
-        w0, w1, w2, _ = philox(seed, episode.tick, episode.number, learner, TRAINING_ACTION)
-        episode.coin = w2 / 2**32
+        w0, w1, _, _ = philox(seed, episode.tick, episode.number, learner, TRAINING_ACTION)
         epsilon = s.epsilon_initial
         if s.epsilon_until > 0.0:
             epsilon *= max(0.0, 1.0 - episode.number / (s.epsilon_until * s.episodes))
@@ -168,46 +161,21 @@ def train(plant, pendulum, settings, until, seed, learner, reward=None):
             i, j, k, m = cell
             table[5 - i, 4 - j, 2 - k, 2 - m][7 - action] = table[cell][action]
 
-    def learn(episode, cell, action, coin, failed, ended):
-        """Apply the learner's rule; the episode is in its next cell, with its next action."""
-        R, discount, after = episode.gained, episode.discount, episode.cell
-        if s.learner == "watkins":
-            best = 0.0 if failed else max(Q[after])
-            delta = (R if failed else R + discount * best) - Q[cell][action]
-            episode.traces[cell, action] = 1.0
-            on = not ended and Q[after][episode.action] == best
-            for pair in sorted(episode.traces):
-                Q[pair[0]][pair[1]] += alpha(*pair) * episode.traces[pair] * delta
-                mirror(Q, *pair)
-                episode.traces[pair] *= discount * TRACE_DECAY
-            episode.traces = {p: e for p, e in episode.traces.items() if on and e >= 1e-3}
-        elif s.learner == "double_q":
-            sign = 1.0 if coin < 0.5 else -1.0
-            target = R
-            if not failed:
-                chooses = [q + sign * d for q, d in zip(Q[after], D[after], strict=True)]
-                values = [q - sign * d for q, d in zip(Q[after], D[after], strict=True)]
-                target += discount * values[chooses.index(max(chooses))]
-            change = alpha(cell, action) * (target - (Q[cell][action] + sign * D[cell][action]))
-            Q[cell][action] += change / 2
-            D[cell][action] += sign * change / 2
-            mirror(Q, cell, action)
-            mirror(D, cell, action)
-        else:
-            value = Q[after][episode.action] if s.learner == "sarsa" else max(Q[after])
-            target = R if failed else R + discount * value
-            a = alpha(cell, action)
-            Q[cell][action] = (1.0 - a) * Q[cell][action] + a * target
-            mirror(Q, cell, action)
+    def learn(episode, cell, action, failed):
+        """Apply equation (1); the episode is in its next cell."""
+        target = episode.gained
+        if not failed:
+            target += episode.discount * max(Q[episode.cell])
+        a = alpha(cell, action)
+        Q[cell][action] = (1.0 - a) * Q[cell][action] + a * target
+        mirror(Q, cell, action)
         visits[cell][action] += 1
         mirror(visits, cell, action)
-
-    ahead = s.learner in ("sarsa", "watkins")
 
     running = [begin() for _ in range(min(SIDE_BY_SIDE, s.episodes))]
     while ended < until:
         for episode in running:
-            if episode.held == 0 and not (ahead and episode.tick > 0):
+            if episode.held == 0:
                 episode.action = int(choose(episode))
         failed = [episode.advance() for episode in running]
         steps += len(running)
@@ -219,14 +187,12 @@ def train(plant, pendulum, settings, until, seed, learner, reward=None):
             episode.discount *= s.gamma
             episode.held += 1
             over = failed[n] or episode.tick >= longest
-            cell, action, coin = episode.cell, episode.action, episode.coin
+            cell, action = episode.cell, episode.action
             if not failed[n]:
                 episode.cell = episode.place()
             if s.hold_action and episode.cell == cell and not over:
                 continue
-            if ahead and not failed[n]:
-                episode.action = int(choose(episode))
-            learn(episode, cell, action, coin, failed[n], over)
+            learn(episode, cell, action, failed[n])
             episode.held, episode.gained, episode.discount = 0, 0.0, 1.0
             if not over:
                 continue

@@ -25,7 +25,7 @@ class Learning(Options):
     """Learning."""
 
     learner: str | None = None
-    """q_learning (the paper's), sarsa, double_q, or MODULE:NAME."""
+    """q_learning (the paper's), or MODULE:NAME."""
     reward: str | None = None
     """paper, alive, or MODULE:NAME of a function."""
     episodes: Annotated[int | None, Field(ge=1)] = None

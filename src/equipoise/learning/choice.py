@@ -35,10 +35,13 @@ from equipoise.learning.learner import (
     select_signature,
     update_signature,
 )
-from equipoise.learning.learners import LEARNERS
+from equipoise.learning.q_learning import learner as q_learning
 from equipoise.learning.rewards import REWARDS
 from equipoise.settings import LearningSettings
 from equipoise.user_code import format_error, guest_code, load_object, source_digest
+
+LEARNERS: Final[Mapping[str, Learner]] = {"q_learning": q_learning}
+"""Learners of the project by name, for `equipoise train --learner NAME`."""
 
 
 def with_digests(settings: LearningSettings) -> LearningSettings:
@@ -106,16 +109,16 @@ def compile_learner(settings: LearningSettings) -> LearnerKernel:
         _raised.clear()
         sys.unraisablehook = _keep
     with guest_code(settings.learner):
-        ahead, select = learner.chooses_ahead, _callable(learner.select, select_signature())
+        select = _callable(learner.select, select_signature())
         if guest:
             select = _checked(select)
-        learn = learn_with(_callable(learner.update, update_signature()), select, ahead)
+        learn = learn_with(_callable(learner.update, update_signature()))
         choose = function_pointer(choose_with(select), choose_signature(), cached=not guest)
         learn = function_pointer(learn, learn_signature(), cached=not guest)
     with guest_code(settings.reward):
         written = rewards_of(_callable(getattr(reward, "py_func", reward), reward_signature()))
         rewards = function_pointer(written, rewards_signature(), cached=not guest_reward)
-    return LearnerKernel(choose=choose, learn=learn, rewards=rewards, chooses_ahead=ahead)
+    return LearnerKernel(choose=choose, learn=learn, rewards=rewards)
 
 
 def raise_guest_error(settings: LearningSettings) -> None:

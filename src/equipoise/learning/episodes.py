@@ -1,15 +1,14 @@
 """Episode loop of the training: it acts, collects rewards, and lets a learner update its table.
 
 One compiled loop runs whole episodes, `BATCH_SIZE` of them at once, that share one table: in each
-step every lane acts by the current table, then the updates follow one after the other. A learner
-that chooses ahead chooses its next action just before its update. An episode that reaches the time
-limit ends without a failure.
+step every lane acts by the current table, then the updates follow one after the other. An episode
+that reaches the time limit ends without a failure.
 
 With `hold_action` an action lasts until the state leaves its box, n steps, and is updated then:
 rewards are discounted to its first step, and the value of the next box by gamma^n. The
 observation of a table does not change within a box, so a greedy policy holds its action anyway.
 
-The learning rules are in `equipoise.learning.learners`, the rewards in
+The learning rule is in `equipoise.learning.q_learning`, the rewards in
 `equipoise.learning.rewards`.
 """
 
@@ -220,18 +219,6 @@ def begin_episode(
 
 
 @inlined
-def draw_decisions(draws: Draws, training: TrainingState, key: IntArray, lanes: int) -> None:
-    """Draw the random numbers of a decision in each lane, at its tick."""
-    explore, choice, chance = draws
-    tick, episode = training.tick, training.episode
-    for n in range(lanes):
-        w0, w1, w2, _ = philox(key[0], tick[n], episode[n], key[1], TRAINING_ACTION)
-        explore[n] = uniform(w0, 0.0, 1.0)
-        choice[n] = uniform(w1, 0.0, 1.0)
-        chance[n] = uniform(w2, 0.0, 1.0)
-
-
-@inlined
 def decide(
     config: TrainingConfig,
     learner: LearnerKernel,
@@ -242,7 +229,12 @@ def decide(
 ) -> None:
     """Choose the actions of undecided episodes, and write the accelerations of all."""
     decisions, controller = training.decisions, training.batch.controller
-    draw_decisions(draws, training, key, lanes)
+    tick, episode = training.tick, training.episode
+    for n in range(lanes):
+        w0, w1, w2, _ = philox(key[0], tick[n], episode[n], key[1], TRAINING_ACTION)
+        draws.explore[n] = uniform(w0, 0.0, 1.0)
+        draws.choice[n] = uniform(w1, 0.0, 1.0)
+        draws.chance[n] = uniform(w2, 0.0, 1.0)
     learner.choose(training.tables, decisions, draws, lanes)
     action, u, actions = decisions.action, controller.u, config.actions
     for n in range(lanes):
@@ -257,9 +249,7 @@ def learn(
     config: TrainingConfig,
     learner: LearnerKernel,
     training: TrainingState,
-    draws: Draws,
     results: Results,
-    key: IntArray,
     lanes: int,
 ) -> None:
     """Learn from a step: rewards, boxes and outcomes, then the updates of complete decisions."""
@@ -279,9 +269,7 @@ def learn(
         going = CONTINUES if held else DECIDED
         going = TIMED_OUT if tick[n] >= config.max_steps else going
         outcome[n] = FAILED if cause[n] != TRUNCATED else going
-    if learner.chooses_ahead:
-        draw_decisions(draws, training, key, lanes)
-    learner.learn(training.tables, decisions, results, draws, config.update, lanes)
+    learner.learn(training.tables, decisions, results, config.update, lanes)
 
 
 @kernel
@@ -312,7 +300,7 @@ def train_episodes(loop: Any, until: int) -> None:
         draw_noise(noise, seed, tick, episode, number, TRAINING_NOISE, lanes)
         step(plant, block, lanes)
         totals[STEPS] += lanes
-        learn(config, learner, training, draws, results, key, lanes)
+        learn(config, learner, training, results, lanes)
         for n in range(lanes - 1, -1, -1):
             if outcome[n] < TIMED_OUT:
                 continue
@@ -379,7 +367,7 @@ def learn_in_world(loop: Any, observation: Array, cause: int) -> bool:
     training.batch.cause[0] = cause
     training.totals[STEPS] += 1
     results = new_results()
-    learn(loop.config, loop.learner, training, new_draws(), results, loop.key, 1)
+    learn(loop.config, loop.learner, training, results, 1)
     if results.outcome[0] < TIMED_OUT:
         return True
     training.totals[ENDED] += 1

@@ -2,8 +2,8 @@
 
 A `Learner` says how a table learns from one decision. The episode loop
 (`equipoise.learning.episodes`) calls its two functions with plain numbers and arrays: `select`
-chooses an action, `update` learns from a `Transition`. Each learner of the project is one file of
-`equipoise.learning.learners`; a guest brings a `Learner`, or its `update` alone, as MODULE:NAME.
+chooses an action, `update` learns from a `Transition`. The paper's learner is
+`equipoise.learning.q_learning`; a guest brings a `Learner`, or its `update` alone, as MODULE:NAME.
 
 Both functions are compiled with Numba into functions for a whole block (`choose_with`,
 `learn_with`; `rewards_of` does it with a reward), which are passed to the loop as values
@@ -52,8 +52,6 @@ class Transition(NamedTuple):
     """Discount of the value of s', gamma to the number of steps."""
     box_next: int
     """Box s' after the last step; without meaning after a failure."""
-    action_next: int
-    """Index of the next action a' where the learner chooses ahead, else -1."""
     failed: bool
     """Whether the episode failed: no value follows."""
     ended: bool
@@ -167,8 +165,6 @@ class Learner(NamedTuple):
     """Choose an action: called as `select(tables, box, epsilon, chance, choice)`."""
     tables: int = 0
     """Number of tables of the learner's own."""
-    chooses_ahead: bool = False
-    """Whether the next action a' is chosen before the update and passed to it."""
 
 
 class Decisions(NamedTuple):
@@ -233,8 +229,6 @@ class LearnerKernel(NamedTuple):
     """`learn_with` a learner."""
     rewards: Any
     """`rewards_of` a reward."""
-    chooses_ahead: bool
-    """Whether the next action is chosen before the update."""
 
 
 @functools.cache
@@ -262,22 +256,17 @@ def choose_with(select: Callable[..., int]) -> Callable[..., None]:
 
 
 @functools.cache
-def learn_with(
-    update: Callable[..., None], select: Callable[..., int], chooses_ahead: bool
-) -> Callable[..., None]:
+def learn_with(update: Callable[..., None]) -> Callable[..., None]:
     """Return a function that learns from complete decisions, the last lane first.
 
     Args:
         update: `Learner.update`, callable in kernels.
-        select: `Learner.select`, callable in kernels.
-        chooses_ahead: Whether the next action is chosen before the update, with `draws`.
     """
 
     def learn(
         tables: Tables,
         decisions: Decisions,
         results: Results,
-        draws: Draws,
         params: UpdateParams,
         lanes: int,
     ) -> None:
@@ -289,29 +278,23 @@ def learn_with(
         )
         discount, epsilon, place = decisions.discount, decisions.epsilon, decisions.place
         box_next, outcome = results.box_next, results.outcome
-        explore, choice, chance_next = draws.explore, draws.choice, draws.chance
         for n in range(lanes - 1, -1, -1):
             if outcome[n] == CONTINUES:
                 continue
-            failed = outcome[n] == FAILED
-            action_next = UNDECIDED
-            if chooses_ahead and not failed:
-                action_next = select(tables, box_next[n], epsilon[n], explore[n], choice[n])
             transition = Transition(
                 box[n],
                 action[n],
                 gained[n],
                 discount[n],
                 box_next[n],
-                action_next,
-                failed,
+                outcome[n] == FAILED,
                 outcome[n] != DECIDED,
                 epsilon[n],
                 chance[n],
                 place[n],
             )
             update(tables, transition, params)
-            box[n], action[n], chance[n] = box_next[n], action_next, chance_next[n]
+            box[n], action[n] = box_next[n], UNDECIDED
             discount[n], gained[n] = 1.0, 0.0
 
     return learn
@@ -402,7 +385,7 @@ def select_signature() -> Any:
 
 def update_signature() -> Any:
     """Return Numba's types of the arguments of `Learner.update`, whose result is ignored."""
-    transition = Transition(0, 0, 0.0, 0.0, 0, 0, False, False, 0.0, 0.0, 0)
+    transition = Transition(0, 0, 0.0, 0.0, 0, False, False, 0.0, 0.0, 0)
     params = UpdateParams(0.0, 0.0, 0.0, False)
     return tuple(map(numba.typeof, (new_tables(1, 0), transition, params)))
 
@@ -422,5 +405,5 @@ def choose_signature() -> Any:
 def learn_signature() -> Any:
     """Return Numba's signature of `LearnerKernel.learn`."""
     params = UpdateParams(0.0, 0.0, 0.0, False)
-    given = new_tables(1, 0), new_decisions(), new_results(), new_draws(), params
+    given = new_tables(1, 0), new_decisions(), new_results(), params
     return numba.void(*map(numba.typeof, given), numba.int64)

@@ -5,10 +5,15 @@ r"""Double Q-learning (van Hasselt 2010): two tables A and B, each valued by the
 or the same with A and B exchanged, by the toss of a coin. The maximum of noisy values is too large
 on average; here the table that chooses a' is not the one that values it. The policy follows their
 mean, Q = (A + B) / 2. The learner's own table holds half of their difference, D = (A - B) / 2, so
-that A = Q + D and B = Q - D. Both tables share the count of visits, and so the learning rate.
+that A = Q + D and B = Q - D. Both tables share the count of visits, and so the learning rate::
+
+    cd examples/learners && equipoise train --learner double_q:learner
 """
 
-from equipoise.jit import inlined
+from typing import Any
+
+import numba
+
 from equipoise.learning.learner import (
     Learner,
     Tables,
@@ -19,16 +24,16 @@ from equipoise.learning.learner import (
 )
 
 
-@inlined
-def value_of_best(tables: Tables, box: int, sign: float) -> float:
+@numba.njit
+def value_of_best(Q: Any, D: Any, box: int, sign: float) -> float:
     """Return the value that one table gives to the best action of the other in a box.
 
     Args:
-        tables: Mean Q and half difference D.
+        Q: Mean of both tables.
+        D: Half of their difference.
         box: The box.
         sign: 1 where A chooses and B values, -1 where B chooses and A values.
     """
-    Q, D = tables.Q, tables.own[0]
     best = 0
     for i in range(1, Q.shape[1]):
         if Q[box, i] + sign * D[box, i] > Q[box, best] + sign * D[box, best]:
@@ -43,7 +48,7 @@ def update(tables: Tables, transition: Transition, params: UpdateParams) -> None
     sign = 1.0 if transition.chance < 0.5 else -1.0
     target = transition.reward
     if not transition.failed:
-        target += transition.discount * value_of_best(tables, transition.box_next, sign)
+        target += transition.discount * value_of_best(Q, D, transition.box_next, sign)
     # The moved table changes by `change`, their mean and half their difference by half of it.
     value = Q[box, action] + sign * D[box, action]
     change = learning_rate(visits[box, action], params) * (target - value)

@@ -6,11 +6,11 @@ episode. The error of equation (1),
 .. math:: \delta = r + \gamma \max_{a'} Q(s', a') - Q(s, a),
 
 corrects every pair by its trace, Q = Q + alpha e delta, so that a failure reaches the decisions
-before the last one at once. An action that is not the best one ends all traces: later rewards
-say nothing about the greedy policy.
-"""
+before the last one at once. An action that is not the best one ends all earlier traces: later
+rewards say nothing about the greedy policy::
 
-from typing import Final
+    cd examples/learners && equipoise train --learner watkins:learner
+"""
 
 from equipoise.learning.learner import (
     Learner,
@@ -21,29 +21,26 @@ from equipoise.learning.learner import (
     learning_rate,
     write_mirrored,
 )
-from equipoise.model.elementary import BATCH_SIZE
 
-TRACE_DECAY: Final = 0.7
+TRACE_DECAY = 0.7
 """lambda: share of an error that reaches the previous decision [-]."""
-MIN_TRACE: Final = 1e-3
+MIN_TRACE = 1e-3
 """Smallest trace that is kept [-]; at lambda gamma = 0.69 after 19 decisions."""
+EPISODES = 16
+"""Number of episodes that run side by side, each with its own traces."""
 
 
 def update(tables: Tables, transition: Transition, params: UpdateParams) -> None:
     """Correct all pairs that have a trace; after a failure the target is the reward alone."""
     Q, visits, trace = tables.Q, tables.visits, tables.own[transition.lane]
     box, action = transition.box, transition.action
+    if Q[box, action] < best_value(Q, box):
+        trace[:] = 0.0
     target = transition.reward
-    greedy = False
     if not transition.failed:
-        best = best_value(Q, transition.box_next)
-        target += transition.discount * best
-        greedy = Q[transition.box_next, transition.action_next] == best
+        target += transition.discount * best_value(Q, transition.box_next)
     delta = target - Q[box, action]
-    # After an action that was not the best, or at the end of an episode, all traces end.
-    fade = 0.0
-    if greedy and not transition.ended:
-        fade = transition.discount * TRACE_DECAY
+    fade = 0.0 if transition.ended else transition.discount * TRACE_DECAY
     trace[box, action] = 1.0
     for s in range(trace.shape[0]):
         for a in range(trace.shape[1]):
@@ -60,4 +57,4 @@ def update(tables: Tables, transition: Transition, params: UpdateParams) -> None
         write_mirrored(visits, box, action)
 
 
-learner = Learner(update, tables=BATCH_SIZE, chooses_ahead=True)
+learner = Learner(update, tables=EPISODES)
