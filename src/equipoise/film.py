@@ -21,7 +21,7 @@ from equipoise.errors import InputError, OutsideError, import_optional
 from equipoise.logs.motion import Motion
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.scene import Sizes, scene, sizes_for
+from equipoise.model.arms.scene import Sizes, scene
 from equipoise.model.physics_engine import mujoco
 from equipoise.paper import X_LIMIT
 
@@ -96,8 +96,7 @@ def camera_axes() -> Floats:
 
 def build_scene(arm: Arm) -> RigScene:
     """Build the scene of an arm."""
-    mj, slim = mujoco(), sizes_for(arm, SLIM)
-    spec = scene(arm, sizes=slim)
+    mj, spec = mujoco(), scene(arm, SLIM)
     model = spec.compile()
     data = mj.MjData(model)
     mj.mj_resetDataKeyframe(model, data, model.key("home").id)
@@ -111,8 +110,9 @@ def build_scene(arm: Arm) -> RigScene:
 
     for housing in [geom for geom in spec.geoms if geom.name.startswith("housing")]:
         start, end = np.array(housing.fromto[:3]), np.array(housing.fromto[3:])
-        out = 0.87 * slim.housing * (end - start) / np.linalg.norm(end - start)
-        cylinder(housing.parent, f"cap of {housing.name}", start - out, end + out, 0.055)
+        radius = float(housing.size[0])
+        out = 0.87 * radius * (end - start) / np.linalg.norm(end - start)
+        cylinder(housing.parent, f"cap of {housing.name}", start - out, end + out, 0.7 * radius)
     table, world = spec.geom("table"), spec.worldbody
     table.size = [*(0.5 * np.abs(pivot[:2]) + [0.42, 0.27]), 0.35]
     table.pos = [*(0.5 * pivot[:2]), -0.35]

@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 
+from equipoise import paper
 from equipoise.control.baselines import lqr_gains
 from equipoise.control.bound_policy import BUILT_IN, load_policy
 from equipoise.control.policy import act, shipped_policy
@@ -184,6 +185,21 @@ def test_a_linear_network_commands_what_the_same_law_in_python_does(
     policy, law = load_policy("net.onnx"), load_policy("guest:lqr")
     for observation in np.random.default_rng(0).uniform(-0.05, 0.05, (50, 4)):
         assert policy.act(observation) == pytest.approx(law.act(observation), abs=tolerance)
+
+
+@needs_onnx
+def test_an_integer_of_a_network_is_the_index_of_an_action(folder):
+    weights = np.random.default_rng(1).normal(size=(4, 9))
+    weights[:, 8] *= 10.0
+    for count in (8, 9):
+        network = linear_network(weights[:, :count].tolist(), index=True)
+        (folder / f"best{count}.onnx").write_bytes(network)
+    policy, wide = load_policy("best8.onnx"), load_policy("best9.onnx")
+    for observation in np.random.default_rng(0).uniform(-0.05, 0.05, (50, 4)):
+        expected = paper.ACTIONS[np.argmax(observation @ weights[:, :8])]
+        assert policy.act(observation) == expected
+    with pytest.raises(InputError, match="best9.onnx returned the action 8, expected 0 to 7"):
+        wide.act(weights[:, 8])
 
 
 @pytest.mark.full

@@ -2,29 +2,35 @@
 
 import struct
 
-FLOAT, DOUBLE = 1, 11
+FLOAT, INT64, DOUBLE = 1, 7, 11
 
 
-def linear_network(weights, *, inputs=(1, 4), outputs=(1, 1), element=DOUBLE):
-    """Return the bytes of a network with one operation: output = input @ weights.
+def linear_network(weights, *, inputs=(1, 4), outputs=(1, 1), element=DOUBLE, index=False):
+    """Return the bytes of a network: output = input @ weights, or the index of its largest entry.
 
     Args:
         weights: Rows of the matrix.
         inputs: Shape of the input; a name stands for a free dimension.
         outputs: Shape of the output.
         element: FLOAT or DOUBLE.
+        index: Whether the output is that index, an INT64.
     """
     flat = [value for row in weights for value in row]
     raw = struct.pack(f"<{len(flat)}{'f' if element == FLOAT else 'd'}", *flat)
     shape = b"".join(_number(1, size) for size in (len(weights), len(weights[0])))
     matrix = shape + _number(2, element) + _bytes(8, b"W") + _bytes(9, raw)
-    node = _bytes(1, b"x") + _bytes(1, b"W") + _bytes(2, b"u") + _bytes(4, b"MatMul")
+    product = b"Q" if index else b"u"
+    nodes = _bytes(1, _bytes(1, b"x") + _bytes(1, b"W") + _bytes(2, product) + _bytes(4, b"MatMul"))
+    if index:
+        axis = _bytes(1, b"axis") + _number(3, 1) + _number(20, 2)
+        largest = _bytes(1, b"Q") + _bytes(2, b"u") + _bytes(4, b"ArgMax") + _bytes(5, axis)
+        nodes += _bytes(1, largest)
     graph = (
-        _bytes(1, node)
+        nodes
         + _bytes(2, b"graph")
         + _bytes(5, matrix)
         + _bytes(11, _value(b"x", inputs, element))
-        + _bytes(12, _value(b"u", outputs, element))
+        + _bytes(12, _value(b"u", outputs, INT64 if index else element))
     )
     return _number(1, 8) + _bytes(7, graph) + _bytes(8, _number(2, 13))
 

@@ -1,7 +1,8 @@
 """Policies as networks in the ONNX format, run by ONNX Runtime on the CPU.
 
 The network has one input of shape (1, 4), the observation (x, x_dot, phi, phi_dot) in SI units, and
-one output of one number, the acceleration u [m/s^2].
+one output of one number: the acceleration u [m/s^2], or an integer, the index of one of the paper's
+actions.
 """
 
 import hashlib
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from equipoise import paper
 from equipoise.artefacts import DIGEST_PREFIX, MAX_FILE_SIZE, StrPath, read_bytes
 from equipoise.control.policy import Array
 from equipoise.errors import InputError, import_optional
@@ -47,7 +49,8 @@ class OnnxPolicy:
         except Exception as error:  # the runtime has many kinds
             raise InputError(
                 f"{path} does not run ({error}); export a network with one input of shape (1, 4), "
-                "the numbers x, x_dot, phi, phi_dot, and one output of one number, u"
+                "the numbers x, x_dot, phi, phi_dot, and one output of one number, u or the index "
+                "of an action"
             ) from None
 
     def __reduce__(self) -> Any:
@@ -58,7 +61,17 @@ class OnnxPolicy:
         """Do nothing: the network has no state."""
 
     def act(self, observation: Array) -> float:
-        """Return the output of the network for the observation, shape (4,), unchecked."""
+        """Return u [m/s^2] of the network for the observation, shape (4,), unchecked.
+
+        Raises:
+            InputError: The index of an action does not exist.
+        """
         feed = {self._name: observation[None].astype(self._type)}
         (output,) = self._session.run(None, feed)
-        return np.asarray(output).item()
+        number = np.asarray(output).item()
+        if isinstance(number, float):
+            return number
+        if number not in range(len(paper.ACTIONS)):
+            expected = f"0 to {len(paper.ACTIONS) - 1}; return one of these, or u as a float"
+            raise InputError(f"{self._path} returned the action {number}, expected {expected}")
+        return paper.ACTIONS[number]

@@ -1,4 +1,4 @@
-"""Import of `mujoco` that does not depend on the OpenGL settings of the environment."""
+"""Import of `mujoco`, independent of the OpenGL settings of the environment, without its log."""
 
 import functools
 import os
@@ -15,6 +15,9 @@ def mujoco() -> Any:
     is wrong. Linux without a display uses EGL. Physics needs no OpenGL: if the import fails, MuJoCo
     is imported without, and only rendering fails.
 
+    MuJoCo's own handler of warnings prints them and appends them to `MUJOCO_LOG.TXT` in the current
+    folder; ours drops them. What a warning reports is checked where it can occur.
+
     Raises:
         ImportError: MuJoCo is not installed.
     """
@@ -23,12 +26,14 @@ def mujoco() -> Any:
     if before is None and sys.platform.startswith("linux") and not display:
         os.environ["MUJOCO_GL"] = "egl"
     try:
-        return import_module("mujoco")
+        module = import_module("mujoco")
     except Exception:  # each library fails in its own way
         os.environ["MUJOCO_GL"] = "disable"
-        return import_module("mujoco")
+        module = import_module("mujoco")
     finally:
         if before is None:
             os.environ.pop("MUJOCO_GL", None)
         else:
             os.environ["MUJOCO_GL"] = before
+    module.set_mju_user_warning(lambda _: None)
+    return module

@@ -45,7 +45,7 @@ class RigSettings(Value):
     arm: Name = "iiwa7"
     """Name of the arm, or path of its URDF (from the folder of this file)."""
     held: int | None = None
-    """Joint of a URDF that is held still, counted from one."""
+    """Joint of a URDF that is held at its angle in `home_deg`, or at zero; counted from one."""
     tip: Name | None = None
     """Link of a URDF that is the flange; by default its only end."""
     acceleration_deg: float | None = Field(default=None, gt=0.0, le=1e5)

@@ -1,13 +1,22 @@
-"""The home posture in MuJoCo: what comes close to what."""
+"""The home posture in MuJoCo: what comes close to what, and arms with short steps."""
+
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 import pytest
 
+from equipoise.film import build_scene
+from equipoise.logs.foxglove import ArmDisplay
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x
 from equipoise.model.arms.scene import scene
 from equipoise.paper import X_LIMIT
+from equipoise.worlds.twin.physics import build_bare
+from tests.arms import with_steps
+
+LENGTHS = (0.0, 1e-17, 1e-16, 1e-9, 1e-3, 0.006, 0.045, 0.0595, 0.06, 0.061, 0.07, 0.2)
+"""Steps of public arms [m], rounding noise, and lengths around twice the inset of a link."""
 
 
 @pytest.mark.parametrize("size", [7, 14])
@@ -25,3 +34,55 @@ def test_the_pendulum_turns_clear_of_arm_and_table(size):
                 for other in set(range(model.ngeom)) - {rod, bracket}
             )
             assert nearest > 0.0
+
+
+def drawn_shapes(arm):
+    """Return name and size of every capsule of the drawing."""
+    return {
+        geom.name: geom.size[0]
+        for geom in scene(arm).geoms
+        if geom.type == mujoco.mjtGeom.mjGEOM_CAPSULE
+    }
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+def test_a_step_of_any_length_is_drawn_where_the_kinematics_puts_it(length):
+    for step in (2, 6, 7, 8):  # two joints, the last two, the flange, the pivot
+        arm, _ = with_steps({step: length})
+        model = scene(arm).compile()
+        data = mujoco.MjData(model)
+        q = 0.5 * arm.home_free
+        data.qpos[:] = [*q, 0.0]
+        mujoco.mj_kinematics(model, data)
+        flange = arm.kinematics(q)
+        np.testing.assert_allclose(data.body("flange").xpos, flange.position, atol=1e-14)
+        pivot = flange.position + flange.rotation @ arm.pivot
+        np.testing.assert_allclose(data.body("pendulum").xpos, pivot, atol=1e-14)
+        # The film, the twin and the description for other viewers have the same frames.
+        assert build_scene(arm).model.nq == build_bare(arm).nq + 1 == 7
+        robot = ElementTree.fromstring(ArmDisplay(arm).urdf)
+        numbers = [
+            float(number)
+            for element in robot.iter()
+            for key in ("xyz", "rpy", "length")
+            for number in element.get(key, "").split()
+        ]
+        assert np.all(np.isfinite(numbers))
+        assert min(float(each.get("length")) for each in robot.iter("cylinder")) > 1e-4
+
+
+@pytest.mark.parametrize("noise", [1e-17, 1e-16, 1e-9])
+@pytest.mark.parametrize("step", range(1, 9))
+def test_rounding_in_an_origin_changes_no_shape(step, noise):
+    clean, _ = with_steps({step: 0.0})
+    noisy, _ = with_steps({step: noise})
+    assert drawn_shapes(noisy) == pytest.approx(drawn_shapes(clean))
+
+
+def test_a_small_arm_is_drawn_in_proportion():
+    arm, small = iiwa(7), with_steps({})[0]
+    share = (0.2 + 0.08 + 0.35 + 0.1 + 0.22 + 0.09 + 0.07) / 1.2
+    assert drawn_shapes(arm)["link 2"] == pytest.approx(0.11)
+    assert drawn_shapes(small)["link 2"] == pytest.approx(0.11 * share)
+    cylinders = ElementTree.fromstring(ArmDisplay(small).urdf).iter("cylinder")
+    assert max(float(each.get("radius")) for each in cylinders) == pytest.approx(0.11 * share)

@@ -7,6 +7,7 @@ from equipoise.errors import ArmError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x, condition
 from equipoise.model.arms.urdf import read_urdf
+from equipoise.model.physics_engine import mujoco
 from equipoise.paper import X_LIMIT
 from tests.model.arms.witnesses import ELBOW, ELBOW_HOME, iiwa_urdf
 
@@ -69,6 +70,89 @@ def test_a_name_is_made_harmless(edited):
 
 
 LIMIT_OF_PAN = '<limit lower="-3.1" upper="3.1" velocity="2.5" effort="150"/>'
+
+
+@pytest.mark.parametrize("limit", ['lower="0" upper="0"', 'lower="1" upper="-1"', 'lower="wide"'])
+def test_a_continuous_joint_has_no_position_limits_whatever_the_file_says(edited, limit):
+    path = edited(
+        '<limit velocity="3.5" effort="30"/>', f'<limit {limit} velocity="2" effort="9"/>'
+    )
+    lift = read_urdf(path, home=ELBOW_HOME).joints[3]
+    assert (lift.lower, lift.upper) == (-20.0 * np.pi, 20.0 * np.pi)
+    assert (lift.velocity, lift.torque) == (2.0, 9.0)
+
+
+INERTIAL = (
+    '<link name="{}"><inertial><origin xyz="0 0 0.1"/><mass value="{}"/>'
+    '<inertia ixx="{}" iyy="{}" izz="{}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+)
+
+
+@pytest.mark.parametrize("link", ["floor", "pedestal", "flange"])
+@pytest.mark.parametrize(
+    ("mass", "moments"),
+    [(0.5, (1, 0, 0)), (0.5, (-1, -1, -1)), (1e-7, (3e-22, 3e-22, 5e-22)), (0.0, (1, 1, 1))],
+)
+def test_an_impossible_inertia_of_a_fixed_link_counts_as_a_point_mass(edited, link, mass, moments):
+    old = f'<link name="{link}"/>'
+    dummy = read_urdf(edited(old, INERTIAL.format(link, mass, *moments)), home=ELBOW_HOME)
+    point = read_urdf(edited(old, INERTIAL.format(link, mass, 0, 0, 0)), home=ELBOW_HOME)
+    assert dummy == point
+    assert dummy.joints[5].link.mass == pytest.approx(0.7 + (mass if link == "flange" else 0.0))
+
+
+def test_drawings_of_a_link_are_not_judged(edited, capfd):
+    drawing = '<visual name="a"><geometry><box size="1 1 1"/></geometry>{}</visual>'
+    drawings = drawing.format('<material name="m"/><material name="n"/>') + drawing.format("")
+    path = edited('<link name="flange"/>', f'<link name="flange">{drawings}</link>')
+    assert read_urdf(path, home=ELBOW_HOME) == read_urdf(ELBOW, home=ELBOW_HOME)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("nan", ["nan", "-NaN"])
+def test_a_number_that_is_nan_is_refused_and_not_taken_as_missing(edited, nan):
+    path = edited('<origin xyz="0 0 0.05"/>', f'<origin xyz="{nan} 0 0.05"/>')
+    with pytest.raises(ArmError, match="<origin> contains NaN"):
+        read_urdf(path)
+
+
+def test_warnings_of_mujoco_are_neither_printed_nor_written(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    model = mujoco().MjModel.from_xml_string(
+        '<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>'
+    )
+    data = mujoco().MjData(model)
+    data.qpos[0] = np.nan
+    mujoco().mj_step(model, data)
+    assert data.warning.number.sum() == 1
+    assert capfd.readouterr() == ("", "")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_remedy_for_a_wrong_number_of_joints_fits_the_number(edited):
+    five = edited('"lift" type="continuous"', '"lift" type="fixed"')
+    with pytest.raises(ArmError, match="5 free joints, expected six; choose another tip or arm"):
+        read_urdf(five, home=ELBOW_HOME)
+    with pytest.raises(ArmError, match="5 free joints, expected six; leave out held"):
+        read_urdf(ELBOW, held=2)
+    # The joint to hold needs no limits before it is held.
+    seven = edited('<joint name="plate" type="fixed">', '<joint name="plate" type="revolute">')
+    with pytest.raises(ArmError, match="7 free joints, expected six; hold one with held"):
+        read_urdf(seven)
+    with pytest.raises(ArmError, match="held joint is 9; give a number from 1 to 6"):
+        read_urdf(ELBOW, held=9)
+
+
+def test_a_joint_is_held_where_home_has_it(tmp_path):
+    path, home = tmp_path / "iiwa.urdf", (0.1, 0.2, 0.3, -1.0, 0.3, 0.4, 0.5)
+    path.write_text(iiwa_urdf(7))
+    arm = read_urdf(path, held=3, home=home)
+    assert (arm.held_angle, arm.home) == (0.3, home)
+
+
+def test_a_joint_with_the_name_of_the_pendulums_is_refused(edited):
+    with pytest.raises(ArmError, match="or one is phi: .*phi, spin"):
+        read_urdf(edited('name="slant"', 'name="phi"'), home=ELBOW_HOME)
 
 
 @pytest.mark.parametrize(

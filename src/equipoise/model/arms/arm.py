@@ -191,13 +191,10 @@ class Arm(_Described):
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
-        n, held = len(self.joints), self.held_joint
-        if held is not None and not 1 <= held <= n:
-            raise ValueError(f"held joint is {held}; give a number from 1 to {n}")
-        free = n - (held is not None)
-        if free != FREE_JOINTS:
-            names = ", ".join(joint.name for joint in self.joints)
-            raise ValueError(f"{free} free joints, expected six; hold one of seven ({names})")
+        n, held, names = len(self.joints), self.held_joint, [joint.name for joint in self.joints]
+        check_free(names, held)
+        if len({*names, "phi"}) <= n:
+            raise ValueError(f"joint names repeat, or one is phi: {', '.join(names)}; rename it")
         if len(self.home) != n:
             raise ValueError(f"home has {len(self.home)} angles; give one for each of {n} joints")
         if held is not None and not isclose(self.home[held - 1], self.held_angle, abs_tol=1e-9):
@@ -292,6 +289,25 @@ class Arm(_Described):
     def compiled(self) -> ArmKernel:
         """Return the arm for kernels; the first call compiles or loads its kinematics."""
         return _compiled(self)
+
+
+def check_free(names: Sequence[str], held: int | None) -> None:
+    """Check the number of free joints of a chain.
+
+    Args:
+        names: Names of its joints.
+        held: Joint that does not move, counted from one.
+
+    Raises:
+        ArmError: There are not six.
+    """
+    n, free = len(names), len(names) - (held is not None)
+    if held is not None and not 1 <= held <= n:
+        raise ArmError(f"held joint is {held}; give a number from 1 to {n}")
+    if free != FREE_JOINTS:
+        remedy = {6: "leave out held", 7: "hold one with held"}.get(n, "choose another tip or arm")
+        found = shortened(", ".join(names), 300)
+        raise ArmError(f"{free} free joints, expected six; {remedy} ({found})")
 
 
 @functools.cache

@@ -1,11 +1,11 @@
 """MuJoCo model of an arm, its pendulum and the table, in simple geometry on the thick side.
 
-A link is a capsule from joint to joint, as wide as its widest place, and shortened at its ends. A
-joint that turns across its links has a housing, a capsule along its axis. The sizes are our own
-reading of public models of the iiwa; those of a shorter arm are smaller in proportion
-(`sizes_for`). Connectors and cables are not drawn. The pendulum sits on a bracket from the flange
-and turns about base y: its joint angle is phi, zero upright, positive towards +x. MuJoCo is
-imported where it is used.
+A link is a capsule from joint to joint, as wide as its widest place, and shortened at its ends; two
+joints in one place have no link between them. A joint that turns across its links has a housing, a
+capsule along its axis. The sizes are our own reading of public models of the iiwa; those of a
+shorter arm are smaller in proportion (`sizes_for`). Connectors and cables are not drawn. The
+pendulum sits on a bracket from the flange and turns about base y: its joint angle is phi, zero
+upright, positive towards +x. MuJoCo is imported where it is used.
 """
 
 from typing import Any, Final, NamedTuple
@@ -23,7 +23,7 @@ class Sizes(NamedTuple):
     link: float = 0.11
     """Radius of a link [m]."""
     pulled_in: float = 0.03
-    """Distance from the end of a link's capsule to its joints [m]."""
+    """Distance from the end of a link's capsule to its joints [m]; less on a short link."""
     housing: float = 0.09
     """Radius of the housing of a joint that turns across its links [m]."""
     housing_reach: float = 0.05
@@ -40,6 +40,9 @@ class Sizes(NamedTuple):
 
 SIZES: Final = Sizes()
 """Thickness of the parts of an iiwa, on the thick side."""
+SHORTEST: Final = 1e-3
+"""Length of the shortest step that is drawn [m]; rounding in a file is shorter, and has no
+direction."""
 FULL_LENGTH: Final = 1.2
 """Length from which a stretched arm has the sizes of an iiwa [m]; the iiwa 7 has 1.27 m."""
 
@@ -65,12 +68,12 @@ def scene(arm: Arm, sizes: Sizes = SIZES) -> Any:
 
     Args:
         arm: The arm.
-        sizes: Thickness of the parts.
+        sizes: Thickness of the parts of an iiwa; for a shorter arm, they are scaled.
 
     Returns:
         A `mujoco.MjSpec`.
     """
-    mj = mujoco()
+    mj, sizes = mujoco(), sizes_for(arm, sizes)
     spec = mj.MjSpec()
     spec.modelname = arm.name
     spec.compiler.degree = False
@@ -91,13 +94,13 @@ def scene(arm: Arm, sizes: Sizes = SIZES) -> Any:
     body, size, place = spec.worldbody, [1.5, 1.5, 0.05], [0.0, 0.0, -0.05]
     geom(body, "table", mj.mjtGeom.mjGEOM_BOX, size=size, pos=place)
     steps = [np.array(joint.xyz) for joint in arm.joints] + [np.array(arm.flange_xyz)]
-    last = max(number for number, step in enumerate(steps) if step.any())
-    across = _across(arm, steps)
+    lengths = [float(np.linalg.norm(step)) for step in steps]
+    links = [number for number, length in enumerate(lengths) if length > SHORTEST]
+    across = _across(arm, steps, links)
     for number, step in enumerate(steps):
-        if step.any():
-            length = float(np.linalg.norm(step))
-            radius = sizes.hand if number == last else sizes.link
-            inset = step * min(sizes.pulled_in / length, 0.5)
+        if number in links:
+            radius = sizes.hand if number == links[-1] else sizes.link
+            inset = step * min(sizes.pulled_in / lengths[number], 0.4)
             capsule(body, f"link {number}", inset, step - inset, radius)
         if number < len(arm.joints):
             joint = arm.joints[number]
@@ -111,7 +114,7 @@ def scene(arm: Arm, sizes: Sizes = SIZES) -> Any:
 
     flange = child(body, "flange", steps[-1], rotation_from_rpy(arm.flange_rpy))
     pivot = np.array(arm.pivot)
-    if pivot.any():
+    if np.linalg.norm(pivot) > SHORTEST:
         capsule(flange, "bracket", np.zeros(3), pivot, sizes.bracket)
     pendulum = child(flange, "pendulum", pivot, arm.kinematics(arm.home_free).rotation.T)
     pendulum.add_joint(name="phi", type=mj.mjtJoint.mjJNT_HINGE, axis=[0.0, 1.0, 0.0])
@@ -121,7 +124,7 @@ def scene(arm: Arm, sizes: Sizes = SIZES) -> Any:
     return spec
 
 
-def _across(arm: Arm, steps: list[Floats]) -> list[bool]:
+def _across(arm: Arm, steps: list[Floats], links: list[int]) -> list[bool]:
     """Return for each joint whether it turns across the links that it joins, not along one."""
     rotation, axes, directions = np.eye(3), list[Floats](), list[Floats]()
     for joint, step in zip(arm.joints, steps, strict=False):
@@ -129,10 +132,10 @@ def _across(arm: Arm, steps: list[Floats]) -> list[bool]:
         rotation = rotation @ rotation_from_rpy(joint.rpy)
         axes.append(rotation @ joint.axis / np.linalg.norm(joint.axis))
     directions.append(rotation @ steps[-1])
-    links = [(number, d / np.linalg.norm(d)) for number, d in enumerate(directions) if d.any()]
+    along = {number: directions[number] / np.linalg.norm(steps[number]) for number in links}
     result: list[bool] = []
     for number, axis in enumerate(axes):
-        before = [direction for place, direction in links if place <= number][-1:]
-        after = [direction for place, direction in links if place > number][:1]
-        result.append(all(abs(axis @ direction) < 0.9 for direction in before + after))
+        before = [place for place in links if place <= number][-1:]
+        after = [place for place in links if place > number][:1]
+        result.append(all(abs(axis @ along[place]) < 0.9 for place in before + after))
     return result

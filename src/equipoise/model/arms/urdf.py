@@ -2,11 +2,13 @@
 
 MuJoCo reads the file. Fixed joints become part of the next origin (or of the flange). Everything
 that a moving link carries outside the chain (fixed links, tools, grippers at zero) is merged into
-its mass and inertia. URDF holds no limits of accelerations, no home and no pendulum: these are
-arguments. Every moving link needs its mass and inertia.
+its mass and inertia; where its own inertia is impossible, as a point mass. URDF holds no limits of
+accelerations, no home and no pendulum: these are arguments. Every moving link of the chain needs
+its mass and inertia.
 """
 
 import re
+import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from math import copysign, pi
@@ -18,7 +20,7 @@ import numpy as np
 from equipoise.arguments import checked
 from equipoise.artefacts import MEBIBYTE, StrPath, read_bytes, shortened
 from equipoise.errors import ArmError
-from equipoise.model.arms.arm import Arm, Inertial, Joint
+from equipoise.model.arms.arm import ROUNDING, Arm, Inertial, Joint, check_free
 from equipoise.model.arms.chain import Floats, Triple, rpy_from_rotation
 from equipoise.model.arms.iiwa import ACCELERATION, PIVOT_OUTWARD
 from equipoise.model.arms.posture import search_home
@@ -26,6 +28,12 @@ from equipoise.model.physics_engine import mujoco
 
 CONTINUOUS: Final = 20.0 * pi
 """Largest position limit of a joint, that of a continuous one: ten turns each way [rad]."""
+UNUSED: Final = re.compile(r"(</?)(visual|collision|limit|mimic)\b")
+"""Tags of elements that are renamed for MuJoCo, which would print warnings or fail about them."""
+NAN: Final = re.compile(r"(?i)(^|\s)[+-]?nan($|\s)")
+"""A number that is NaN; MuJoCo would take it as missing."""
+NEGLIGIBLE: Final = 1e-12
+"""Largest principal moment that counts as zero [kg m^2]; MuJoCo refuses some that are smaller."""
 LARGEST_URDF: Final = 2 * MEBIBYTE
 """Size limit of a URDF [bytes]: humanoids with hands need less than 1 MB."""
 
@@ -36,7 +44,7 @@ def read_urdf(
     *,
     tip: str | None = None,
     held: int | None = None,
-    held_angle: float = 0.0,
+    held_angle: float | None = None,
     home: Sequence[float] | None = None,
     pivot: Triple | None = None,
     acceleration: float = ACCELERATION,
@@ -47,7 +55,7 @@ def read_urdf(
         path: The file.
         tip: Link of the flange; by default the only end of the tree.
         held: Joint that does not move, counted from one along the chain.
-        held_angle: Its angle [rad].
+        held_angle: Its angle [rad]; by default that in `home`, or zero without a home.
         home: Posture at x = 0, all joints [rad]; by default the result of `search_home`.
         pivot: The pendulum's pivot in the flange frame [m]; by default beside the flange, along
             the spindle at home and away from the base.
@@ -57,27 +65,32 @@ def read_urdf(
         ArmError: The file is no URDF, or its chain is not an arm with six free joints.
     """
     path = Path(path)
+    data = read_bytes(path, LARGEST_URDF, "a URDF", ArmError)
     try:
-        text = read_bytes(path, LARGEST_URDF, "a URDF", ArmError).decode()
+        text = data.decode()
         robot = ElementTree.fromstring(text)
         if robot.tag != "robot":
             raise ValueError(f"it begins with <{robot.tag}>, expected <robot>")
-        spec = mujoco().MjSpec.from_string(text)
-    except ArmError:
-        raise
+        for element in robot.iter():
+            if any(NAN.search(value) for value in element.attrib.values()):
+                raise ValueError(f"<{element.tag}> contains NaN instead of a number")
+        spec = mujoco().MjSpec.from_string(UNUSED.sub(r"\1unused", text))
     except Exception as error:  # of parsers and codecs
         raise ArmError(
             f"{path} is not a URDF ({shortened(str(error), 200)}); give a URDF file in UTF-8"
         ) from None
     chain = _chain(spec, tip, path)
+    check_free([joint.name for body in chain for joint in body.joints], held)
     limits = {
         name: _limits(element)
         for element in robot.findall("joint")
         if (name := element.get("name", "")) in {j.name for body in chain for j in body.joints}
     }
     joints, flange = _placed(spec, chain[-1], limits, acceleration)
+    if held_angle is None:
+        held_angle = dict(enumerate(home or (), 1)).get(held or 0, 0.0)
     middle = [0.5 * (joint.lower + joint.upper) for joint in joints]
-    if held is not None and 1 <= held <= len(joints):
+    if held is not None:
         middle[held - 1] = held_angle
     arm = Arm(
         name=re.sub(r"[^\w .-]", "_", robot.get("name") or path.stem)[:64],
@@ -108,7 +121,8 @@ def _chain(spec: Any, tip: str | None, path: Path) -> list[Any]:
     if tip is None and len(ends) == 1:
         tip = ends[0]
     if tip not in links:
-        raise ArmError(f"{path} has the ends {_listed(ends)}; say which is the flange with tip=")
+        found = shortened(", ".join(ends), 300)
+        raise ArmError(f"{path} has the ends {found}; say which is the flange with tip=")
     body, chain = links[tip], list[Any]()
     while body.parent is not None:
         chain.insert(0, body)
@@ -128,16 +142,15 @@ def _limits(element: ElementTree.Element) -> dict[str, float]:
             f"joint {name} is {kind}, or follows another; between root and tip only revolute, "
             "continuous and fixed joints can be used: choose another tip"
         )
-    given: dict[str, str] = {}
+    limit = element.find("limit")
+    given = {} if limit is None else dict(limit.attrib)
     if kind == "continuous":
         given |= {"lower": str(-CONTINUOUS), "upper": str(CONTINUOUS)}
-    limit = element.find("limit")
-    given |= {} if limit is None else limit.attrib
     try:
         found = {key: float(given[key]) for key in ("lower", "upper", "velocity", "effort")}
     except (KeyError, ValueError) as error:
         raise ArmError(
-            f"joint {name} has no limit {shortened(str(error))}; add it to the file: "
+            f"joint {name} lacks a limit ({shortened(str(error))}); add it to the file: "
             '<limit lower="..." upper="..." velocity="..." effort="..."/>'
         ) from None
     lower, upper = max(found["lower"], -CONTINUOUS), min(found["upper"], CONTINUOUS)
@@ -150,12 +163,20 @@ def _placed(
     """Return the joints of a chain, and the pose of the flange in the frame of the last one."""
     tip.add_site(name="equipoise tip")
     others = [joint for joint in spec.joints if joint.name not in limits]
-    for item in (*spec.geoms, *spec.meshes, *spec.equalities, *others):
-        spec.delete(item)
+    for joint in others:
+        spec.delete(joint)
     spec.compiler.fusestatic = True
     try:
-        model = spec.compile()
-    except ValueError as error:
+        for body in spec.bodies[1:]:
+            xx, yy, zz, xy, xz, yz = body.fullinertia
+            moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            possible = body.mass > 0.0 and moments[0] > NEGLIGIBLE
+            possible &= moments[2] <= (moments[0] + moments[1]) * (1.0 + ROUNDING)
+            if not possible and limits.keys().isdisjoint(joint.name for joint in body.joints):
+                body.fullinertia[0] = np.nan  # a point mass for MuJoCo
+        with warnings.catch_warnings(action="error"):
+            model = spec.compile()
+    except (ValueError, UserWarning) as error:
         raise ArmError(
             f"MuJoCo refuses the chain ({shortened(str(error), 200)}); correct the file, for "
             "example the <inertial> of every moving link"
@@ -189,10 +210,6 @@ def rotation_from_quaternion(quaternion: Floats) -> Floats:
     matrix = np.zeros(9)
     mujoco().mju_quat2Mat(matrix, quaternion)
     return matrix.reshape(3, 3)
-
-
-def _listed(names: list[str]) -> str:
-    return shortened(", ".join(names), 300)
 
 
 def _triple(vector: Floats) -> Triple:

@@ -6,12 +6,11 @@ Limits and masses are left out. The joint angle of the pendulum is phi, zero upr
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
-from math import acos, atan2
 from typing import Any
 
 import numpy as np
 
-from equipoise.model.arms.chain import rpy_from_rotation
+from equipoise.model.arms.chain import rpy_from_rotation, turned_to
 from equipoise.model.arms.urdf import rotation_from_quaternion
 from equipoise.model.physics_engine import mujoco
 
@@ -53,10 +52,8 @@ def _link(robot: ElementTree.Element, name: str, body: Any) -> None:
             continue
         start, end = np.array(geom.fromto[:3]), np.array(geom.fromto[3:])
         length = float(np.linalg.norm(end - start))
-        x, y, z = (end - start) / length
         visual = ElementTree.SubElement(link, "visual", name=geom.name)
-        # A cylinder lies along z: tilt it, then turn it about z.
-        rpy = (0.0, acos(max(-1.0, min(1.0, z))), atan2(y, x))
+        rpy = rpy_from_rotation(turned_to(end - start))  # a cylinder lies along z
         ElementTree.SubElement(visual, "origin", xyz=_text(0.5 * (start + end)), rpy=_text(rpy))
         geometry = ElementTree.SubElement(visual, "geometry")
         size = {"radius": repr(float(geom.size[0])), "length": repr(length)}
