@@ -26,7 +26,8 @@ from equipoise.control.bound_policy import AnyPolicy, read_policy
 from equipoise.errors import InputError
 from equipoise.model.worlds import MODEL, read_world
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS
-from equipoise.worlds.evaluation import Done, Evaluation, evaluate, lower_bound
+from equipoise.worlds.evaluation import Evaluation, evaluate, lower_bound
+from equipoise.worlds.interface import Done
 
 ROUND_NUMBERS: Final = (
     *(digit * 10**power for power in range(6) for digit in (1, 2, 5)),
