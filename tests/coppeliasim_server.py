@@ -1,11 +1,13 @@
 """A small server that speaks the protocol of CoppeliaSim's ZeroMQ remote API, for its real client.
 
 Requests and replies are CBOR over REQ/REP. As the add-on of CoppeliaSim it lists functions and
-constants, answers `_*wait*_` within a step and at times `_*repeat*_`, marks line breaks in errors,
-counts the levels of stepping of each client, and forgets them when a simulation stops. Behind it
-is a scene of dummies, kinematic joints and primitive shapes, which nothing moves but its calls. As
-in CoppeliaSim 4.10.0 all parameters are kept when a client is gone, and the text of an error begins
-with the line of its Lua code.
+constants, answers `_*wait*_` until a step is done and at times `_*repeat*_`, marks line breaks in
+errors, counts the levels of stepping of each client, stops while one of them holds it, and forgets
+a client that has been silent for the time that its first request names. Behind it is a scene of
+dummies, kinematic joints and primitive shapes, which nothing moves but its calls. As in CoppeliaSim
+4.10.0 a joint is clamped into its interval, aliases need not be unique, an object is created
+without a parent, all parameters are kept when a client is gone, and the text of an error begins
+with the line of its Lua code. The scene of the user has an object with our alias.
 
 Not modelled: physics, contacts, rendering, scripts, buttons (a pause is a call), the time that
 CoppeliaSim itself takes, and `step` while a simulation is stopped in its first step, which
@@ -13,6 +15,7 @@ CoppeliaSim does not answer.
 """
 
 import threading
+import time
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -35,7 +38,10 @@ CONSTANTS = {
     "intparam_idle_fps": 8,
     "boolparam_realtime_simulation": 25,
     "floatparam_simulation_time_step": 1,
+    "handle_all": -2,
+    "handle_scene": -12,
 }
+SHAPES = {3: "Cuboid", 4: "Sphere", 5: "Cylinder"}
 PARAMETERS = {"Int32": {8: 8}, "Bool": {25: True}, "Float": {1: 0.05}}
 """Global parameters, with the values of a new scene."""
 
@@ -45,10 +51,23 @@ class Thing:
     """An object of the scene."""
 
     kind: str
-    alias: str = ""
+    alias: str
     parent: int = -1
     local: Any = field(default_factory=lambda: np.eye(4))
     q: float = 0.0
+    interval: Any = None
+    data: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass
+class Client:
+    """A client of the server."""
+
+    timeout: float
+    seen: float
+    level: int = 0
+    desired: int = 0
+    steps_at: int | None = None
 
 
 def turned(thing):
@@ -65,9 +84,12 @@ class Scene:
         self.things: dict[int, Thing] = {}
         self.parameters = {kind: dict(values) for kind, values in PARAMETERS.items()}
         self.state, self.time, self.steps = STOPPED, 0.0, 0
-        self.levels: dict[str, int] = {}
-        self.client = ""
+        self.clients: dict[str, Client] = {}
+        self.client = Client(0.0, 0.0)
         self.count = 0
+        base = self.new("dummy", "equipoise")
+        self.sim_setObjectParent(self.new("dummy", "child"), base)
+        self.users = dict(self.things)
 
     # Places
 
@@ -86,9 +108,9 @@ class Scene:
         """Return the pose of an object in the world, shape (4, 4)."""
         return self.inner(self.things[handle].parent) @ self.things[handle].local
 
-    def new(self, **values):
+    def new(self, kind, alias):
         self.count += 1
-        self.things[self.count] = Thing(**values)
+        self.things[self.count] = Thing(kind, alias)
         return self.count
 
     def thing(self, handle, kind=None):
@@ -99,34 +121,44 @@ class Scene:
             raise ValueError(f"object is not a {kind}.")
         return thing
 
+    @property
+    def ours(self):
+        """Handles of the objects that are none of the user's, the newest one last."""
+        return [handle for handle in self.things if handle not in self.users]
+
+    def added(self, alias):
+        """Return the object of an alias that is none of the user's."""
+        (found,) = (self.things[one] for one in self.ours if self.things[one].alias == alias)
+        return found
+
+    @property
+    def as_left(self):
+        """Whether objects, parameters and simulation are as the user left them."""
+        return (self.things, self.parameters, self.state) == (self.users, PARAMETERS, STOPPED)
+
     # Functions of `sim`
 
     def sim_createDummy(self, size):
-        return self.new(kind="dummy")
+        return self.new("dummy", "Dummy")
 
     def sim_createJoint(self, kind, mode, options, sizes):
         assert kind == CONSTANTS["joint_revolute"]
         assert mode == CONSTANTS["jointmode_kinematic"]
         assert len(sizes) == 2
-        return self.new(kind="joint")
+        return self.new("joint", "Joint")
 
     def sim_createPrimitiveShape(self, kind, sizes, options):
-        assert kind in (3, 4, 5)
         assert all(size > 0.0 for size in sizes)
-        return self.new(kind="shape")
+        return self.new("shape", SHAPES[kind])
 
     def sim_setObjectAlias(self, handle, alias):
         self.thing(handle).alias = alias
 
-    def sim_getObject(self, path, options):
-        for handle, thing in self.things.items():
-            if thing.parent < 0 and f"/{thing.alias}" == path:
-                return handle
-        if options.get("noError"):
-            return -1
-        raise ValueError(f"object does not exist. (path '{path}')")
-
-    def sim_getObjectsInTree(self, base):
+    def sim_getObjectsInTree(self, base, kind=-2, options=0):
+        assert kind == CONSTANTS["handle_all"]
+        if base == CONSTANTS["handle_scene"]:
+            assert options == 2, "the first children alone"
+            return [handle for handle, thing in self.things.items() if thing.parent < 0]
         self.thing(base)
         found = [base]
         for handle in found:
@@ -137,6 +169,12 @@ class Scene:
         for handle in handles:
             self.thing(handle)
             del self.things[handle]
+
+    def sim_writeCustomStringData(self, handle, tag, data):
+        self.thing(handle).data[tag] = data
+
+    def sim_readCustomStringData(self, handle, tag):
+        return self.thing(handle).data.get(tag)
 
     def sim_setObjectPose(self, handle, pose, relative=-1):
         assert relative == -1
@@ -159,10 +197,18 @@ class Scene:
             thing.local = np.linalg.inv(self.inner(parent)) @ T
 
     def sim_setJointInterval(self, handle, cyclic, interval):
-        self.thing(handle, "joint")
+        joint = self.thing(handle, "joint")
+        joint.interval = None if cyclic else interval
+        self.sim_setJointPosition(handle, joint.q)
 
     def sim_setJointPosition(self, handle, q):
-        self.thing(handle, "joint").q = q
+        """Set a position, clamped into the interval; a cyclic joint is wrapped."""
+        joint = self.thing(handle, "joint")
+        if joint.interval is None:
+            joint.q = q if abs(q) <= np.pi else (q + np.pi) % (2.0 * np.pi) - np.pi
+        else:
+            lower, span = joint.interval
+            joint.q = min(max(q, lower), lower + span)
 
     def sim_getJointPosition(self, handle):
         return self.thing(handle, "joint").q
@@ -190,7 +236,8 @@ class Scene:
         self.state, self.time = RUNNING, 0.0
 
     def sim_stopSimulation(self, wait=False):
-        self.levels.clear()
+        for client in self.clients.values():
+            client.level, client.desired = 0, self.steps + 10
         if self.state in (RUNNING, PAUSED):
             self.state = STOPPING
 
@@ -202,14 +249,19 @@ class Scene:
                 self.things[handle].q, self.things[handle].local = q, local
 
     def sim_setStepping(self, enable):
-        before = self.levels.get(self.client, 0)
-        self.levels[self.client] = max(before + (1 if enable else -1), 0)
+        client, before = self.client, self.client.level
+        if enable and not before:
+            client.desired = self.steps
+        client.level = max(before + (1 if enable else -1), 0)
         return before
 
     def advance(self):
-        """Advance by one step of the simulation."""
-        self.time += self.parameters["Float"][1]
-        self.steps += 1
+        """Advance as far as the clients that hold the simulation allow."""
+        for _ in range(3):
+            held = any(one.level and one.desired <= self.steps for one in self.clients.values())
+            if self.state == RUNNING and not held:
+                self.time += self.parameters["Float"][1]
+                self.steps += 1
 
 
 class CoppeliaSimServer:
@@ -217,12 +269,14 @@ class CoppeliaSimServer:
 
     def __init__(self):
         """Bind any port."""
-        self.scene, self.requests, self.errors = Scene(), 0, []
+        self.scene, self.requests, self.errors, self.later = Scene(), 0, [], 0.0
+        self.watch = lambda requests: None
+        """Called with the number of each request before its answer."""
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.REP)
         self._socket.setsockopt(zmq.LINGER, 0)
         self.port = self._socket.bind_to_random_port("tcp://127.0.0.1")
-        self._open, self._stepping, self._repeated = True, set(), False
+        self._open, self._repeated = True, False
         self._thread = threading.Thread(target=self.serve, daemon=True)
 
     @property
@@ -248,22 +302,28 @@ class CoppeliaSimServer:
     def answer(self, request):
         """Return the reply to a request."""
         self.requests += 1
-        name, scene = request["func"], self.scene
-        client = scene.client = request["uuid"]
+        self.watch(self.requests)
+        name, scene, now = request["func"], self.scene, time.monotonic() + self.later
+        for uuid, client in list(scene.clients.items()):
+            if now - client.seen > client.timeout:
+                del scene.clients[uuid]
+        new = Client(request.get("timeout", 600.0), now, desired=scene.steps)
+        client = scene.client = scene.clients.setdefault(request["uuid"], new)
+        client.seen = now
         if name == "_*executed*_":
-            if client in self._stepping:
-                self._stepping.discard(client)
-                if scene.state == RUNNING:
-                    scene.advance()
+            scene.advance()
+            if client.steps_at == scene.steps:
+                return {"func": "_*wait*_", "args": []}
             return {"ret": []}
         self._repeated = self.requests % 97 == 0 and not self._repeated
         if self._repeated:
             return {"func": "_*repeat*_", "args": []}
-        if scene.state == RUNNING and not any(scene.levels.values()):
-            for _ in range(3):  # no client holds the simulation
-                scene.advance()
+        scene.advance()
         if name == "sim.step":
-            self._stepping.add(client)
+            runs = scene.state == RUNNING
+            client.steps_at = scene.steps if runs else None
+            if runs and client.level:
+                client.desired = scene.steps + 1
             return {"func": "_*wait*_", "args": []}
         try:
             return {"ret": self.call(name, request["args"])}

@@ -51,7 +51,7 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
-def counted(stage: str, total: int, show: Show) -> Callable[[int], None]:
+def counted(stage: str, total: int, show: Show) -> Callable[[float], None]:
     """Return a callback that counts finished trials.
 
     Args:
@@ -59,13 +59,14 @@ def counted(stage: str, total: int, show: Show) -> Callable[[int], None]:
         total: Number of all trials.
         show: Called with the progress.
     """
-    lock, finished = Lock(), 0
+    lock, finished = Lock(), 0.0
 
-    def done(more: int) -> None:
+    def done(more: float) -> None:
         nonlocal finished
         with lock:
             finished += more
-            show(stage, min(finished / total, 1.0), f"{finished:,} of {total:,} trials")
+            whole = int(finished + 1e-6)  # without the rounding of fractions
+            show(stage, min(finished / total, 1.0), f"{whole:,} of {total:,} trials")
 
     return done
 

@@ -5,21 +5,26 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
 pytest.importorskip("coppeliasim_zmqremoteapi_client", reason="the extra coppeliasim is missing")
 
-from equipoise.apps.coppeliasim.connection import Connection
+from equipoise.apps.coppeliasim.connection import FORGOTTEN, Connection
+from equipoise.apps.coppeliasim.rig import CoppeliaRig
 from equipoise.cli import main
 from equipoise.control.grid import TRUNCATED
 from equipoise.control.policy import KernelPolicy, TabularPolicy, shipped_policy
 from equipoise.errors import InputError, LinkError, MissingExtraError, OutsideError, SettingsError
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.robots.franka.arm import fr3
 from equipoise.testing import WorldConformance
-from equipoise.worlds import Recorder, predicted, run_trial, setup_of, simulate
-from tests.coppeliasim_server import PARAMETERS, RUNNING, STOPPED, CoppeliaSimServer
+from equipoise.worlds import Recorder, run_trial, setup_of, simulate
+from tests.coppeliasim_server import RUNNING, CoppeliaSimServer, Scene
 
 pytestmark = [pytest.mark.full, pytest.mark.compiled_only]
 
@@ -31,14 +36,34 @@ REAL = os.environ.get("EQUIPOISE_COPPELIASIM")
 def server():
     with CoppeliaSimServer() as server:
         yield server
-    assert not server.scene.things, "a scene was left behind"
-    assert server.scene.parameters == PARAMETERS
-    assert server.scene.state == STOPPED
+    assert server.scene.as_left
 
 
 def world_of(world):
     setup = setup_of(POLICY, world)
     return simulate(world, setup, seed=1, stream=7), setup
+
+
+def rig_at(server, arm=POLICY.arm):
+    return CoppeliaRig("127.0.0.1", server.port, arm, 0.01)
+
+
+@contextmanager
+def started(server, folder):
+    """Run an evaluation in a process of its own."""
+    verb = ["evaluate", "--world", server.address, "--trials", "50", "--no-baselines"]
+    program = [sys.executable, "-m", "equipoise", *verb]
+    with subprocess.Popen(program, stderr=subprocess.PIPE, cwd=folder) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def reach(server, process, state):
+    until = time.monotonic() + 120.0
+    while not state() and process.poll() is None and time.monotonic() < until:
+        time.sleep(0.005)
 
 
 def record(world, seconds):
@@ -91,15 +116,26 @@ def test_the_shipped_policy_balances_for_a_minute(server):
     assert np.abs(rows.state[:, 2]).max() < 0.15
 
 
-def test_the_flange_in_coppeliasim_is_where_the_kinematics_say(server):
-    simulation, setup = world_of(server.address)
-    rig, q = simulation.rig, setup.arm.home_free + np.array([0.1, -0.2, 0.3, 0.1, -0.3, 0.2])
-    rig.place(q)
-    position, R = rig.flange()
-    expected = setup.arm.kinematics(q)
-    np.testing.assert_allclose(position, expected.position, atol=1e-12)
-    np.testing.assert_allclose(R, expected.rotation, atol=1e-12)
-    np.testing.assert_allclose(rig.joints(), setup.arm.with_held(q), atol=1e-15)
+@pytest.mark.parametrize("arm", [iiwa(7), fr3()], ids=["iiwa7", "fr3"])
+def test_the_flange_in_coppeliasim_is_where_the_kinematics_say(server, arm):
+    rig, q = rig_at(server, arm), arm.home_free + np.array([0.1, -0.2, 0.3, 0.1, -0.3, 0.2])
+    for angles in (arm.home_free, q):  # the limits of two joints of the FR3 exclude zero
+        position, R = rig.place(angles)
+        expected = arm.kinematics(angles)
+        np.testing.assert_allclose(position, expected.position, atol=1e-12)
+        np.testing.assert_allclose(R, expected.rotation, atol=1e-12)
+        np.testing.assert_allclose(rig.joints(), arm.with_held(angles), atol=1e-15)
+
+
+def test_an_arm_that_is_not_that_of_the_model_is_refused(monkeypatch):
+    before = Scene.sim_setJointInterval
+    monkeypatch.setattr(  # limits that exclude home
+        Scene, "sim_setJointInterval", lambda scene, joint, *_: before(scene, joint, False, [1, 1])
+    )
+    with CoppeliaSimServer() as server:
+        with pytest.raises(OutsideError, match=r"flange .* mm and .* degrees from its place"):
+            rig_at(server)
+        assert server.scene.as_left
 
 
 def test_the_world_is_the_papers_plant_but_for_the_curve_of_its_track(server):
@@ -120,7 +156,7 @@ def test_errors_of_the_connection_are_one_message(server, monkeypatch):
     with pytest.raises(InputError):
         Connection("no host", 23000)
     sim = Connection("127.0.0.1", server.port)
-    with pytest.raises(OutsideError, match=r"refuses getJointPosition: object does not exist\.$"):
+    with pytest.raises(OutsideError, match=r"refuses getJointPosition \(object does not exist\.\)"):
         sim.call("getJointPosition", 12345)
     with pytest.raises(OutsideError):
         sim.constant("warp_drive")
@@ -146,12 +182,14 @@ def test_a_second_world_ends_the_first_one(server):
     first, _ = world_of(server.address)
     loop, trial = first.loop(), first.draw(1).trial(0)
     second, _ = world_of(server.address)
-    with pytest.raises(LinkError, match="another world of this process took"):
+    with pytest.raises(OutsideError, match="object does not exist"):
         loop.reset(trial)
-    second.loop().reset(trial)
+    other = second.loop()
+    other.reset(trial)
+    first.rig.close()  # changes nothing of the second
+    assert other.step(0.0) == TRUNCATED
     second.rig.close()
-    assert not server.scene.things
-    assert server.scene.parameters == PARAMETERS
+    assert server.scene.as_left
 
 
 def restart(scene):
@@ -160,48 +198,150 @@ def restart(scene):
     scene.sim_startSimulation()
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda scene: scene.sim_pauseSimulation(),
-        restart,
-        lambda scene: scene.sim_removeObjects(list(scene.things)),
-    ],
-    ids=["pause", "restart", "remove"],
-)
-def test_a_change_by_another_program_is_an_error_not_a_fall(change):
+def moved(alias):
+    def change(scene):
+        scene.added(alias).local[0, 3] += 1e-4
+
+    return change
+
+
+def turned(alias):
+    def change(scene):
+        scene.added(alias).q += 1e-4
+
+    return change
+
+
+CHANGES = {
+    "pause": Scene.sim_pauseSimulation,
+    "restart": restart,
+    "remove": lambda scene: scene.sim_removeObjects(scene.ours),
+    "held joint": turned("joint3"),
+    "root": moved("equipoise"),
+    "flange": moved("flange"),
+    "link": moved("link4"),
+    "time step": lambda scene: scene.parameters["Float"].update({1: 0.02}),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_a_change_by_another_program_is_an_error_not_a_fall(change, tmp_path, capsys):
     with CoppeliaSimServer() as server:
-        simulation, _ = world_of(server.address)
-        loop, policy = simulation.loop(), KernelPolicy(POLICY.kernel)
-        loop.reset(simulation.draw(1).trial(0))
-        loop.step(0.0)
-        change(server.scene)
+        changes = iter([change])
 
-        def go_on():
-            for _ in range(3):
-                loop.step(policy.act(predicted(loop)))
+        def watch(_):
+            if server.scene.time > 0.1:
+                next(changes, lambda _: None)(server.scene)
 
-        with pytest.raises(OutsideError):
-            go_on()
-        simulation.rig.close()
+        server.watch = watch
+        few = ["--trials", "1", "--duration", "0.5", "--no-baselines"]
+        assert main(["evaluate", "--world", server.address, *few]) == 3
+        assert not list(changes)
+        assert not list(tmp_path.iterdir())
+        assert "end that program, and start again" in " ".join(capsys.readouterr().err.split())
+        assert server.scene.as_left
 
 
-def test_ctrl_c_ends_a_run_at_once_and_leaves_nothing(tmp_path):
-    with CoppeliaSimServer() as server:
-        verb = ["evaluate", "--world", server.address, "--trials", "50", "--no-baselines"]
-        process = subprocess.Popen(
-            [sys.executable, "-m", "equipoise", *verb], stderr=subprocess.PIPE, cwd=tmp_path
-        )
-        until = time.monotonic() + 120.0
-        while server.scene.time < 0.2 and process.poll() is None and time.monotonic() < until:
-            time.sleep(0.05)
+def test_a_client_that_holds_the_simulation_is_an_error_within_the_time_of_a_call(server):
+    other = Connection("127.0.0.1", server.port)
+    other.call("setStepping", True)
+    rig = rig_at(server)
+    rig.sim = Connection("127.0.0.1", server.port, patience=0.5)
+    begin = time.monotonic()
+    with pytest.raises(OutsideError, match="does not finish step .* another client holds its"):
+        rig.step()
+    assert time.monotonic() - begin < 2.0
+    other.close()
+    rig.close()
+
+
+def test_coppeliasim_forgets_a_silent_client_and_the_world_says_so(server):
+    rig = rig_at(server)
+    rig.step()
+    rig.step()
+    server.later += FORGOTTEN + 1.0
+    with pytest.raises(OutsideError, match="or Equipoise paused for more than 60 s"):
+        rig.step()
+    rig.close()
+
+
+# Ends
+
+
+@pytest.mark.parametrize("again", [0, 1, 2], ids=["once", "twice", "thrice"])
+@pytest.mark.parametrize("seed", range(4))
+def test_ctrl_c_at_any_moment_leaves_the_simulator_as_it_was(server, tmp_path, capsys, again, seed):
+    rng = np.random.default_rng((seed, again))
+    delays = np.cumsum([0.0, *rng.uniform(0.001, 0.15, again)])[::-1]
+    timers = [threading.Timer(t, os.kill, (os.getpid(), signal.SIGINT)) for t in delays]
+    first = server.requests + int(rng.integers(5, 400))
+
+    def watch(number):
+        if number == first:
+            for timer in timers:
+                timer.start()
+
+    server.watch = watch
+    try:
+        assert main(["evaluate", "--world", server.address, "--no-baselines"]) == 130
+        for timer in timers:
+            timer.join()
+    finally:
+        server.watch = lambda _: None
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    assert "Traceback" not in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+    assert server.scene.as_left
+
+
+@pytest.mark.parametrize("gaps", [[], [0.05], [0.1, 0.1]], ids=["once", "twice", "thrice"])
+def test_ctrl_c_ends_a_process_without_a_trace(gaps, tmp_path):
+    with CoppeliaSimServer() as server, started(server, tmp_path) as process:
+        reach(server, process, lambda: server.scene.time > 0.2)
         process.send_signal(signal.SIGINT)
+        for gap in gaps:
+            time.sleep(gap)
+            process.send_signal(signal.SIGINT)
         _, stderr = process.communicate(timeout=30)
         assert process.returncode == 130
         assert b"Traceback" not in stderr
         assert not list(tmp_path.iterdir())
-        assert not server.scene.things
-        assert server.scene.parameters == PARAMETERS
+        assert server.scene.as_left
+
+
+@pytest.mark.parametrize(
+    "moment",
+    [
+        lambda scene: len(scene.ours) == 2,
+        lambda scene: len(scene.ours) == 10,
+        lambda scene: scene.time > 0.1,
+    ],
+    ids=["begun", "half built", "trial"],
+)
+def test_the_next_run_undoes_one_that_was_killed(moment, tmp_path):
+    with CoppeliaSimServer() as server, started(server, tmp_path) as process:
+        server.watch = lambda _: moment(server.scene) and process.kill()
+        process.wait(60)
+        server.watch = lambda _: None
+        assert server.scene.ours
+        rig_at(server).close()
+        assert server.scene.as_left
+
+
+@pytest.mark.parametrize("built", range(1, 19))
+def test_a_client_whose_scene_another_one_removes_while_it_is_built_leaves_no_object(built):
+    with CoppeliaSimServer() as server:
+        scene = server.scene
+
+        def watch(_):
+            *earlier, newest = scene.ours or [0]
+            if len(earlier) == built and scene.things[newest].parent < 0:
+                scene.sim_removeObjects(earlier)
+
+        server.watch = watch
+        with pytest.raises(OutsideError, match="object does not exist"):
+            rig_at(server)
+        assert scene.as_left
 
 
 @pytest.mark.parametrize("rest", ["", "host:port", "host:99999", "host/scene", "u@host"])

@@ -5,6 +5,7 @@ from scipy import stats
 
 from equipoise.control.baselines import baselines
 from equipoise.control.bound_policy import bind_policy
+from equipoise.executors import counted
 from equipoise.outcomes import Outcome
 from equipoise.settings import resolve
 from equipoise.worlds.evaluation import TrialResults, evaluate
@@ -54,6 +55,15 @@ def test_a_summary_counts_what_happened():
     assert summary.outcomes == {"lasted": 2, "angle": 2, "track": 1}
 
 
+def test_progress_moves_within_a_trial():
+    shown = []
+    done = counted("evaluate", 2, lambda *progress: shown.append(progress))
+    for part in (0.3, 0.3, 0.3, 0.1):
+        done(part)
+    assert [share for _, share, _ in shown] == pytest.approx([0.15, 0.3, 0.45, 0.5])
+    assert [text for *_, text in shown] == ["0 of 2 trials"] * 3 + ["1 of 2 trials"]
+
+
 # The trials
 
 
@@ -84,6 +94,7 @@ def test_the_table_as_a_plain_object_runs_the_same_trials(small_policy, settings
     assert other.results.outcomes == evaluation.results.outcomes
     assert other.results.name == "plain"
     assert (other.pendulum, other.arm_digest) == (evaluation.pendulum, evaluation.arm_digest)
-    assert told == [1] * 20
+    assert len(told) == 20 + sum(time >= 1.0 for time in other.results.survival)
+    assert sum(told) == pytest.approx(20)
     assert len(plain.asked) == round(sum(other.results.survival) * 100)
     assert set(plain.asked) == {(4,)}

@@ -149,8 +149,8 @@ def test_every_trial_is_run_once_and_told_of(plant, count):
     finished = []
     simulation = on_the_plant(plant, ARM, PENDULUM, SETTINGS)
     drawn_trials = simulation.draw(count)
-    trials = run_all(simulation, PolicyKernel(RANDOM), drawn_trials, 0.1, done=finished.extend)
-    assert sorted(finished) == list(range(count))
+    trials = run_all(simulation, PolicyKernel(RANDOM), drawn_trials, 0.1, done=finished.append)
+    assert sum(finished) == count
     assert np.all(trials.steps > 0)
 
 

@@ -7,6 +7,7 @@ interruption with its exit code.
 """
 
 import shlex
+import signal
 from collections.abc import Callable
 from inspect import Parameter, Signature, getdoc, signature
 from pathlib import Path
@@ -61,6 +62,7 @@ def verb(function: Callable[..., None]) -> Callable[..., None]:
             fault = error.errors()[0]
             raise InputError(f"{_name(str(fault['loc'][0]))}: {fault['msg']}") from None
         except KeyboardInterrupt:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing interrupts the clean-up
             complain("interrupted")
             raise typer.Exit(INTERRUPTED) from None
 

@@ -9,7 +9,6 @@ trials.
 
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable
 from typing import Annotated, ClassVar, Final, NamedTuple, Self
 
 import numpy as np
@@ -28,10 +27,7 @@ from equipoise.model.worlds import MODEL, TwinSettings, World
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
 from equipoise.worlds import Trials, setup_of, simulate
-
-Done = Callable[[int], None]
-"""Callback; receives the number of trials that have just finished."""
-
+from equipoise.worlds.interface import Done
 
 Survival = Annotated[float, Field(ge=0.0, le=LONGEST_TRIAL)]
 """Duration of a trial [s]."""
@@ -233,7 +229,8 @@ def evaluate(
         seed: Master seed of the trials.
         with_baselines: Run the baselines on the same trials.
         workers: Number of threads for compiled policies; the result does not depend on it.
-        done: Callback; receives the number of trials that have just finished.
+        done: Callback; receives the number of trials that have just finished; from Python, parts
+            of one.
 
     Raises:
         SettingsError: The world is unknown.
@@ -253,7 +250,7 @@ def evaluate(
             range(count),
             duration=span,
             workers=workers,
-            done=lambda rows: done(len(rows)),
+            done=done,
         )
         return trial_results(name, trials, h)
 

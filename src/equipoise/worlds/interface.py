@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import partial
 from math import nan
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -26,8 +26,10 @@ from equipoise.model.worlds import TwinSettings, World
 from equipoise.settings import Settings
 from equipoise.worlds.trials import Trial, Trials, draw_trials
 
-Finished = Callable[[Sequence[int]], None]
-"""Receives the rows of trials that have just finished."""
+Done = Callable[[float], None]
+"""Callback; receives the number of trials that have just finished; from Python, parts of one."""
+PROGRESS: Final = 100
+"""Steps between two reports of progress: some seconds in a slow world."""
 
 
 class Measurement(NamedTuple):
@@ -159,7 +161,7 @@ class Simulation(ABC):
         *,
         duration: float,
         workers: int = 1,
-        done: Finished = lambda _: None,
+        done: Done = lambda _: None,
     ) -> None:
         """Run trials: compiled if policy and world are, otherwise from Python, one by one.
 
@@ -169,24 +171,23 @@ class Simulation(ABC):
             rows: Rows of the trials to run.
             duration: Length of a trial [s].
             workers: Number of threads for compiled trials; the results do not depend on it.
-            done: Called with the rows of trials that have just finished.
+            done: Called with the number of trials that have just finished.
         """
         kernel = policy if isinstance(policy, PolicyKernel) else policy.kernel
         if kernel is None or not self.PIECE:
             acting: Any = policy if kernel is None else KernelPolicy(kernel)
             loop = self.loop()
             for row in rows:
-                ended = run_trial(loop, acting, trials.trial(row), duration)
+                ended = run_trial(loop, acting, trials.trial(row), duration, done=done)
                 trials.steps[row], trials.cause[row], trials.sum_x2[row] = ended
                 trials.end[row] = loop.state()
-                done([row])
             return
         share = -(-len(rows) // (self.BATCH * workers)) * self.BATCH
         size = min(self.PIECE, max(share, 1))
         pieces = [rows[first : first + size] for first in range(0, len(rows), size)]
         run = partial(self.run_piece, kernel, trials, duration=duration)
         for i, _ in completed(run, pieces, workers):
-            done(pieces[i])
+            done(len(pieces[i]))
 
 
 def predicted(loop: ClosedLoop) -> Array:
@@ -200,6 +201,7 @@ def run_trial(
     trial: Trial,
     duration: float,
     record: "Recorder | None" = None,
+    done: Done = lambda _: None,
 ) -> tuple[int, int, float]:
     """Run one trial of a policy from Python.
 
@@ -209,6 +211,7 @@ def run_trial(
         trial: Conditions.
         duration: Length of the trial [s].
         record: Recorder of each tick; an exception from it ends the trial.
+        done: Called with the fraction of the trial that has passed since its last call.
 
     Returns:
         Number of steps, cause of the end, and the sum of x^2 over the steps [m^2].
@@ -226,6 +229,9 @@ def run_trial(
             record.after(loop)
         steps += 1
         sum_x2 += float(loop.state()[0]) ** 2
+        if steps % PROGRESS == 0:
+            done(PROGRESS * loop.params.h / duration)
+    done(1.0 - (steps - steps % PROGRESS) * loop.params.h / duration)
     return steps, cause, sum_x2
 
 

@@ -1,22 +1,23 @@
 """Calls to CoppeliaSim through its own client, `coppeliasim-zmqremoteapi-client`.
 
-The client (2.0.4) waits for ever for a server that does not answer, cannot encode an integer of
-NumPy, and raises a bare `Exception` for an error of CoppeliaSim. `Connection` sets limits of time,
-converts arguments to numbers of Python, and raises the errors of Equipoise.
+The client (2.0.4) waits for ever for a server that does not answer, or that asks to wait again and
+again, and raises a bare `Exception` for an error of CoppeliaSim. `Connection` limits the time of a
+call, and raises the errors of Equipoise.
 """
 
 import re
+import time
 from typing import Any, Final
-
-import numpy as np
 
 from equipoise.artefacts import shortened
 from equipoise.errors import InputError, LinkError, OutsideError, import_optional
 from equipoise.printable import printable
 
 PATIENCE: Final = 10.0
-"""Longest wait for an answer [s]; CoppeliaSim answers within a step of its simulation, or within a
+"""Longest duration of a call [s]; CoppeliaSim answers within a step of its simulation, or within a
 pass of its idle loop, an eighth of a second."""
+FORGOTTEN: Final = 60.0
+"""Silence after which CoppeliaSim forgets a client, and no longer stops for its steps [s]."""
 LUA_PLACE: Final = r"^(\S+:)?\d+: (in )?(sim\.\w+: )?|_=NL=_.*"
 """Place in Lua code with which an error of CoppeliaSim begins: file, line and function; and the
 lines after its first one."""
@@ -31,7 +32,7 @@ class Connection:
         Args:
             host: Name or address of the machine.
             port: Port of the server.
-            patience: Longest wait for an answer [s].
+            patience: Longest duration of a call [s].
 
         Raises:
             MissingExtraError: The client is not installed.
@@ -47,11 +48,11 @@ class Connection:
             self._client: Any = made(host, port, verbose=0)
         except self._error as error:
             raise InputError(f"{self.address} is no address ({error})") from None
-        wait = round(1e3 * patience)
-        for option, value in ((zmq.RCVTIMEO, wait), (zmq.SNDTIMEO, wait), (zmq.LINGER, 0)):
-            self._client.socket.setsockopt(option, value)
-        # CoppeliaSim forgets a client that is silent for ten minutes; now for a day [s].
-        self._client.timeout = 86400.0
+        self._client.timeout = FORGOTTEN
+        socket = self._client.socket
+        for option, value in ((zmq.SNDTIMEO, round(1e3 * patience)), (zmq.LINGER, 0)):
+            socket.setsockopt(option, value)
+        self._receive, socket.recv = socket.recv, self._receive_in_time
         try:
             self._constants: Any = self._guarded("require", self._client.require, "sim")
         except BaseException:
@@ -75,7 +76,7 @@ class Connection:
 
         Args:
             name: Its name.
-            arguments: Numbers, texts, and sequences or arrays of them.
+            arguments: Numbers but NumPy's integers, texts, and tuples or lists of them.
 
         Returns:
             What it returns: None, one value, or a tuple.
@@ -84,46 +85,44 @@ class Connection:
             OutsideError: CoppeliaSim reports an error.
             LinkError: It does not answer, or not by its protocol.
         """
-        return self._guarded(name, self._client.call, f"sim.{name}", as_plain(arguments))
+        return self._guarded(name, self._client.call, f"sim.{name}", arguments)
 
     def _guarded(self, name: str, function: Any, *arguments: Any) -> Any:
-        if self._client.socket.closed:
-            raise LinkError(
-                f"the connection to {self.address} is closed: it failed, or another world of this "
-                "process took the CoppeliaSim; build the world again"
-            )
+        self._until, self._answered = time.monotonic() + self._patience, False
         try:
             return function(*arguments)
         except self._silence:
             self.close()  # a request without an answer blocks the socket
+            if self._answered:
+                raise OutsideError(
+                    f"the CoppeliaSim at {self.address} does not finish {name} within "
+                    f"{self._patience:g} s: another client holds its simulation; end that client"
+                ) from None
             raise LinkError(
                 f"no CoppeliaSim answers at {self.address} within {self._patience:g} s; start it, "
                 "with its ZMQ remote API server (after a crash it may listen on the next port)"
             ) from None
         except self._error as error:
-            raise LinkError(f"the connection to {self.address} failed: {error}") from None
+            message = f"the connection to {self.address} failed: {error}; build the world again"
+            raise LinkError(message) from None
         except Exception as error:
             text = printable(shortened(re.sub(LUA_PLACE, "", str(error)), 300))
             if type(error) is not Exception:
                 raise LinkError(
                     f"what answers at {self.address} does not speak the protocol of CoppeliaSim "
-                    f"4.6 ({type(error).__name__}: {text}); check host and port"
+                    f"4.7 ({type(error).__name__}: {text}); check host and port"
                 ) from None
-            raise OutsideError(f"CoppeliaSim at {self.address} refuses {name}: {text}") from None
+            raise OutsideError(
+                f"the CoppeliaSim at {self.address} refuses {name} ({text}); if another program "
+                "changed the scene, end that program, and start again"
+            ) from None
         except BaseException:
             self.close()  # Ctrl-C: the answer is still to come
             raise
 
-
-def as_plain(value: Any) -> Any:
-    """Return numbers, arrays and sequences of them as numbers and lists of Python.
-
-    Example:
-        >>> as_plain((np.int64(3), np.array([0.5, 1.0])))
-        [3, [0.5, 1.0]]
-    """
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    if isinstance(value, list | tuple):
-        return [as_plain(entry) for entry in value]
-    return value
+    def _receive_in_time(self) -> bytes:
+        """Receive a reply, which may be a request to wait, by the deadline of the call."""
+        if not self._client.socket.poll(max(1e3 * (self._until - time.monotonic()), 0.0)):
+            raise self._silence
+        self._answered = True
+        return self._receive()

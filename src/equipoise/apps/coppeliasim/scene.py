@@ -1,9 +1,9 @@
 """The scene in CoppeliaSim: arm, bracket and pendulum, built over the API from the arm's model.
 
-No scene file is needed: base, links, joints with their limits, flange and pendulum are created one
-by one, in the posture with all joints at zero, below an object with the alias `equipoise`. A joint
-of CoppeliaSim turns about its z axis. All joints are kinematic: they are set, and nothing moves or
-collides by itself.
+No scene file is needed: base, links, joints, flange and pendulum are created one by one below one
+dummy, with all joints at zero. The limits of the joints follow at home: CoppeliaSim moves a joint
+into its limits, and those of some arms exclude zero. A joint of CoppeliaSim turns about its z axis.
+All joints are kinematic: they are set, and nothing moves or collides by itself.
 """
 
 from collections.abc import Sequence
@@ -13,12 +13,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from equipoise.apps.coppeliasim.connection import Connection
+from equipoise.errors import OutsideError
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.chain import Floats, rotation_from_rpy, turned_to
 from equipoise.model.arms.scene import SIZES, sizes_for
 
 ALIAS: Final = "equipoise"
-"""Alias of the base of the arm: the root of everything that is built."""
+"""Alias of the root of everything that is built."""
 
 
 class Scene(NamedTuple):
@@ -32,26 +33,26 @@ class Scene(NamedTuple):
     """Joint of the pendulum; its position is phi relative to the flange."""
 
 
-def build_scene(sim: Connection, arm: Arm) -> Scene:
-    """Build arm and pendulum at home, after removal of those of an earlier run.
+def build_scene(sim: Connection, arm: Arm, root: int) -> Scene:
+    """Build arm and pendulum at home.
 
     Args:
         sim: Connection; its simulation is stopped.
         arm: The arm.
+        root: Handle of the dummy below which everything is built.
 
     Raises:
         OutsideError: CoppeliaSim reports an error.
     """
-    remove_scene(sim)
+    sim.call("setObjectAlias", root, ALIAS)
     hand = 2.0 * sizes_for(arm).hand
     tile = (0.3, 0.3, 0.02)  # [m]
-    parent = _shape(sim, ALIAS, "cuboid", tile, _at((0.0, 0.0, -0.5 * tile[2])), -1)
+    parent = _shape(sim, "base", "cuboid", tile, _at((0.0, 0.0, -0.5 * tile[2])), root)
     frame, joints = np.eye(4), list[int]()
     steps = [*(joint.xyz for joint in arm.joints[1:]), arm.flange_xyz]
     for number, (joint, step) in enumerate(zip(arm.joints, steps, strict=True), 1):
         frame = frame @ _at(joint.xyz, rotation_from_rpy(joint.rpy))
         hinge = _joint(sim, f"joint{number}", frame, joint.axis, parent)
-        sim.call("setJointInterval", hinge, False, (joint.lower, joint.upper - joint.lower))
         length = float(np.linalg.norm(step))
         kind, size, own = "spheroid", (hand, hand, hand), np.eye(4)
         if length > 0.0:
@@ -60,23 +61,17 @@ def build_scene(sim: Connection, arm: Arm) -> Scene:
         parent = _shape(sim, f"link{number}", kind, size, frame @ own, hinge)
         joints.append(hinge)
     frame = frame @ _at(arm.flange_xyz, rotation_from_rpy(arm.flange_rpy))
-    flange = _place(sim, sim.call("createDummy", 0.02), "flange", frame, parent)
+    flange = _add(sim, "Dummy", (0.02,), "flange", frame, parent)
     frame = frame @ _at(arm.pivot, arm.kinematics(arm.home_free).rotation.T)
     spindle = _joint(sim, "phi", frame, (0.0, 1.0, 0.0), parent)
     sim.call("setJointInterval", spindle, True, (-np.pi, 2.0 * np.pi))
     thickness, middle = 2.0 * SIZES.rod, _at((0.0, 0.0, 0.5 * SIZES.rod_length))
     size = (thickness, thickness, SIZES.rod_length)
     _shape(sim, "pendulum", "cylinder", size, frame @ middle, spindle)
-    for hinge, q in zip(joints, arm.home, strict=True):
+    for hinge, joint, q in zip(joints, arm.joints, arm.home, strict=True):
         sim.call("setJointPosition", hinge, q)
+        sim.call("setJointInterval", hinge, False, (joint.lower, joint.upper - joint.lower))
     return Scene(tuple(joints), flange, spindle)
-
-
-def remove_scene(sim: Connection) -> None:
-    """Remove everything below the alias `equipoise`, if there is any."""
-    base = sim.call("getObject", f"/{ALIAS}", {"noError": True})
-    if base >= 0:
-        sim.call("removeObjects", sim.call("getObjectsInTree", base))
 
 
 def _at(xyz: Sequence[float] | Floats, R: Floats | None = None) -> Floats:
@@ -91,8 +86,8 @@ def _at(xyz: Sequence[float] | Floats, R: Floats | None = None) -> Floats:
 def _joint(sim: Connection, alias: str, T: Floats, axis: Sequence[float], parent: int) -> int:
     """Create a revolute joint about an axis of the frame T; return its handle."""
     kind, mode = sim.constant("joint_revolute"), sim.constant("jointmode_kinematic")
-    handle = sim.call("createJoint", kind, mode, 0, (0.15, 0.02))
-    return _place(sim, handle, alias, T @ _at((0.0, 0.0, 0.0), turned_to(np.array(axis))), parent)
+    turn = _at((0.0, 0.0, 0.0), turned_to(np.array(axis)))
+    return _add(sim, "Joint", (kind, mode, 0, (0.15, 0.02)), alias, T @ turn, parent)
 
 
 def _shape(
@@ -100,16 +95,22 @@ def _shape(
 ) -> int:
     """Create a static primitive shape at T; return its handle."""
     shape = sim.constant(f"primitiveshape_{kind}")
-    handle = sim.call("createPrimitiveShape", shape, size, 0)
+    handle = _add(sim, "PrimitiveShape", (shape, size, 0), alias, T, parent)
     sim.call("setObjectInt32Param", handle, sim.constant("shapeintparam_respondable"), 0)
     sim.call("setObjectInt32Param", handle, sim.constant("shapeintparam_static"), 1)
-    return _place(sim, handle, alias, T, parent)
+    return handle
 
 
-def _place(sim: Connection, handle: int, alias: str, T: Floats, parent: int) -> int:
-    """Attach a new object to its parent, with which it is removed; name, place and return it."""
-    if parent >= 0:
+def _add(
+    sim: Connection, kind: str, arguments: Sequence[object], alias: str, T: Floats, parent: int
+) -> int:
+    """Create an object below its parent, with which it is removed; return its handle."""
+    handle = sim.call(f"create{kind}", *arguments)
+    try:
         sim.call("setObjectParent", handle, parent, True)
+    except OutsideError:  # another client removed the parent
+        sim.call("removeObjects", [handle])
+        raise
     sim.call("setObjectAlias", handle, alias)
     x, y, z = T[:3, 3]
     pose = (x, y, z, *Rotation.from_matrix(T[:3, :3]).as_quat())

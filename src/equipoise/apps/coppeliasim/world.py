@@ -57,7 +57,8 @@ class CoppeliaSimulation(Simulation):
         Raises:
             LinkError: No CoppeliaSim answers.
             MissingExtraError: The client is not installed.
-            OutsideError: CoppeliaSim runs a simulation already, or reports an error.
+            OutsideError: CoppeliaSim runs a simulation of the user, reports an error, or built
+                another arm than that of the model.
             SettingsError: The address has another form.
         """
         super().__init__(world, setup, seed=seed, stream=stream)
@@ -80,15 +81,13 @@ class CoppeliaLoop(ExternalLoop):
     def release(self, q: Array, start: tuple[float, float, float, float]) -> None:
         """Place the arm, and release the pendulum; see `ExternalLoop.release`."""
         _, x_dot, self._phi, self._phi_dot = start
-        self._rig.start()
-        self._rig.place(q)
+        self._rig.reset()
         self._rig.swing(self._phi)
-        self._places, self._velocity = [self._place()], np.array([x_dot, x_dot])
+        self._places, self._velocity = [self._place(q)], np.array([x_dot, x_dot])
 
     def send(self, q: Array) -> None:
         """Place the joints [rad]; at the end of the tick advance the pendulum."""
-        self._rig.place(q)
-        self._places.append(self._place())
+        self._places.append(self._place(q))
         if len(self._places) <= SETPOINTS_PER_TICK:
             return
         (p0, p1, p2), h, before = self._places, self.params.h, self._velocity
@@ -98,9 +97,9 @@ class CoppeliaLoop(ExternalLoop):
         self._rig.swing(self._phi)
         self._rig.step()
 
-    def _place(self) -> Array:
-        """Return the places of flange and pivot along base x [m], shape (2,)."""
-        position, R = self._rig.flange()
+    def _place(self, q: Array) -> Array:
+        """Place the joints; return the places of flange and pivot along base x [m], shape (2,)."""
+        position, R = self._rig.place(q)
         return np.array([position[0], position[0] + R[0] @ self._pivot])
 
     def read(self) -> Array:
