@@ -16,7 +16,7 @@ from equipoise.apps.coppeliasim.connection import Connection
 from equipoise.errors import OutsideError
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.chain import Floats, rotation_from_rpy, turned_to
-from equipoise.model.arms.scene import SIZES, sizes_for
+from equipoise.model.arms.scene import SHORTEST, SIZES, sizes_for
 
 ALIAS: Final = "equipoise"
 """Alias of the root of everything that is built."""
@@ -55,7 +55,7 @@ def build_scene(sim: Connection, arm: Arm, root: int) -> Scene:
         hinge = _joint(sim, f"joint{number}", frame, joint.axis, parent)
         length = float(np.linalg.norm(step))
         kind, size, own = "spheroid", (hand, hand, hand), np.eye(4)
-        if length > 0.0:
+        if length > SHORTEST:
             kind, size = "cylinder", (hand, hand, length)
             own = _at(0.5 * np.array(step), turned_to(np.array(step)))
         parent = _shape(sim, f"link{number}", kind, size, frame @ own, hinge)
