@@ -2,15 +2,17 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
-from importlib.metadata import version
+from importlib.metadata import entry_points, version
 
 import pytest
 
 from equipoise.cli.output import Output
+from equipoise.cli.verb import TABLES
 from tests.cli.conftest import verbs
 
 HEAVY = ("numba", "numpy", "scipy", "mujoco", "matplotlib", "mcap")
@@ -29,6 +31,28 @@ def test_help_names_every_verb_and_explains_every_option(equipoise):
     wrong = equipoise("idnetify")
     assert wrong.code == 2
     assert "Did you mean 'identify'" in wrong.err
+
+
+def test_help_names_every_entry_of_the_tables_that_an_option_takes(equipoise):
+    from equipoise.apps.console.playground import SCENES
+    from equipoise.control.bound_policy import BUILT_IN
+
+    robots = set(entry_points(group="equipoise.robots").names)
+    tables = {**TABLES, "scenes": SCENES, "policies": BUILT_IN, "robots": robots}
+    listed = {
+        "train": "learners rewards recipes worlds arms",
+        "evaluate": "worlds arms policies",
+        "deploy": "worlds arms robots",
+        "rig emulate": "worlds arms",
+        "reproduce": "recipes arms",
+        "identify": "frictions",
+        "play": "scenes",
+    }
+    for verb in verbs():
+        text = equipoise(*verb.split(), "--help").out
+        assert not re.search(r"Annotated|FieldInfo|\{[a-z]", text), verb
+        for table in listed.get(verb, "").split():
+            assert set(tables[table]) <= set(re.findall(r"[\w-]*\w", text)), (verb, table)
 
 
 def test_help_waits_for_nothing_that_is_slow_to_import():

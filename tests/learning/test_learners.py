@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
+from equipoise.control.controller import Observation
 from equipoise.errors import InputError, SettingsError
-from equipoise.learning.choice import compile_learner, with_digests
+from equipoise.learning.choice import compile_learner, load_learner, with_digests
 from equipoise.learning.learner import Transition, UpdateParams, new_tables
-from equipoise.learning.learners import LEARNERS, double_q
+from equipoise.learning.learners import double_q, watkins
 from equipoise.learning.learners.watkins import TRACE_DECAY
-from equipoise.learning.rewards import REWARDS, Observation
+from equipoise.learning.rewards import REWARDS
 from equipoise.learning.train import train
 from equipoise.settings import LearningSettings
 from tests.reference import learning as reference
@@ -30,7 +31,7 @@ def corridor(state, action):
 
 def learned(name, updates, seed=0):
     """Return the tables after a walk on the corridor, with falling learning rates."""
-    learner = LEARNERS[name]
+    learner = load_learner(LearningSettings(learner=name))
     tables = new_tables(270, learner.tables)
     params = UpdateParams(1.0, 0.2, 0.0, False)
     rng = np.random.default_rng(seed)
@@ -100,8 +101,8 @@ def test_double_q_moves_one_table_towards_the_value_of_the_other(chance, moved):
 
 
 def test_watkins_carries_a_failure_back_until_an_action_that_was_not_the_best():
-    watkins, params = LEARNERS["watkins"], UpdateParams(1.0, 0.0, 0.0, False)
-    tables = new_tables(270, watkins.tables)
+    params = UpdateParams(1.0, 0.0, 0.0, False)
+    tables = new_tables(270, watkins.learner.tables)
     watkins.update(tables, transition(1, 0, 0.0, 2, 0, lane=3), params)
     tables.Q[4, 1] = -0.5  # so that action 1 in box 4 is not the best
     watkins.update(tables, transition(2, 0, 0.0, 4, 1, lane=3), params)

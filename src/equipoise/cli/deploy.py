@@ -26,7 +26,7 @@ class Run(Options):
     """The run."""
 
     world: str = "twin:nominal"
-    """World of a simulated run: twin:nominal, twin:harsh, twin:FILE, or model."""
+    """World of a simulated run: twin:NAME ({worlds}), twin:FILE, or model."""
     duration: Annotated[float | None, Field(ge=0.01, le=3600.0)] = None
     """Duration [s]; by default 60, or 10 with --excite."""
     seed: opt.Seed = 0
@@ -59,10 +59,11 @@ def deploy(
 ) -> None:
     """Run a policy once, on a digital twin or on a rig, and write the log (run.mcap).
 
-    POLICY is as for equipoise evaluate. With --robot or --rig it runs on a rig:
-    pre-flight checks, a checklist that is acknowledged by typing, the move to
-    home, a self-test, the release of the pendulum, balancing, rest. Any key
-    stops it. Exit code 3: robot or encoder failed.
+    POLICY is from equipoise train, or another that evaluate takes; by default
+    the shipped table. With --robot or --rig it runs on a rig: pre-flight
+    checks, a checklist that is acknowledged by typing, the move to home, a
+    self-test, the release of the pendulum, balancing, rest. Press any key to
+    stop. Exit code 3: robot or encoder failed.
 
     With --excite the arm moves by itself, and equipoise identify makes an
     actuator of the log. Exit code 1: the pendulum fell.

@@ -19,7 +19,7 @@ class Measurement(Options):
 
 @verb
 def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
-    """Check whether machine and rig are fit for a run, and advise a cure.
+    """Check whether machine and rig are fit for a run, and advise a fix.
 
     Nothing moves; the robot's answers are timed at rest. Exit code 1: not fit.
     """

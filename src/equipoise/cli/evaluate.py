@@ -1,4 +1,4 @@
-"""`equipoise evaluate`: measures how long a policy stands, and why it falls."""
+"""`equipoise evaluate`: measures how long a policy balances, and why it fails."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,7 +18,7 @@ class Trials(Options):
     """Trials."""
 
     world: str = "model"
-    """ideal: the paper's plant; model: behind the actuator; twin:NAME, twin:FILE, or
+    """ideal: the paper's plant; model: with the actuator; twin:NAME ({worlds}); twin:FILE; or
     coppeliasim://HOST:PORT."""
     trials: Annotated[int | None, Field(ge=1)] = None
     """Number of trials; by default 200, or as --claim needs."""
@@ -27,7 +27,7 @@ class Trials(Options):
     baselines: bool = True
     """Run LQR, PD and random actions too."""
     claim: float | None = None
-    """Claim that a trial lasts with at least this probability, e.g. 0.99."""
+    """Claim that a trial survives with at least this probability, e.g. 0.99."""
 
 
 @verb
@@ -40,7 +40,7 @@ def evaluate(
     random: opt.Random,
     files: opt.Files,
 ) -> None:
-    """Evaluate a policy: how long it stands, and why it falls.
+    """Evaluate a policy: how long it balances, and why it fails.
 
     POLICY is a table from equipoise train, a network (.onnx), Python
     MODULE:NAME, lqr, lqr-snapped, pd or random; by default the shipped table.

@@ -3,14 +3,15 @@
 A verb takes an `Output`, arguments by position, and groups of options by keyword. A field of a
 group is an option, its docstring the help text, and the first line of the group's docstring the
 title above it. `verb` makes the flat signature that typer reads, adds `--json`, and ends an
-interruption with its exit code.
+interruption with its exit code. A help text lists the names of a table of `TABLES` by {NAME}.
 """
 
 import shlex
 from collections.abc import Callable
+from importlib.metadata import entry_points
 from inspect import Parameter, Signature, getdoc, signature
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, Final, get_args, get_type_hints
 
 import typer
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -20,6 +21,20 @@ from rich.markup import escape
 from equipoise.artefacts import StrPath
 from equipoise.cli.output import Output, complain, signals
 from equipoise.errors import INTERRUPTED, InputError
+from equipoise.learning.learners import LEARNERS
+from equipoise.learning.rewards import REWARDS
+from equipoise.model.worlds import WORLDS
+from equipoise.settings import RECIPES, Friction
+
+TABLES: Final = {
+    "arms": sorted(entry_points(group="equipoise.arms").names),
+    "frictions": get_args(Friction),
+    "learners": LEARNERS,
+    "recipes": RECIPES,
+    "rewards": REWARDS,
+    "worlds": WORLDS,
+}
+"""Names that help texts list; each table is light to import."""
 
 
 class Options(BaseModel):
@@ -43,11 +58,13 @@ def verb(function: Callable[..., None]) -> Callable[..., None]:
 
     for name, parameter in signature(function).parameters.items():
         if group := groups.get(name):
+            kinds = get_type_hints(group)  # without the bounds
             for field, info in group.model_fields.items():
                 default = Parameter.empty if info.is_required() else info.default
-                add(field, info.annotation, default, _option(field, info, group))
+                add(field, kinds[field], default, _option(field, info, group))
         elif hints[name] is not Output:
-            add(name, hints[name], parameter.default, typer.Argument(show_default=False))
+            argument = typer.Argument(metavar=name.upper(), show_default=False)
+            add(name, hints[name], parameter.default, argument)
     json = typer.Option("--json", help="Print one JSON object and nothing else.")
     add("as_json", bool, False, json)
 
@@ -107,4 +124,6 @@ def _option(field: str, info: FieldInfo, group: type[Options]) -> Any:
     if info.default is True:
         name += name.replace("--", "/--no-", 1)
     title = (getdoc(group) or "").partition("\n")[0].rstrip(".")
-    return typer.Option(name, help=escape(info.description or ""), rich_help_panel=title)
+    names = {table: ", ".join(names) for table, names in TABLES.items()}
+    text = (info.description or "").format(**names)
+    return typer.Option(name, help=escape(text), rich_help_panel=title)

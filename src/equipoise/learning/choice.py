@@ -9,6 +9,7 @@ rejected: in plain Python a training would take hours.
 """
 
 import functools
+import importlib
 import inspect
 import re
 import sys
@@ -74,6 +75,8 @@ def load_learner(settings: LearningSettings) -> Learner:
         SettingsError: The name is unknown.
     """
     learner = _load(settings.learner, "learner", LEARNERS)
+    if settings.learner in LEARNERS:
+        learner = importlib.import_module(learner).learner
     if inspect.isfunction(function := getattr(learner, "py_func", learner)):
         learner = Learner(function)
     if not isinstance(learner, Learner):

@@ -3,13 +3,8 @@
 from collections.abc import Mapping
 from typing import Final
 
-from equipoise.learning.learner import Learner
-from equipoise.learning.learners import double_q, q_learning, sarsa, watkins
-
-LEARNERS: Final[Mapping[str, Learner]] = {
-    "q_learning": q_learning.learner,
-    "sarsa": sarsa.learner,
-    "watkins": watkins.learner,
-    "double_q": double_q.learner,
+LEARNERS: Final[Mapping[str, str]] = {
+    name: f"{__name__}.{name}" for name in ("q_learning", "sarsa", "watkins", "double_q")
 }
-"""Learners of the project by name, for `equipoise train --learner NAME`."""
+"""Modules of the project's learners by name, for `equipoise train --learner NAME`; the help lists
+the names without importing them."""
