@@ -14,7 +14,7 @@ from equipoise.rig import checks, preflight
 from equipoise.rig.checks import Finding, require
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import RigSettings
-from equipoise.rig.preflight import examine, lateness, listen, round_trips
+from equipoise.rig.preflight import TimedClock, examine, listen, round_trips
 from tests.robots.encoder.rig import Bench as EncoderBench
 
 RIG, POLICY = RigSettings(), shipped_policy()
@@ -181,11 +181,32 @@ class StallingClock:
             self.time = moment + stalled * self.stall
 
 
-def test_a_stall_makes_every_deadline_late_that_it_lasts_over():
-    late = lateness(StallingClock(0.1, 0.023), 0.5)
-    # The deadline at 0.1 s comes 23 ms late, and those 5, 10, 15, 20 ms behind it by what is left.
-    np.testing.assert_allclose(late[19:24], (0.023, 0.018, 0.013, 0.008, 0.003), atol=1e-9)
-    np.testing.assert_allclose(np.delete(late, range(19, 24)), 0.0, atol=1e-9)
+def test_a_stall_is_late_once_and_a_slow_device_is_not():
+    for trip, late in ((0.001, 0.023), (0.007, 0.0)):  # the loop does not wait for the slower one
+        inner = StallingClock(0.1, 0.023)
+        clock = TimedClock(inner)
+        device = SimpleNamespace(measured=lambda: setattr(inner, "time", inner.time + trip))  # noqa: B023
+        np.testing.assert_allclose(round_trips(device, clock, 0.5), trip)
+        assert (max(clock.late), sum(clock.late)) == pytest.approx((late, late))
+
+
+def test_the_loop_is_judged_before_the_devices_and_an_emulated_one_has_no_board_to_change():
+    (late,), (good,) = deadlines(0.030, 1), deadlines(1e-4, 1)
+    found = checks.judge_loop_first(late, [link(0.02)[0], *encoder(ages=np.full(9, 0.03))])
+    assert [one.name for one in found[:2]] == ["deadlines", "link to the robot"]
+    remedies = {one.name: one.remedy for one in found}
+    for name in ("link to the robot", "encoder's samples"):
+        assert remedies[name].startswith("mend the deadlines of this computer first")
+    usual = encoder(ages=np.full(9, 0.03))
+    assert checks.judge_loop_first(good, usual)[1:] == usual
+    for address, words in (
+        ("serial:///dev/pts/3", "this computer emulates the device"),
+        ("serial:///dev/ttyUSB7", "usb-serial/devices/ttyUSB7/latency_timer"),
+        ("serial:///dev/ttyACM0", "without a hub"),
+    ):
+        assert words in encoder(ages=np.full(9, 0.03), address=address)[1].remedy
+    emulated = checks.check_link(np.full(9, 0.02), address="kst://127.0.0.1:30001")
+    assert "cable" not in emulated.remedy
 
 
 def test_a_robot_slower_than_the_stream_is_asked_for_no_longer():

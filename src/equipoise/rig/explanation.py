@@ -17,7 +17,8 @@ predicts over a time that is shorter by T, each command meets a lean that has gr
 :math:`e^{\lambda T}`.
 
 **The outcome in the log.** A rule that names a root cause (a late tick, a contact) ranks high. A
-rule that names a symptom (the angle, the track) ranks last.
+rule that names a symptom (the angle, the track) ranks last, and so does a late device where the
+computer was late itself.
 """
 
 from contextlib import suppress
@@ -28,10 +29,12 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from equipoise.control.ticks import missed_ticks
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.identification.refine import ModelMotion, read_motion
 from equipoise.logs.run_log import RunLog
-from equipoise.outcomes import Outcome, describe
+from equipoise.outcomes import Outcome, Phase, describe
+from equipoise.rig.checks import STALL, is_emulated
 from equipoise.rig.phases.context import RESTART_ACCELERATION
 from equipoise.worlds.reachability import diverging_angle, fall_rate, recoverable_angle
 
@@ -61,6 +64,8 @@ class RootCause(StrEnum):
     """The arm follows later than the controller predicts."""
     PAUSE = "pause of the setpoints"
     """The arm stopped while it moved, because the computer or the link stood still."""
+    BUSY = "busy computer"
+    """The loop was late, or the computer emulated the device that was."""
 
 
 ADVICE: Final[dict[Outcome | RootCause, str]] = {
@@ -93,8 +98,8 @@ ADVICE: Final[dict[Outcome | RootCause, str]] = {
         "check the mounting of base and flange, and the actuator in use",
     ),
     **dict.fromkeys(
-        (Outcome.TICK, RootCause.PAUSE),
-        "find with `equipoise rig doctor` what delays this machine",
+        (Outcome.TICK, RootCause.PAUSE, RootCause.BUSY),
+        "end other programs; find with `equipoise rig doctor` what delays this machine",
     ),
     **dict.fromkeys(
         (
@@ -118,6 +123,13 @@ SYMPTOMS: Final = frozenset(
     }
 ) | (frozenset(Outcome) - ADVICE.keys())
 """Outcomes that name a symptom, not a root cause."""
+DELAYS: Final = frozenset(
+    {
+        *(Outcome.LINK, Outcome.LINK_LOST, Outcome.MEASUREMENT_STALE),
+        *(Outcome.ENCODER_STALE, Outcome.ENCODER_LOST, Outcome.ENCODER_GAP),
+    }
+)
+"""Outcomes that name a late device."""
 
 
 class Cause(NamedTuple):
@@ -151,8 +163,11 @@ def explain(run: RunLog) -> list[Cause]:
             balanced = len(run.ticks) > 0 and len(run.encoder.time) >= 0
         except ArtefactError:
             balanced = False
-    score = 0.2 if end.outcome in SYMPTOMS else 0.95
-    causes = [Cause(end.outcome, score, run.lasted if balanced else None, describe(end))]
+    time = run.lasted if balanced else None
+    busy = _busy(run) if end.outcome in DELAYS else ""
+    causes = [Cause(RootCause.BUSY, 0.95, time, busy)] if busy else []
+    score = 0.2 if busy or end.outcome in SYMPTOMS else 0.95
+    causes.append(Cause(end.outcome, score, time, describe(end)))
     regular = end.outcome in (Outcome.LASTED, Outcome.OPERATOR, Outcome.EXCITED)
     if balanced and len(run.time) > 0 and not regular:
         causes += root_causes(run)
@@ -212,6 +227,23 @@ def _local_fits(time: Array, values: Array, at: Array, half: float) -> tuple[Arr
 def _u_max(log: RunLog) -> float:
     """Return the policy's maximum u [m/s^2]; where it is unknown, that of the run."""
     return log.conditions.u_max or float(np.abs(log.u).max())
+
+
+def _busy(log: RunLog) -> str:
+    """Return the evidence that the computer was late itself before a stop; empty without any."""
+    ticks, stop = log.tables["tick"], log.phase_ticks(Phase.STOPPING)[:1]
+    ticks = ticks[: stop[0] + 1] if len(stop) else ticks  # the tick that found the cause included
+    late = np.nan_to_num(ticks["late"][ticks["time"] > np.max(ticks["time"], initial=0.0) - LATE])
+    missed = [seconds for seconds in late.tolist() if missed_ticks(seconds, log.conditions.h) > 0]
+    if sum(missed) > STALL:
+        return (
+            f"the loop was late in {len(missed)} of the last {len(late)} ticks before the stop, "
+            f"by up to {1e3 * max(missed):.0f} ms"
+        )
+    given = log.conditions
+    device = given.encoder if "encoder" in log.outcome else given.world
+    emulated = device is not None and is_emulated(device)
+    return f"this computer emulates {device}, and delays it" if emulated else ""
 
 
 def _outside(log: RunLog) -> Cause | None:

@@ -1,6 +1,6 @@
 """Measurements and checks before the arm moves, for the pre-flight of a run and the diagnosis.
 
-Deadlines are absolute, as in a run: a stall over several deadlines makes all of them late.
+The loop of the measurements is measured, too: a late loop finds every device late.
 """
 
 from collections.abc import Generator
@@ -27,6 +27,7 @@ from equipoise.rig.checks import (
     check_settings,
     check_speed,
     find,
+    judge_loop_first,
     max_flange_speed,
 )
 from equipoise.rig.clocks import DrainingClock, SystemClock
@@ -69,24 +70,30 @@ def preflight(
         LinkError: Robot or encoder does not answer.
     """
     policy, settings, seconds = request.policy, request.settings, 1.0  # of each measurement
-    waiting = DrainingClock(rig.clock, rig.sensor)
+    clock = TimedClock(rig.clock)
+    waiting = DrainingClock(clock, rig.sensor)
     paced = isinstance(rig.robot, Clock)  # its stream is the clock of its rig
     trips = round_trips(rig.robot, waiting, seconds, paced=paced)
     rule = rig.plugin.flange_speed
     max_speed = max_flange_speed(settings.described_arm, trips, request.max_speed, rule)
     results = [
-        check_link(trips, paced=paced),
+        check_link(trips, paced=paced, address=request.robot),
         *check_speed(policy, max_speed),
         check_posture(rig.robot.measured(), settings),
-        *check_encoder(settings, *listen(rig.sensor, rig.clock, seconds)),
+        *check_encoder(settings, *listen(rig.sensor, clock, seconds), request.encoder or ""),
         *check_settings(granted),
         *([check_kernel(REALTIME.exists())] if paced and granted else []),
     ]
-    return results, max_speed
+    loop = check_deadlines(np.array(clock.late), paced=paced)
+    return judge_loop_first(loop, results), max_speed
 
 
 def examine(
-    robot: ServoedArm | None, sensor: AngleSensor | None, rig: RigSettings | None, seconds: float
+    robot: ServoedArm | None,
+    sensor: AngleSensor | None,
+    rig: RigSettings | None,
+    seconds: float,
+    addresses: tuple[str, str] = ("", ""),
 ) -> list[Finding]:
     """Measure a machine and a rig, and judge the measurements; no arm moves.
 
@@ -97,11 +104,14 @@ def examine(
         sensor: The encoder, not connected; None examines none.
         rig: Contents of `rig.toml`; None where they are unknown.
         seconds: Duration of each measurement [s].
+        addresses: Addresses of robot and encoder.
     """
-    clock, paced = SystemClock(), isinstance(robot, PacedRobot)
-    findings = check_settings(prepare())
-    findings += [check_kernel(REALTIME.exists())] if paced else []
-    findings.append(check_deadlines(lateness(clock, seconds), paced=paced))
+    clock, paced = TimedClock(SystemClock()), isinstance(robot, PacedRobot)
+    machine, findings = check_settings(prepare()), list[Finding]()
+    machine += [check_kernel(REALTIME.exists())] if paced else []
+    begin = clock.now()
+    for k in range(max(round(seconds / SETPOINT_PERIOD), 1)):
+        clock.wait_until(begin + (k + 1) * SETPOINT_PERIOD)
     for device in (sensor, robot):
         if device is None:
             continue
@@ -110,16 +120,18 @@ def examine(
             with guest_code(f"the driver of the {name}"):
                 device.connect()
                 if isinstance(device, AngleSensor):
-                    findings += check_encoder(rig, *listen(device, clock, seconds))
+                    heard = listen(device, clock, seconds)
+                    findings += check_encoder(rig, *heard, addresses[1])
                 else:
                     trips = round_trips(device, clock, seconds, paced=paced)
-                    findings.append(check_link(trips, paced=paced))
+                    findings.append(check_link(trips, paced=paced, address=addresses[0]))
         except LinkError as error:
             remedy = "check its power, its cable and its address"
             findings.append(find(name, str(error), remedy, bad=True))
         finally:
             device.close()
-    return findings
+    loop = check_deadlines(np.array(clock.late), paced=paced)
+    return [*machine, *judge_loop_first(loop, findings)]
 
 
 def warm_up(request: RunRequest) -> None:
@@ -157,21 +169,25 @@ def warm_up(request: RunRequest) -> None:
         )
 
 
-def lateness(clock: Clock, seconds: float, *, period: float = SETPOINT_PERIOD) -> Array:
-    """Measure how late absolute deadlines are met [s], shape (n,).
+class TimedClock:
+    """Clock that records how late its waits end."""
 
-    Args:
-        clock: The clock to wait at.
-        seconds: Length of the measurement [s]; at least one deadline.
-        period: Time between deadlines [s].
-    """
-    late = np.zeros(max(round(seconds / period), 1))
-    begin = clock.now()
-    for k in range(len(late)):
-        deadline = begin + (k + 1) * period
-        clock.wait_until(deadline)
-        late[k] = clock.now() - deadline
-    return late
+    def __init__(self, clock: Clock) -> None:
+        """Wrap a clock."""
+        self._clock = clock
+        self.late: list[float] = []
+        """Time from the end of each wait, or from its begin if that was later, to the return [s]:
+        a slow device does not count."""
+
+    def now(self) -> float:
+        """Return the time [s]."""
+        return self._clock.now()
+
+    def wait_until(self, time: float) -> None:
+        """Wait until a time [s]."""
+        due = max(time, self.now())
+        self._clock.wait_until(time)
+        self.late.append(self.now() - due)
 
 
 def round_trips(robot: ServoedArm, clock: Clock, seconds: float, *, paced: bool = False) -> Array:
