@@ -88,7 +88,10 @@ def test_deploy_and_the_verbs_for_logs(equipoise, tmp_path):
     assert found["lasted_s"] == 0.5
     assert "x [mm]" in equipoise("log", "explain", "run.mcap").out
     found = equipoise("log", "explain", "run.mcap", "--json").json
-    x = 1e3 * RunLog.load(tmp_path / "run.mcap").x
+    log = RunLog.load(tmp_path / "run.mcap")
+    x = 1e3 * log.estimated_x
+    np.testing.assert_allclose(x, 1e3 * log.truth.x, atol=2.0)
+    np.testing.assert_allclose(log.estimated_x_dot, log.truth.x_dot, atol=0.03)
     assert found["x_mm"] == {
         "rms": pytest.approx(np.sqrt(np.mean(x**2))),
         "largest": pytest.approx(np.abs(x).max()),

@@ -75,4 +75,4 @@ class Balancing(RunPhase):
     def _record(self, u: float) -> None:
         controller = self.run.controller
         observed, estimate = controller.observation, controller.estimate
-        self.run.record = TickRecord(*observed, controller.box, u, *estimate[:3])
+        self.run.record = TickRecord(*observed, controller.box, u, *estimate)
