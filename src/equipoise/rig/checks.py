@@ -32,8 +32,8 @@ MAX_ROUND_TRIP: Final = 0.009
 """99th percentile of round trips beyond which a reply is overdue in every tick [s]."""
 DELAYS: Final = ("link to the robot", "encoder's samples")
 """Checks of devices that a late loop fails, too."""
-EMULATED: Final = "end other programs: this computer emulates the device, and is too slow now"
-"""Remedy for a device that `is_emulated`."""
+COMPUTER: Final = "end other programs on this computer, and mend its deadlines; then measure again"
+"""Remedy for a late device behind a late loop, and for one that this computer emulates."""
 HOME_MARGIN_DEG: Final = 5.0
 """Minimum distance of home from a joint's limits, beyond the rig's margin [deg]."""
 
@@ -83,25 +83,26 @@ def require(findings: Sequence[Finding], error: type[EquipoiseError] = InputErro
         raise error("; ".join(f"{one.name}: {one.found}; {one.remedy}" for one in bad))
 
 
-def is_emulated(address: str) -> bool:
+def is_emulated(address: str | None) -> bool:
     """Return whether this computer emulates the device at an address, see `rig emulate`."""
-    place = address.partition("://")[2]
+    place = (address or "").partition("://")[2]
     return place.startswith("127.") or os.path.realpath(place).startswith("/dev/pts/")
 
 
-def judge_loop_first(loop: Finding, devices: Sequence[Finding]) -> list[Finding]:
-    """Return all findings; those on late devices refer to the loop where it is late itself.
+def judge_loop_first(
+    loop: Finding, devices: Sequence[Finding], addresses: Sequence[str | None]
+) -> list[Finding]:
+    """Return all findings, the loop's first, with the remedy `COMPUTER` where it applies.
 
     Args:
         loop: Finding of `check_deadlines`, measured at the same time.
         devices: Findings on robot and encoder.
+        addresses: Addresses of both.
     """
-    if loop.status != "good":
-        refer = "mend the deadlines of this computer first, then measure again"
-        late = [one.name in DELAYS and one.status != "good" for one in devices]
+    if loop.status != "good" or any(map(is_emulated, addresses)):
         devices = [
-            one._replace(remedy=refer) if by_loop else one
-            for one, by_loop in zip(devices, late, strict=True)
+            one._replace(remedy=COMPUTER) if one.remedy and one.name in DELAYS else one
+            for one in devices
         ]
     return [loop, *devices]
 
@@ -146,31 +147,26 @@ def check_deadlines(late: Array, *, paced: bool = False) -> Finding:
     )
 
 
-def check_link(trips: Array, *, paced: bool = False, address: str = "") -> Finding:
+def check_link(trips: Array, *, paced: bool = False) -> Finding:
     """Judge the round trips to a robot, or the times between states of one that sets the pace.
 
     Args:
         trips: These times [s], shape (n,).
         paced: Whether the robot sets the pace.
-        address: Address of the robot.
     """
     p99 = float(np.percentile(trips, 99.0))
     if paced:
         return find(
             "link to the robot",
             f"a state each {_spread(trips)}; a run ends at {1e3 * STALL:g} ms",
-            EMULATED
-            if is_emulated(address)
-            else "use one direct cable and a network card of its own; see docs/how-to/real-time.md",
+            "use one direct cable and a network card of its own; see docs/how-to/real-time.md",
             warning=p99 > 2.0 * np.median(trips),
             bad=float(trips.max()) > STALL,
         )
     return find(
         "link to the robot",
         f"round trips of {_spread(trips)}; good below {1e3 * GOOD_ROUND_TRIP:g} ms",
-        EMULATED
-        if is_emulated(address)
-        else "connect robot and computer by one direct cable, on a network card of their own (no "
+        "connect robot and computer by one direct cable, on a network card of their own (no "
         "USB adapter, no Wi-Fi), and switch other networks off; see docs/how-to/real-time.md",
         warning=p99 > GOOD_ROUND_TRIP,
         bad=p99 > MAX_ROUND_TRIP,
@@ -184,7 +180,6 @@ def check_encoder(
     ages: Array,
     lost_share: float,
     illegal: int,
-    address: str = "",
 ) -> list[Finding]:
     """Judge an encoder by its stream.
 
@@ -195,17 +190,7 @@ def check_encoder(
         ages: Age of the newest sample at each read [s], shape (n,).
         lost_share: Share of samples lost on the way, damaged or out of sequence [-].
         illegal: Number of samples with an illegal transition on the board.
-        address: Address of the encoder.
     """
-    port = os.path.basename(os.path.realpath(address))
-    sooner = "plug the board into this computer without a hub, or use a faster one (Teensy, Pico)"
-    if is_emulated(address):
-        sooner = EMULATED
-    elif port.startswith("ttyUSB"):
-        sooner = (
-            "use a board with native USB (Teensy, Pico), or set the adapter's latency timer to "
-            f"1 ms: echo 1 | sudo tee /sys/bus/usb-serial/devices/{port}/latency_timer"
-        )
     age = float(np.percentile(ages, 99.0))
     expected = counts if rig is None else rig.counts_per_rev
     return [
@@ -218,7 +203,8 @@ def check_encoder(
         find(
             "encoder's samples",
             f"{rate:.0f} per second, the newest {1e3 * age:.1f} ms old",
-            sooner,
+            "use a faster board with native USB (Teensy, Pico); set an adapter's latency timer to "
+            "1 ms: echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer",
             # A board at 500 Hz reaches 450; five samples at 1 kHz.
             warning=rate < 450.0 or age > 0.005,
             bad=rate < 200.0 or age > STALL,

@@ -29,11 +29,10 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.control.ticks import missed_ticks
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.identification.refine import ModelMotion, read_motion
 from equipoise.logs.run_log import RunLog
-from equipoise.outcomes import Outcome, Phase, describe
+from equipoise.outcomes import Outcome, describe
 from equipoise.rig.checks import STALL, is_emulated
 from equipoise.rig.phases.context import RESTART_ACCELERATION
 from equipoise.worlds.reachability import diverging_angle, fall_rate, recoverable_angle
@@ -74,7 +73,7 @@ ADVICE: Final[dict[Outcome | RootCause, str]] = {
     RootCause.OUTSIDE: "release more gently and more upright, and take the hand straight away",
     **dict.fromkeys(
         (RootCause.SATURATION, Outcome.ANGLE),
-        "evaluate the policy on the twin; if it stands there, `equipoise refine` it with this log",
+        "evaluate the policy on the twin; if it balances there, `equipoise refine` it with this",
     ),
     RootCause.PUSH: "keep hands, cables and draughts away from the pendulum",
     RootCause.ZERO: "check the encoder's coupling and wires, level the base, and reference again",
@@ -123,11 +122,9 @@ SYMPTOMS: Final = frozenset(
     }
 ) | (frozenset(Outcome) - ADVICE.keys())
 """Outcomes that name a symptom, not a root cause."""
-DELAYS: Final = frozenset(
-    {
-        *(Outcome.LINK, Outcome.LINK_LOST, Outcome.MEASUREMENT_STALE),
-        *(Outcome.ENCODER_STALE, Outcome.ENCODER_LOST, Outcome.ENCODER_GAP),
-    }
+DELAYS: Final = (
+    *(Outcome.LINK, Outcome.LINK_LOST, Outcome.MEASUREMENT_STALE),
+    *(Outcome.ENCODER_STALE, Outcome.ENCODER_LOST, Outcome.ENCODER_GAP),
 )
 """Outcomes that name a late device."""
 
@@ -230,20 +227,17 @@ def _u_max(log: RunLog) -> float:
 
 
 def _busy(log: RunLog) -> str:
-    """Return the evidence that the computer was late itself before a stop; empty without any."""
-    ticks, stop = log.tables["tick"], log.phase_ticks(Phase.STOPPING)[:1]
-    ticks = ticks[: stop[0] + 1] if len(stop) else ticks  # the tick that found the cause included
-    late = np.nan_to_num(ticks["late"][ticks["time"] > np.max(ticks["time"], initial=0.0) - LATE])
-    missed = [seconds for seconds in late.tolist() if missed_ticks(seconds, log.conditions.h) > 0]
-    if sum(missed) > STALL:
+    """Return the evidence that the computer was late itself; empty without any."""
+    given, ticks = log.conditions, log.tables["tick"]
+    late = np.nan_to_num(ticks["late"][-round(LATE / given.h) :])
+    missed = late[late > 0.5 * given.h]  # of a run on a rig, see `missed_ticks`
+    if missed.sum() > STALL:
+        most = 1e3 * float(missed.max())
         return (
-            f"the loop was late in {len(missed)} of the last {len(late)} ticks before the stop, "
-            f"by up to {1e3 * max(missed):.0f} ms"
+            f"the loop missed {len(missed)} of the last {len(late)} ticks, by up to {most:.0f} ms"
         )
-    given = log.conditions
     device = given.encoder if "encoder" in log.outcome else given.world
-    emulated = device is not None and is_emulated(device)
-    return f"this computer emulates {device}, and delays it" if emulated else ""
+    return f"this computer emulates {device}" if is_emulated(device) else ""
 
 
 def _outside(log: RunLog) -> Cause | None:

@@ -3,7 +3,7 @@
 The loop of the measurements is measured, too: a late loop finds every device late.
 """
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -77,15 +77,15 @@ def preflight(
     rule = rig.plugin.flange_speed
     max_speed = max_flange_speed(settings.described_arm, trips, request.max_speed, rule)
     results = [
-        check_link(trips, paced=paced, address=request.robot),
+        check_link(trips, paced=paced),
         *check_speed(policy, max_speed),
         check_posture(rig.robot.measured(), settings),
-        *check_encoder(settings, *listen(rig.sensor, clock, seconds), request.encoder or ""),
+        *check_encoder(settings, *listen(rig.sensor, clock, seconds)),
         *check_settings(granted),
         *([check_kernel(REALTIME.exists())] if paced and granted else []),
     ]
     loop = check_deadlines(np.array(clock.late), paced=paced)
-    return judge_loop_first(loop, results), max_speed
+    return judge_loop_first(loop, results, (request.robot, request.encoder)), max_speed
 
 
 def examine(
@@ -93,7 +93,7 @@ def examine(
     sensor: AngleSensor | None,
     rig: RigSettings | None,
     seconds: float,
-    addresses: tuple[str, str] = ("", ""),
+    addresses: Sequence[str | None] = (),
 ) -> list[Finding]:
     """Measure a machine and a rig, and judge the measurements; no arm moves.
 
@@ -120,18 +120,17 @@ def examine(
             with guest_code(f"the driver of the {name}"):
                 device.connect()
                 if isinstance(device, AngleSensor):
-                    heard = listen(device, clock, seconds)
-                    findings += check_encoder(rig, *heard, addresses[1])
+                    findings += check_encoder(rig, *listen(device, clock, seconds))
                 else:
                     trips = round_trips(device, clock, seconds, paced=paced)
-                    findings.append(check_link(trips, paced=paced, address=addresses[0]))
+                    findings.append(check_link(trips, paced=paced))
         except LinkError as error:
             remedy = "check its power, its cable and its address"
             findings.append(find(name, str(error), remedy, bad=True))
         finally:
             device.close()
     loop = check_deadlines(np.array(clock.late), paced=paced)
-    return [*machine, *judge_loop_first(loop, findings)]
+    return [*machine, *judge_loop_first(loop, findings, addresses)]
 
 
 def warm_up(request: RunRequest) -> None:
