@@ -24,7 +24,7 @@ class Balancing(RunPhase):
         w2 = run.response.params.pendulum.w2
         run.controller.begin(*run.encoder.falling(run.began or 0.0, w2))
         run.lost_speed = 0.0
-        run.notify("balancing", "Balancing. Any key stops.")
+        run.notify("balancing", "Balancing. Press any key to stop.")
 
     def begin_anew(self, missed: int, unsent: bool) -> None:
         """Go on from rest; missed ticks count."""
