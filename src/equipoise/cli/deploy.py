@@ -102,10 +102,10 @@ def deploy(
     if run.excite:
         then = command("identify", out, makes="actuator.json")
     output.result(
-        world=log.conditions.world,
         outcome=log.outcome,
         lasted_s=log.lasted,
         run=out,
+        world=log.conditions.world,
         code=0 if run.excite else int(log.outcome != Outcome.LASTED),
         then=then,
     )
@@ -216,14 +216,16 @@ def _run_on_rig(
             actuator=actuator,
             makes="policy.json",
         )
-    names = ("outcome", "reason", "stoppable", "zero", "missed")
     output.result(
-        world=request.robot,
+        outcome=end.outcome,
+        reason=end.reason,
         lasted_s=end.lasted,
-        **{name: getattr(end, name) for name in names},
+        run=out,
         identified=end.identified and end.identified.summary,
         actuator=actuator,
-        run=out,
+        stoppable=end.stoppable,
+        missed=end.missed,
+        world=request.robot,
         code=end.exit_code,
         then=then,
     )

@@ -80,11 +80,11 @@ def evaluate(
     evaluation.save(out, command="evaluate", inputs=inputs)
     fields = _trial_fields(evaluation.results)
     output.result(
+        **fields,
+        duration_s=evaluation.duration,
         world=evaluation.world,
         arm=evaluation.arm,
-        duration_s=evaluation.duration,
         seed=evaluation.seed,
-        **fields,
         baselines={each.name: _trial_fields(each) for each in evaluation.baselines},
         evaluation=out,
         code=int(fields["median_s"] < evaluation.duration),
@@ -100,8 +100,8 @@ def _deploy(policy: Path | None, trials: Trials, task: opt.Task) -> str:
 def _trial_fields(results: "TrialResults") -> dict[str, Any]:
     """Return the summary of trials as fields of a result."""
     found = results.summary()
-    names = ("survived", "trials", "rate", "interval", "outcomes")
-    return {name: getattr(found, name) for name in names} | {"median_s": found.median}
+    counts = {name: getattr(found, name) for name in ("survived", "trials", "rate", "outcomes")}
+    return counts | {"interval_95": found.interval, "median_s": found.median}
 
 
 def certify(
@@ -130,8 +130,8 @@ def certify(
         certificate = certification.certify(chosen, claim, workers=random.threads, done=done)
     certificate.save(out, command="evaluate", inputs={"policy": chosen.digest})
     output.result(
-        claim=str(claim),
         granted=certificate.granted,
+        claim=str(claim),
         bound=certificate.bound,
         trials=claim.trials,
         failures=certificate.failed,

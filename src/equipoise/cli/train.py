@@ -86,12 +86,12 @@ def train(
     inputs = {"pendulum": source.digest, "world": plant.world, **actuators}
     best.save(out, command="train", inputs=inputs)
     output.result(
+        tests=best.tests,
+        policy=out,
         seed=best.seed,
         learner=best.learner,
         episodes=best.episodes,
         steps=best.steps,
-        tests={f"actuator {i}": test.model_dump() for i, test in enumerate(best.tests, start=1)},
-        policy=out,
         warnings=[best.shortfall],
         code=int(bool(best.shortfall)),
         then=command("evaluate", out, makes="evaluation.json"),

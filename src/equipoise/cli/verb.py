@@ -124,6 +124,5 @@ def _option(field: str, info: FieldInfo, group: type[Options]) -> Any:
     if info.default is True:
         name += name.replace("--", "/--no-", 1)
     title = (getdoc(group) or "").partition("\n")[0].rstrip(".")
-    names = {table: ", ".join(names) for table, names in TABLES.items()}
-    text = (info.description or "").format(**names)
+    text = (info.description or "").format_map({key: ", ".join(TABLES[key]) for key in TABLES})
     return typer.Option(name, help=escape(text), rich_help_panel=title)
