@@ -318,7 +318,7 @@ ROBOT = (
     Fault("half-open link", _ends("link lost"), _half_open, stoppable=False, within=0.1),
     Fault("command backlog", _ends("link overdue"), _back_up, within=0.1, says="has not answered"),
     Fault("stall of the link", _ends("lasted"), lambda harness: hold_back(harness, "robot"),
-          says="loop stalled"),
+          says="link stalled"),
     Fault("nak", _ends("link lost"), _change("robot.emulator", refuses=True),
           stoppable=False, within=0.03),
     Fault("reconnect in mid-run", _ends("link lost"), _drop, stoppable=False, within=0.02,

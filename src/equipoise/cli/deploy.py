@@ -91,7 +91,7 @@ def deploy(
             log = simulate.excite(arm, pendulum=task.pendulum, duration=length, **common)
     else:
         chosen, out = task.read(policy), place()
-        output.warn(opt.shortfall(chosen))
+        output.warn(chosen.shortfall)
         with output.busy("running"):
             log = simulate.simulate_run(
                 chosen, actuator=task.actuator, duration=run.duration, **common
@@ -135,7 +135,7 @@ def _request(
     chosen = task.read(policy)
     if isinstance(chosen, BoundPolicy):
         chosen = replace(chosen, arm=described.described_arm)
-    output.warn(opt.shortfall(chosen))
+    output.warn(chosen.shortfall)
     given = task.actuator
     carried = chosen.actuators if given is None else (read_actuator(given),)
     return RunRequest(

@@ -63,7 +63,7 @@ def evaluate(
     settings, given = chosen.settings, {"trials": trials.trials, "duration": trials.duration}
     changes = {name: value for name, value in given.items() if value is not None}
     changed = settings.evaluation.model_validate({**dict(settings.evaluation), **changes})
-    output.warn(opt.shortfall(chosen))
+    output.warn(chosen.shortfall)
     total = changed.trials * (1 + len(BUILT_IN) * trials.baselines)
     with output.progress() as show:
         evaluation = evaluate(

@@ -47,7 +47,7 @@ def explain(output: Output, run: Path) -> None:
     output.result(
         warnings=[read.damage],
         outcome=end.outcome,
-        reason=describe(end),
+        reason=describe(end) if end.evidence else None,
         lasted_s=causes[0].time and read.lasted,
         **found,
         phase=None if read.conditions.simulated else read.last_phase and read.last_phase.value,

@@ -200,10 +200,3 @@ def name_of(arm: "Arm") -> str | None:
         if read_arm(arm.name) == arm:
             return None if arm.name == "iiwa7" else arm.name
     return "ARM"
-
-
-def shortfall(policy: "TaskPolicy") -> str:
-    """Return one line where a policy misses the target of its training; else empty."""
-    from equipoise.control.policy import TabularPolicy
-
-    return policy.shortfall if isinstance(policy, TabularPolicy) else ""

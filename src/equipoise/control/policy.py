@@ -384,6 +384,8 @@ class BoundPolicy:
     u_max: float = paper.U_MAX
     """Largest acceleration [m/s^2], that of the paper's actions: safety limits assume it, and a
     larger u is clipped."""
+    shortfall: str = ""
+    """Empty: no training that could miss a target."""
 
     @property
     def actuator(self) -> Actuator:

@@ -32,7 +32,7 @@ MAX_ROUND_TRIP: Final = 0.009
 """99th percentile of round trips beyond which a reply is overdue in every tick [s]."""
 DELAYS: Final = ("link to the robot", "encoder's samples")
 """Checks of devices that a late loop fails, too."""
-COMPUTER: Final = "end other programs on this computer, and mend its deadlines; then measure again"
+COMPUTER: Final = "end other programs on this computer, then measure again"
 """Remedy for a late device behind a late loop, and for one that this computer emulates."""
 HOME_MARGIN_DEG: Final = 5.0
 """Minimum distance of home from a joint's limits, beyond the rig's margin [deg]."""

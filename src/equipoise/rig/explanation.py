@@ -154,12 +154,8 @@ def explain(run: RunLog) -> list[Cause]:
         run: Log of the run.
     """
     end, balanced = run.ending, run.conditions.simulated
-    if not balanced:
-        try:
-            # The encoder's angles need the zero of the balancing.
-            balanced = len(run.ticks) > 0 and len(run.encoder.time) >= 0
-        except ArtefactError:
-            balanced = False
+    with suppress(ArtefactError):  # the encoder's angles need the zero of the balancing
+        balanced = balanced or (len(run.ticks) > 0 and len(run.encoder.time) >= 0)
     time = run.lasted if balanced else None
     busy = _busy(run) if end.outcome in DELAYS else ""
     causes = [Cause(RootCause.BUSY, 0.95, time, busy)] if busy else []
