@@ -24,8 +24,8 @@ class Trials(Options):
     """Number of trials; by default 200, or as --claim needs."""
     duration: float | None = None
     """Duration of a trial [s]; by default 60."""
-    baselines: bool = True
-    """Run LQR, PD and random actions too."""
+    no_baselines: bool = False
+    """Leave out the trials of LQR, PD and random actions."""
     claim: float | None = None
     """Claim that a trial survives with at least this probability, e.g. 0.99."""
 
@@ -64,7 +64,7 @@ def evaluate(
     changes = {name: value for name, value in given.items() if value is not None}
     changed = settings.evaluation.model_validate({**dict(settings.evaluation), **changes})
     output.warn(chosen.shortfall)
-    total = changed.trials * (1 + len(BUILT_IN) * trials.baselines)
+    total = changed.trials * (1 if trials.no_baselines else 1 + len(BUILT_IN))
     with output.progress() as show:
         evaluation = evaluate(
             chosen,
@@ -72,7 +72,7 @@ def evaluate(
             world=trials.world,
             actuator=task.actuator,
             seed=random.seed,
-            with_baselines=trials.baselines,
+            with_baselines=not trials.no_baselines,
             workers=random.threads,
             done=counted("evaluate", total, show),
         )

@@ -119,10 +119,7 @@ def _name(field: str) -> str:
 
 
 def _option(field: str, info: FieldInfo, group: type[Options]) -> Any:
-    """Return the declaration of an option; a flag that is true by default gets its negation."""
-    name = _name(field)
-    if info.default is True:
-        name += name.replace("--", "/--no-", 1)
+    """Return the declaration of an option."""
     title = (getdoc(group) or "").partition("\n")[0].rstrip(".")
     text = (info.description or "").format_map({key: ", ".join(TABLES[key]) for key in TABLES})
-    return typer.Option(name, help=escape(text), rich_help_panel=title)
+    return typer.Option(_name(field), help=escape(text), rich_help_panel=title)
