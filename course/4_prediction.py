@@ -37,7 +37,7 @@ print(
 
 # %%
 policy = eq.shipped_policy()
-print(policy.test.text if policy.test else "not tested")
+print(policy.test or "not tested")
 policy
 
 # %% [markdown]

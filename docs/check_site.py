@@ -1,4 +1,4 @@
-"""Check a built site: its links lead somewhere, and no page loads anything from elsewhere.
+"""Check a built site: links, files that a page loads from elsewhere, and Python's texts of objects.
 
 python docs/check_site.py build/site
 """
@@ -10,6 +10,8 @@ from urllib.parse import unquote, urlsplit
 
 LOADS = {"img": "src", "script": "src", "link": "href", "iframe": "src", "source": "src"}
 """Attribute of an element through which a browser loads a file by itself."""
+OBJECTS = ("<function ", "<class ", " at 0x", "Annotated[", "FieldInfo(")
+"""Texts that Python gives objects, which say nothing to a reader."""
 
 
 class Page(HTMLParser):
@@ -20,6 +22,7 @@ class Page(HTMLParser):
         self.links: list[str] = []
         self.loaded: list[str] = []
         self.anchors: set[str] = {""}
+        self.text = ""
         self.feed(path.read_text())
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
@@ -31,6 +34,10 @@ class Page(HTMLParser):
         if tag in LOADS and LOADS[tag] in found:
             self.loaded.append(found[LOADS[tag]])
 
+    def handle_data(self, data: str) -> None:
+        """Take note of the text."""
+        self.text += data
+
 
 def faults(site: Path) -> list[str]:
     """Return what is wrong with a site, a sentence each."""
@@ -38,6 +45,8 @@ def faults(site: Path) -> list[str]:
     found: list[str] = []
     for path, page in pages.items():
         name = path.relative_to(site.resolve())
+        if "code" not in name.parts:  # files of code are shown as they are
+            found += [f"{name} shows {text!r}" for text in OBJECTS if text in page.text]
         for address in (*page.links, *page.loaded):
             parts = urlsplit(address)
             if parts.scheme or parts.netloc:

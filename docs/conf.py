@@ -123,7 +123,7 @@ MARK = re.compile(r"<!--[=/]\S*?-->|<!--table=\S*?-->\n")
 LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)#:]+)\)")
 BACKTICKS = re.compile(r"(:[\w:]+:)?(?<!`)`([^`]+)`(?!`)(\w*)")
 NAME = re.compile(r"[A-Za-z_][\w.]*")
-FUNCTION = re.compile(r"<function (\w+)>")
+FUNCTION = re.compile(r"<function (\w+)(?: at \w+)?>")
 NUMBERS = re.compile(r"(?:[-–.,%\d\s]|of|to)+")
 BARS = re.compile(r"\|(\w+)\|")
 LIMITS = (("ge", "≥"), ("gt", ">"), ("le", "≤"), ("lt", "<"))
@@ -147,6 +147,12 @@ def add_contents(app: Sphinx, docname: str, source: list[str]) -> None:
         source[0] += "\n```{toctree}\n:hidden:\n:glob:\n\n*\n```\n"
 
 
+def drop_bounds(_app: Sphinx, function: Any, _bound: bool) -> None:
+    """Show plain types without the bounds of `Annotated`, of a value the fields, too."""
+    if "Annotated" in str(hints := getattr(function, "__annotations__", {})):
+        hints.update(get_type_hints(function))
+
+
 def simplify_model(
     _app: Sphinx, what: str, _name: str, obj: Any, _options: object, signature: Any, returns: Any
 ) -> tuple[Any, Any]:
@@ -166,7 +172,8 @@ def add_range(
     field = getattr(locate(parent), "model_fields", {}).get(attribute)
     if field is None or field.is_required() or isinstance(field.default, BaseModel):
         return
-    default = f"{field.default:g}" if isinstance(field.default, float) else repr(field.default)
+    given = field.default
+    default = f"{given:g}" if isinstance(given, float) else FUNCTION.sub(r"\1", repr(given))
     facts = [f"default ``{default}``"]
     for bound in field.metadata:
         facts += [f"{sign} {getattr(bound, key):g}" for key, sign in LIMITS if hasattr(bound, key)]
@@ -269,6 +276,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Connect what is above."""
     app.add_html_math_renderer("mathml", (write_math, None), (write_math, None))
     app.connect("source-read", add_contents)
+    app.connect("autodoc-before-process-signature", drop_bounds)
     app.connect("autodoc-process-signature", simplify_model)
     app.connect("autodoc-process-docstring", read_backticks, priority=100)  # before napoleon
     app.connect("autodoc-process-docstring", add_range)

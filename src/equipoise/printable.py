@@ -37,13 +37,13 @@ def printable(text: str, *, layout: bool = False) -> str:
 
 
 def label(name: str) -> str:
-    """Return the name of a field, with its unit in brackets.
+    """Return the name of a field, with its unit in brackets, or its level of confidence.
 
     Example:
-        >>> label("median_s"), label("speed_m_s"), label("gap_at_start")
-        ('median [s]', 'speed [m/s]', 'gap at start')
+        >>> label("median_s"), label("speed_m_s"), label("interval_95"), label("gap_at_start")
+        ('median [s]', 'speed [m/s]', 'interval (95 %)', 'gap at start')
     """
-    unit = "_(rad_s|m_s|s|ms|deg|mm|m)$"
+    name, unit = name.replace("_95", " (95 %)"), "_(rad_s|m_s|s|ms|deg|mm|m)$"
     return re.sub(unit, lambda of: f" [{of[1].replace('_', '/')}]", name).replace("_", " ")
 
 
@@ -72,7 +72,7 @@ def as_text(value: Any) -> str:
             return f"{low:.4g} to {high:.4g}"
         case list() | tuple():
             return "\n".join(map(as_text, value))
-        case _ if hasattr(value, "interval"):
+        case _ if hasattr(value, "source"):
             return f"{plus_minus(value.value, value.interval)} ({value.source})"
         case _:
             return printable(str(value))

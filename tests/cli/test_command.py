@@ -2,15 +2,18 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
-from importlib.metadata import version
+from contextlib import contextmanager
+from importlib.metadata import entry_points, version
 
 import pytest
 
 from equipoise.cli.output import Output
+from equipoise.cli.verb import TABLES
 from tests.cli.conftest import verbs
 
 HEAVY = ("numba", "numpy", "scipy", "mujoco", "matplotlib", "mcap")
@@ -29,6 +32,29 @@ def test_help_names_every_verb_and_explains_every_option(equipoise):
     wrong = equipoise("idnetify")
     assert wrong.code == 2
     assert "Did you mean 'identify'" in wrong.err
+
+
+def test_help_names_every_entry_of_the_tables_that_an_option_takes(equipoise, monkeypatch):
+    from equipoise.apps.console.playground import SCENES
+    from equipoise.control.bound_policy import BUILT_IN
+
+    robots = set(entry_points(group="equipoise.robots").names)
+    tables = {**TABLES, "scenes": SCENES, "policies": BUILT_IN, "robots": robots}
+    listed = {
+        "train": "rewards recipes worlds arms",
+        "evaluate": "worlds arms policies",
+        "deploy": "worlds arms robots",
+        "rig emulate": "worlds arms",
+        "reproduce": "recipes arms",
+        "identify": "frictions",
+        "play": "scenes",
+    }
+    monkeypatch.setenv("COLUMNS", "80")
+    for verb in verbs():
+        text = equipoise(*verb.split(), "--help").out
+        assert not re.search(r"Annotated|FieldInfo|\{[a-z]|…", text), verb
+        for table in listed.get(verb, "").split():
+            assert set(tables[table]) <= set(re.findall(r"[\w-]*\w", text)), (verb, table)
 
 
 def test_help_waits_for_nothing_that_is_slow_to_import():
@@ -63,6 +89,35 @@ def test_a_result_is_text_or_one_object(capsys):
     Output(as_json=True).result(**fields)
     found = json.loads(capsys.readouterr().out)
     assert found == fields | {"infinite": None, "interval": [0.25, 0.75]}
+
+
+@pytest.mark.parametrize("columns", [40, 60, 80, 200])
+def test_no_column_is_cut_however_narrow_the_terminal(columns, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    figures = {"survived": 190, "trials": 200, "interval_95": (0.912, 0.975), "median_s": 59.875}
+    rows = {"LQR, snapped": figures, "random": figures | {"outcomes": {"angle": 188, "track": 2}}}
+    Output(as_json=False).result(**figures, baselines=rows)
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= columns
+    assert "…" not in text
+    words = text.split()
+    for word in ("190", "0.912", "0.975", "59.88", "random"):
+        assert words.count(word) == (1 if word == "random" else 3)
+
+
+def test_a_log_file_shows_how_many_kernels_were_compiled(monkeypatch, capsys):
+    @contextmanager
+    def compiles_two(count):
+        count("one")
+        count("two")
+        yield
+
+    monkeypatch.setattr("equipoise.jit.watching_compilation", compiles_two)
+    with Output(as_json=False).progress() as show:
+        show("train")
+        show("train", 1.0)
+    lines = [line for line in capsys.readouterr().err.splitlines() if "compile" in line]
+    assert [line.split("100%")[1].split()[-1] for line in lines] == ["2"]
 
 
 @pytest.mark.full

@@ -87,7 +87,10 @@ def test_deploy_and_the_verbs_for_logs(equipoise, tmp_path):
     assert found["lasted_s"] == 0.5
     assert "x [mm]" in equipoise("log", "explain", "run.mcap").out
     found = equipoise("log", "explain", "run.mcap", "--json").json
-    x = 1e3 * RunLog.load(tmp_path / "run.mcap").x
+    log = RunLog.load(tmp_path / "run.mcap")
+    x = 1e3 * log.estimated_x
+    np.testing.assert_allclose(x, 1e3 * log.truth.x, atol=2.0)
+    np.testing.assert_allclose(log.estimated_x_dot, log.truth.x_dot, atol=0.03)
     assert found["x_mm"] == {
         "rms": pytest.approx(np.sqrt(np.mean(x**2))),
         "largest": pytest.approx(np.abs(x).max()),
@@ -100,6 +103,23 @@ def test_deploy_and_the_verbs_for_logs(equipoise, tmp_path):
     assert "evidence" in equipoise("log", "explain", "run.mcap").out
     found = equipoise("log", "explain", "run.mcap", "--json").json
     assert found["cause"] in found["causes"]
+
+
+def test_a_limit_is_compared_with_what_its_rule_compares(equipoise, rig_log):
+    log = RunLog.load(rig_log)
+    arm = log.conditions.arm
+    found = equipoise("log", "explain", rig_log, "--json").json
+    # The rule of the speed compares the estimate, which is not the prediction.
+    speed = found["flange_speed_m_s"]["largest"]
+    assert speed == np.abs(log.estimated_x_dot).max() != np.abs(log.x_dot).max()
+    x = [arm.kinematics(q).position[0] for q in log.replies.q[::10, list(arm.free)]]
+    measured = np.diff(x) / np.diff(log.replies.time[::10])
+    assert speed == pytest.approx(np.abs(measured).max(), abs=0.03)
+    setpoints = np.abs(np.diff(log.stream.q, axis=0)).max(axis=0) / 0.005
+    limits = [joint.velocity for joint in arm.joints]
+    joint = int(np.argmax(setpoints / limits))
+    assert found["joint_speed_rad_s"]["largest"] == pytest.approx(setpoints[joint])
+    assert found["joint_speed_rad_s"]["limit"] == pytest.approx(limits[joint])
 
 
 @pytest.mark.full

@@ -161,7 +161,7 @@ def _stall(*times: float) -> Inject:
 # fmt: off
 TIME = (
     Fault("late tick", _ends("late tick"), _stall(0.09), within=0.11),
-    Fault("stall of the loop", _ends("lasted"), _stall(0.06), says="stood still"),
+    Fault("stall of the loop", _ends("lasted"), _stall(0.06), says="loop stalled"),
     Fault("one late tick", _ends("lasted"), _stall(0.008)),
     Fault("late ticks", _ends("late tick"), _stall(*(3 * (0.012, 0.0, 0.0))), within=0.08),
 )
@@ -318,7 +318,7 @@ ROBOT = (
     Fault("half-open link", _ends("link lost"), _half_open, stoppable=False, within=0.1),
     Fault("command backlog", _ends("link overdue"), _back_up, within=0.1, says="has not answered"),
     Fault("stall of the link", _ends("lasted"), lambda harness: hold_back(harness, "robot"),
-          says="stood still"),
+          says="link stalled"),
     Fault("nak", _ends("link lost"), _change("robot.emulator", refuses=True),
           stoppable=False, within=0.03),
     Fault("reconnect in mid-run", _ends("link lost"), _drop, stoppable=False, within=0.02,
@@ -464,7 +464,7 @@ RELEASE = (
     Fault("release too early", _ends("operator"), _let_go_in_mid_lift, Trigger("lift"),
           check=_never_began),
     Fault("release too late", _ends("operator"), _take_away(0.8), Trigger("armed"), ARMING_MISSED,
-          check=_never_began, says="still on"),
+          check=_never_began, says="still holding"),
     Fault("hand that falls with the pendulum", FELL | _ends("operator"), _take_away(2.5),
           Trigger("armed"), ARMING_MISSED, held_at_start=True),
     Fault("push", FELL | _ends("lasted"), _call("bench.push", radians(20.0))),

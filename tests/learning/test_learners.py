@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from equipoise.control.controller import Observation
 from equipoise.errors import InputError, SettingsError
 from equipoise.learning.choice import compile_learner, with_digests
 from equipoise.learning.learner import Transition, UpdateParams, new_tables
 from equipoise.learning.q_learning import learner as q_learning
-from equipoise.learning.rewards import REWARDS, Observation
+from equipoise.learning.rewards import REWARDS
 from equipoise.learning.train import train
 from equipoise.settings import LearningSettings
 from equipoise.user_code import load_object

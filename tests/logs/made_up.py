@@ -21,7 +21,7 @@ from equipoise.settings import resolve
 JOINTS = 7
 COLUMNS = (
     *("time", "x", "x_dot", "phi", "phi_dot", "box", "u", "q", "dq"),
-    *("estimated_phi", "estimated_phi_dot", "bias"),
+    *("estimated_phi", "estimated_phi_dot", "bias", "estimated_x_dot", "estimated_x"),
 )
 """Columns of the ticks that a simulation fills."""
 PARTS = ("truth", "stream", "replies", "encoder")
@@ -116,7 +116,7 @@ def push(recorder, ticks, begin=0):
     """Record the rows of ticks; nothing depends on what they mean."""
     for i in range(begin, begin + ticks):
         t = 0.01 * i
-        observed = (0.1, np.nan, 0.2, 0.3, 17, -2.0, 0.2, 0.3, 0.0)
+        observed = (0.1, np.nan, 0.2, 0.3, 17, -2.0, 0.2, 0.3, 0.0, 0.1, 0.1)
         recorder.tick.push(t, 1e-5, 2e-4, 3, *observed, POSTURE, POSTURE)
         recorder.stream.push(t, POSTURE)
         recorder.reply.push(t, t - 0.004, POSTURE, np.full(7, np.nan), t)

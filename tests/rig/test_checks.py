@@ -14,7 +14,7 @@ from equipoise.rig import checks, preflight
 from equipoise.rig.checks import Finding, require
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import RigSettings
-from equipoise.rig.preflight import examine, lateness, listen, round_trips
+from equipoise.rig.preflight import TimedClock, examine, listen, round_trips
 from tests.robots.encoder.rig import Bench as EncoderBench
 
 RIG, POLICY = RigSettings(), shipped_policy()
@@ -181,11 +181,30 @@ class StallingClock:
             self.time = moment + stalled * self.stall
 
 
-def test_a_stall_makes_every_deadline_late_that_it_lasts_over():
-    late = lateness(StallingClock(0.1, 0.023), 0.5)
-    # The deadline at 0.1 s comes 23 ms late, and those 5, 10, 15, 20 ms behind it by what is left.
-    np.testing.assert_allclose(late[19:24], (0.023, 0.018, 0.013, 0.008, 0.003), atol=1e-9)
-    np.testing.assert_allclose(np.delete(late, range(19, 24)), 0.0, atol=1e-9)
+def test_a_stall_is_late_once_and_a_slow_device_is_not():
+    for trip, late in ((0.001, 0.023), (0.007, 0.0)):  # the loop does not wait for the slower one
+        inner = StallingClock(0.1, 0.023)
+        clock = TimedClock(inner)
+        device = SimpleNamespace(measured=lambda: setattr(inner, "time", inner.time + trip))  # noqa: B023
+        np.testing.assert_allclose(round_trips(device, clock, 0.5), trip)
+        assert (max(clock.late), sum(clock.late)) == pytest.approx((late, late))
+
+
+def test_the_loop_is_judged_before_the_devices_and_an_emulated_one_gets_no_better_board():
+    (late,), (good,) = deadlines(0.030, 1), deadlines(1e-4, 1)
+    devices = [*link(0.02), *encoder(ages=np.full(9, 0.03), illegal=1)]
+    real, emulated = ("kst://172.31.1.147", "serial:///dev/ttyACM0"), ("", "serial:///dev/pts/3")
+    for loop, addresses, by_computer in (
+        (good, real, False),
+        (late, real, True),
+        (good, emulated, True),
+        (good, ("kst://127.0.0.1:30001", None), True),
+    ):
+        found = checks.judge_loop_first(loop, devices, addresses)
+        assert found[0] is loop
+        for one, before in zip(found[1:], devices, strict=True):
+            delayed = by_computer and one.name in ("link to the robot", "encoder's samples")
+            assert one == before._replace(remedy=checks.COMPUTER if delayed else before.remedy)
 
 
 def test_a_robot_slower_than_the_stream_is_asked_for_no_longer():

@@ -13,7 +13,7 @@ from equipoise.logs.recorder import Recorder, push_event
 from equipoise.logs.run_log import RunLog
 from equipoise.logs.writer import RunWriter
 from equipoise.model.worlds import World, read_world
-from equipoise.outcomes import Outcome
+from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.explanation import (
     RootCause,
     explain,
@@ -116,6 +116,41 @@ def test_what_no_command_can_turn_back_is_named_with_its_time(run, since, cause)
     away = changed_table(fallen(run, np.zeros_like), "tick", phi=phi)
     first = explain(away)[0]
     assert (first.cause, first.time) == (cause, pytest.approx(since, abs=0.011))
+
+
+DELAY = {"value": 0.083, "limit": 0.070}
+
+
+@pytest.mark.parametrize("outcome", [Outcome.ENCODER_STALE, Outcome.LINK, Outcome.LINK_LOST])
+def test_a_late_loop_explains_a_late_device_and_a_punctual_one_does_not(rig_log, outcome):
+    whole = RunLog.load(rig_log)
+    end = RunEnd(outcome=outcome, evidence=DELAY | {"text": "no reply"})
+    ended = dataclasses.replace(whole, end=end)
+    assert explain(ended)[0].cause is outcome
+    stop, late = whole.phase_ticks(Phase.STOPPING)[0], whole.tables["tick"]["late"].copy()
+    late[stop - 50], late[stop - 20] = 0.012, 0.064
+    found = explain(changed_table(ended, "tick", late=late))
+    assert [one.cause for one in found[:1]] == [RootCause.BUSY]
+    assert found[0].evidence == "the loop missed 2 of the last 250 ticks, by up to 64 ms"
+    assert "cable" not in found[0].advice
+    late[:] = 0.0
+    late[stop - 1000], late[stop - 20] = 0.064, 0.012  # long before the stop, and too little
+    assert explain(changed_table(ended, "tick", late=late))[0].cause is outcome
+
+
+def test_a_device_that_this_computer_emulates_has_no_cable_to_check(rig_log):
+    whole = RunLog.load(rig_log)
+    for outcome, at in ((Outcome.ENCODER_STALE, "encoder"), (Outcome.LINK, "world")):
+        for address, cause in (
+            ("kst://172.31.1.147", outcome),
+            ("serial:///dev/ttyACM0", outcome),
+            ("kst://127.0.0.1:30001", RootCause.BUSY),
+            ("serial:///dev/pts/4", RootCause.BUSY),
+        ):
+            conditions = whole.conditions.model_copy(update={at: address})
+            end = RunEnd(outcome=outcome, evidence=DELAY)
+            ended = dataclasses.replace(whole, conditions=conditions, end=end)
+            assert explain(ended)[0].cause is cause
 
 
 def test_a_log_that_breaks_off_is_explained_as_far_as_it_goes(broken_off):

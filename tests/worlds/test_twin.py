@@ -118,7 +118,7 @@ def test_a_recorded_trial_is_the_loop_as_python_writes_it():
         measured, measured_at = twin.measured()
         assert rows.observation[row] == pytest.approx(observation, abs=1e-12)
         assert rows.u[row] == pytest.approx(memory.u[0], abs=1e-12)
-        assert rows.estimate[row] == pytest.approx(memory.estimate[: 3 * BATCH_SIZE : BATCH_SIZE])
+        assert rows.estimate[row] == pytest.approx(memory.estimate[::BATCH_SIZE])
         assert rows.encoder[row] == pytest.approx(twin.encoder(), abs=1e-12)
         assert rows.measured[row] == pytest.approx([*measured, measured_at], abs=1e-12)
         assert rows.state[row] == pytest.approx(twin.truth(), abs=1e-12)

@@ -26,7 +26,7 @@ class Run(Options):
     """The run."""
 
     world: str = "twin:nominal"
-    """World of a simulated run: twin:nominal, twin:harsh, twin:FILE, or model."""
+    """World of a simulated run: twin:NAME ({worlds}), twin:FILE, or model."""
     duration: Annotated[float | None, Field(ge=0.01, le=3600.0)] = None
     """Duration [s]; by default 60, or 10 with --excite."""
     seed: opt.Seed = 0
@@ -59,10 +59,11 @@ def deploy(
 ) -> None:
     """Run a policy once, on a digital twin or on a rig, and write the log (run.mcap).
 
-    POLICY is as for equipoise evaluate. With --robot or --rig it runs on a rig:
-    pre-flight checks, a checklist that is acknowledged by typing, the move to
-    home, a self-test, the release of the pendulum, balancing, rest. Any key
-    stops it. Exit code 3: robot or encoder failed.
+    POLICY is from equipoise train, or another that evaluate takes; by default
+    the shipped table. With --robot or --rig it runs on a rig: pre-flight
+    checks, a checklist that is acknowledged by typing, the move to home, a
+    self-test, the release of the pendulum, balancing, rest. Press any key to
+    stop. Exit code 3: robot or encoder failed.
 
     With --excite the arm moves by itself, and equipoise identify makes an
     actuator of the log. Exit code 1: the pendulum fell.
@@ -90,7 +91,7 @@ def deploy(
             log = simulate.excite(arm, pendulum=task.pendulum, duration=length, **common)
     else:
         chosen, out = task.read(policy), place()
-        output.warn(opt.shortfall(chosen))
+        output.warn(chosen.shortfall)
         with output.busy("running"):
             log = simulate.simulate_run(
                 chosen, actuator=task.actuator, duration=run.duration, **common
@@ -101,10 +102,10 @@ def deploy(
     if run.excite:
         then = command("identify", out, makes="actuator.json")
     output.result(
-        world=log.conditions.world,
         outcome=log.outcome,
         lasted_s=log.lasted,
         run=out,
+        world=log.conditions.world,
         code=0 if run.excite else int(log.outcome != Outcome.LASTED),
         then=then,
     )
@@ -134,7 +135,7 @@ def _request(
     chosen = task.read(policy)
     if isinstance(chosen, BoundPolicy):
         chosen = replace(chosen, arm=described.described_arm)
-    output.warn(opt.shortfall(chosen))
+    output.warn(chosen.shortfall)
     given = task.actuator
     actuator = chosen.actuator if given is None else read_actuator(given)
     return RunRequest(
@@ -214,14 +215,16 @@ def _run_on_rig(
             actuator=actuator,
             makes="policy.json",
         )
-    names = ("outcome", "reason", "stoppable", "zero", "missed")
     output.result(
-        world=request.robot,
+        outcome=end.outcome,
+        reason=end.reason,
         lasted_s=end.lasted,
-        **{name: getattr(end, name) for name in names},
+        run=out,
         identified=end.identified and end.identified.summary,
         actuator=actuator,
-        run=out,
+        stoppable=end.stoppable,
+        missed=end.missed,
+        world=request.robot,
         code=end.exit_code,
         then=then,
     )

@@ -19,7 +19,7 @@ class Measurement(Options):
 
 @verb
 def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
-    """Check whether machine and rig are fit for a run, and advise a cure.
+    """Check whether machine and rig are fit for a run, and advise a fix.
 
     Nothing moves; the robot's answers are timed at rest. Exit code 1: not fit.
     """
@@ -38,6 +38,7 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
             None if encoder is None else open_encoder(encoder, clock),
             None if rig.rig is None else read_rig(rig.rig),
             measurement.seconds,
+            (robot, encoder),
         )
     fit = all(one.status != "bad" for one in findings)
     output.result(

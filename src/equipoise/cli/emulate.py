@@ -17,9 +17,9 @@ class Emulated(Options):
     robot: str = "kst"
     """kst; or franka, with --arm fr3, by franky-sim."""
     world: str = "twin:nominal"
-    """twin:nominal, twin:harsh, or twin:FILE."""
+    """twin:NAME ({worlds}), or twin:FILE."""
     arm: str = "iiwa7"
-    """iiwa7, iiwa14, another registered arm, a URDF or a rig.toml."""
+    """{arms}, a URDF or a rig.toml."""
     pendulum: Path | None = None
     """Pendulum; by default the shipped one."""
     port: opt.Port | None = None

@@ -1,4 +1,4 @@
-"""`equipoise evaluate`: measures how long a policy stands, and why it falls."""
+"""`equipoise evaluate`: measures how long a policy balances, and why it fails."""
 
 from math import ceil, log
 from pathlib import Path
@@ -19,16 +19,16 @@ class Trials(Options):
     """Trials."""
 
     world: str = "model"
-    """ideal: the paper's plant; model: behind the actuator; twin:NAME, twin:FILE, or
+    """ideal: the paper's plant; model: with the actuator; twin:NAME ({worlds}); twin:FILE; or
     coppeliasim://HOST:PORT."""
     trials: Annotated[int | None, Field(ge=1)] = None
     """Number of trials; by default 200, or as --claim needs."""
     duration: float | None = None
     """Duration of a trial [s]; by default 60."""
-    baselines: bool = True
-    """Run LQR, PD and random actions too."""
+    no_baselines: bool = False
+    """Leave out the trials of LQR, PD and random actions."""
     claim: Annotated[float | None, Field(gt=0.0, lt=1.0)] = None
-    """Claim that a trial lasts with at least this probability, e.g. 0.99."""
+    """Claim that a trial survives with at least this probability, e.g. 0.99."""
 
 
 @verb
@@ -41,7 +41,7 @@ def evaluate(
     random: opt.Random,
     files: opt.Files,
 ) -> None:
-    """Evaluate a policy: how long it stands, and why it falls.
+    """Evaluate a policy: how long it balances, and why it fails.
 
     POLICY is a table from equipoise train, a network (.onnx), Python
     MODULE:NAME, lqr, lqr-snapped, pd or random; by default the shipped table.
@@ -62,10 +62,10 @@ def evaluate(
     if trials.claim is not None:
         given["trials"] = trials.trials or trials_for(trials.claim)
         check_claim(given["trials"], trials.claim)
-    with_baselines = trials.baselines and trials.claim is None
+    with_baselines = not trials.no_baselines and trials.claim is None
     changes = {name: value for name, value in given.items() if value is not None}
     changed = settings.evaluation.model_validate({**dict(settings.evaluation), **changes})
-    output.warn(opt.shortfall(chosen))
+    output.warn(chosen.shortfall)
     total = changed.trials * (1 + len(BUILT_IN) * with_baselines)
     with output.progress() as show:
         evaluation = evaluate(
@@ -86,11 +86,11 @@ def evaluate(
         fields["claim"] = claim_fields(evaluation.results.summary(), trials.claim)
         code = int(not fields["claim"]["granted"])
     output.result(
+        **fields,
+        duration_s=evaluation.duration,
         world=evaluation.world,
         arm=evaluation.arm,
-        duration_s=evaluation.duration,
         seed=evaluation.seed,
-        **fields,
         baselines={each.name: _trial_fields(each) for each in evaluation.baselines},
         evaluation=out,
         code=code,
@@ -106,8 +106,8 @@ def _deploy(policy: Path | None, trials: Trials, task: opt.Task) -> str:
 def _trial_fields(results: "TrialResults") -> dict[str, Any]:
     """Return the summary of trials as fields of a result."""
     found = results.summary()
-    names = ("survived", "trials", "rate", "interval", "outcomes")
-    return {name: getattr(found, name) for name in names} | {"median_s": found.median}
+    counts = {name: getattr(found, name) for name in ("survived", "trials", "rate", "outcomes")}
+    return counts | {"interval_95": found.interval, "median_s": found.median}
 
 
 def check_claim(trials: int, claim: float) -> None:

@@ -28,7 +28,7 @@ class Model(Options):
     """Friction, and measurements for I and b."""
 
     friction: str | None = None
-    """viscous (the paper's, and the default), coulomb or quadratic."""
+    """{frictions}; by default viscous, the paper's."""
     mass: Annotated[float | None, Field(gt=0.0, le=1e3)] = None
     """Mass of everything that rotates [kg]."""
     mass_uncertainty: Annotated[float, Field(ge=0.0, le=1e3)] = 0.0

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 @verb
 def explain(output: Output, run: Path) -> None:
-    """Explain why a run ended, or how it stood.
+    """Explain why a run ended, or how well it balanced.
 
     Examines release, pushes, delay, the encoder's zero, commands and safety
     rules: causes with their evidence, the most likely first, and advice. Of a
-    run that lasted, or that the operator ended: motion, limits, limit cycle. A
-    truncated log is read as far as it is readable.
+    run that survived, or that the operator ended: motion, limits, limit cycle.
+    A truncated log is read as far as it is readable.
     """
     from equipoise.logs.run_log import RunLog
     from equipoise.outcomes import Outcome, describe
@@ -47,17 +47,17 @@ def explain(output: Output, run: Path) -> None:
     output.result(
         warnings=[read.damage],
         outcome=end.outcome,
-        reason=describe(end),
-        phase=None if read.conditions.simulated else read.last_phase and read.last_phase.value,
-        whole=read.end is not None,
+        reason=describe(end) if end.evidence else None,
         lasted_s=causes[0].time and read.lasted,
         **found,
+        phase=None if read.conditions.simulated else read.last_phase and read.last_phase.value,
+        log_complete=read.end is not None,
         then=then,
     )
 
 
 def _standing(run: "RunLog") -> dict[str, Any]:
-    """Return how a run stood: root mean square and largest values, limits, limit cycle."""
+    """Return how a run balanced: values that safety rules compare, their limits, limit cycle."""
     import numpy as np
 
     from equipoise.rig.limit_cycle import limit_cycle
@@ -66,15 +66,18 @@ def _standing(run: "RunLog") -> dict[str, Any]:
         rms, largest = np.sqrt(np.mean(values**2)), np.abs(values).max()
         return {"rms": float(rms), "largest": float(largest), "limit": limit}
 
-    arm = run.conditions.arm
-    limits = [joint.velocity for joint in arm.joints]
-    fastest = int(np.argmax(np.abs(run.dq).max(axis=0) / limits))
+    arm, h, sent = run.conditions.arm, run.conditions.h, run.stream.q
+    dq = np.diff(sent, axis=0) / (0.5 * h) if len(sent) > 1 else run.dq  # of two setpoints a tick
+    share = (run.conditions.rig or {}).get("speed_share")
+    limits = np.array([joint.velocity for joint in arm.joints])
+    limits *= share if isinstance(share, float) else 1.0
+    fastest = int(np.argmax(np.abs(dq).max(axis=0) / limits))
     found: dict[str, Any] = {
-        "x_mm": extent(1e3 * run.x, 1e3 * paper.X_LIMIT),
+        "x_mm": extent(1e3 * run.estimated_x, 1e3 * paper.X_LIMIT),
         "phi_deg": extent(np.degrees(run.estimated_phi), paper.PHI_LIMIT_DEG),
-        "flange_speed_m_s": extent(run.x_dot, run.end and run.end.max_speed),
+        "flange_speed_m_s": extent(run.estimated_x_dot, run.end and run.end.max_speed),
         "joint_speed_rad_s": {"joint": arm.joints[fastest].name}
-        | extent(run.dq[:, fastest], limits[fastest]),
+        | extent(dq[:, fastest], float(limits[fastest])),
     }
     if cycle := limit_cycle(run):
         found |= {

@@ -26,11 +26,11 @@ class Changes(Options):
     """Settings."""
 
     recipe: str = "robust"
-    """robust; fine: 756 boxes, for slow pendulums; paper: the most literal reading of its text."""
+    """{recipes}. fine has 756 boxes, for slow pendulums; paper is as literal as possible."""
     settings: Path | None = None
     """Settings as TOML, one table per section."""
     set: list[str] | None = None
-    """One setting, as NAME=VALUE; repeatable."""
+    """One setting, e.g. learning.gamma=0.98; repeatable."""
 
     def resolve(self, **named: object) -> "Settings":
         """Return the settings, with those that an option of their own names, where given."""
@@ -44,9 +44,9 @@ class Task(Options):
     """Task of a policy; a table carries its own."""
 
     pendulum: Path | None = None
-    """Pendulum; by default the table's, or the shipped one."""
+    """Pendulum from equipoise identify; by default the table's, or the shipped one."""
     arm: str | None = None
-    """Arm; by default the table's, the rig's, or iiwa7."""
+    """{arms}, a URDF or a rig.toml; by default the table's, the rig's, or iiwa7."""
     actuator: str | None = None
     """Actuator that the controller assumes; by default the policy's."""
     settings: Path | None = None
@@ -90,7 +90,7 @@ class Page(Options):
     """The page."""
 
     listen: str = "127.0.0.1"
-    """Listen on this address, for browsers on other computers; by default on none of theirs."""
+    """Address to listen on; by default, this computer only."""
     port: Port = 0
     """Port of the page; 0 selects a free one."""
 
@@ -99,9 +99,9 @@ class Rig(Options):
     """The rig."""
 
     robot: str | None = None
-    """kst://HOST:30001, franka://HOST; or twin:nominal, an emulated rig."""
+    """kst://HOST:30001, franka://HOST; or twin:NAME, an emulated rig ({worlds})."""
     encoder: str | None = None
-    """serial:///dev/ttyACM0."""
+    """Address of the encoder, e.g. serial:///dev/ttyACM0."""
     rig: Path | None = None
     """Description of the rig as TOML."""
 
@@ -110,7 +110,7 @@ class Files(Options):
     """Files."""
 
     out: Path | None = None
-    """Name to write; each verb has a default name."""
+    """Output file; each verb has a default name."""
     force: bool = False
     """Replace existing files; otherwise they are kept."""
 
@@ -200,10 +200,3 @@ def name_of(arm: "Arm") -> str | None:
         if read_arm(arm.name) == arm:
             return None if arm.name == "iiwa7" else arm.name
     return "ARM"
-
-
-def shortfall(policy: "TaskPolicy") -> str:
-    """Return one line where a policy misses the target of its training; else empty."""
-    from equipoise.control.policy import TabularPolicy
-
-    return policy.shortfall if isinstance(policy, TabularPolicy) else ""

@@ -10,11 +10,12 @@ import sys
 import threading
 from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, Final, TextIO
 
 import typer
 from pydantic_core import to_json
 from rich.console import Console, ConsoleOptions, RenderableType
+from rich.measure import measure_renderables
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 VERDICT_STYLES = {"good": "green", "warning": "yellow", "bad": "bold red"}
 """Styles of the verdicts of checks."""
+MAX_WIDTH: Final = 10_000
+"""Width that no table needs [characters]."""
 
 
 class EscapingConsole(Console):
@@ -98,7 +101,7 @@ class Output:
             shown = {name: each for one in given for name, each in _labelled(one).items()}
             shown |= {label(name): value for name, value in fields.items()}
             self.warn(*(shown.pop("warnings", None) or ()))
-            self._words.print(*_tables(shown), sep="\n")
+            self._words.print(*_tables(shown, self._words), sep="\n")
             if then:
                 line = Text.assemble(("next: ", "dim"), f"equipoise {then}")
                 self._words.print(line, soft_wrap=True)
@@ -135,14 +138,14 @@ class Output:
         def update(stage: str, share: float | None, text: str) -> None:
             with lock:
                 if stage not in stages:
-                    stages[stage] = bars.add_task(stage, text="")
+                    stages[stage] = bars.add_task(stage, text="", total=None)
                 total = None if share is None else 1.0
                 bars.update(stages[stage], text=text, total=total, completed=share or 0.0)
 
         def count(_: str) -> None:
             nonlocal compiled
             compiled += 1
-            update("compile", None, f"{compiled} functions, once on this machine")
+            update("compile", None, f"functions, once on this machine: {compiled}")
 
         with bars, signals(raising=True) as stopped, watching_compilation(count):
 
@@ -152,6 +155,8 @@ class Output:
                 update(stage, share, text)
 
             yield show
+            if compiled:
+                update("compile", 1.0, f"functions, once on this machine: {compiled}")
 
     @contextmanager
     def busy(self, what: str) -> Generator[Callable[[str], None]]:
@@ -200,19 +205,30 @@ def _labelled(value: "BaseModel") -> dict[str, Any]:
     return fields
 
 
-def _tables(fields: Mapping[str, Any]) -> list[Table]:
-    """Return fields as lines of names and values, followed by a table for each nested mapping."""
+def _tables(fields: Mapping[str, Any], console: Console) -> list[RenderableType]:
+    """Return fields as lines of names and values, followed by a table for each nested mapping.
+
+    A table that is too wide for the console becomes lines, row by row.
+    """
     lines = Table.grid(padding=(0, 2, 0, 0))
     lines.add_column(no_wrap=True, style="dim")
     lines.add_column(overflow="fold")
-    tables: list[Table] = []
+    tables: list[RenderableType] = []
     for name, value in fields.items():
         rows: Any = list(value.values()) if isinstance(value, Mapping) else []
         if rows and all(isinstance(row, Mapping) for row in rows):
-            titles = (name, *map(label, rows[0]))
-            tables.append(Table(*map(printable, titles), box=None, padding=(0, 2, 0, 0)))
+            table = Table(box=None, padding=(0, 2, 0, 0))
+            for title in (name, *map(label, rows[0])):
+                table.add_column(printable(title), overflow="fold")
             for title, row in zip(value, rows, strict=True):
-                tables[-1].add_row(printable(label(title)), *map(as_text, row.values()))
+                table.add_row(printable(label(title)), *map(as_text, row.values()))
+            free = console.options.update_width(MAX_WIDTH)
+            if measure_renderables(console, free, [table]).minimum <= console.width:
+                tables.append(table)
+                continue
+            for title, row in zip(value, rows, strict=True):
+                row_lines = {label(field): one for field, one in row.items()}
+                tables += [f"{name}: {label(title)}", *_tables(row_lines, console)]
         elif text := as_text(value):
             lines.add_row(f"  {printable(name)}", text)
     return [lines, *tables]

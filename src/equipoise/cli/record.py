@@ -16,7 +16,7 @@ class Recording(Options):
     """The recording."""
 
     encoder: str
-    """serial:///dev/ttyACM0."""
+    """Address of the encoder, e.g. serial:///dev/ttyACM0."""
     duration: Annotated[float, Field(ge=1.0, le=600.0)] = 30.0
     """Maximum duration from the release [s]."""
     counts_per_rev: int | None = None

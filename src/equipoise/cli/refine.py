@@ -10,11 +10,11 @@ from equipoise.cli.verb import command, verb
 
 @verb
 def refine(output: Output, policy: Path, run: Path, *, files: opt.Files) -> None:
-    """Compare a log with the model of a policy, and write what moved.
+    """Compare a run log with the model of a policy, and write what has changed.
 
     POLICY is the table that ran, RUN is a log from equipoise deploy.
-    Identifies w2 and the actuator again. What moved beyond its interval is
-    written: the pendulum (refined.json), and the actuator beside it.
+    Identifies w2 and the actuator again, and writes those that left their
+    intervals: the pendulum (refined.json), and the actuator beside it.
     """
     from equipoise.control.policy import TabularPolicy
     from equipoise.identification.refine import inspect

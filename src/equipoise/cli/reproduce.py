@@ -13,7 +13,7 @@ class Extent(Options):
     quick: bool = False
     """Fewer episodes and trials: under a minute."""
     arm: str = "iiwa7"
-    """iiwa7, iiwa14, another registered arm, a URDF or a rig.toml."""
+    """{arms}, a URDF or a rig.toml."""
     swing: Path | None = None
     """Recorded swing, as identify reads it; by default a simulated one."""
     counts_per_rev: int | None = None

@@ -14,11 +14,11 @@ class Plant(Options):
     """The plant."""
 
     arm: str = "iiwa7"
-    """iiwa7, iiwa14, another registered arm, a URDF or a rig.toml."""
+    """{arms}, a URDF or a rig.toml."""
     actuator: str | None = None
-    """From equipoise identify RUN, or ideal; by default the shipped actuator."""
+    """File from equipoise identify RUN, or ideal; by default the shipped actuator."""
     world: str = "model"
-    """World of the episodes: model, compiled; or a twin or coppeliasim://HOST:PORT, slowly."""
+    """World of the episodes: model; or twin:NAME ({worlds}) or coppeliasim://HOST:PORT (slow)."""
 
 
 class Learning(Options):
@@ -27,14 +27,14 @@ class Learning(Options):
     learner: str | None = None
     """q_learning (the paper's), or MODULE:NAME."""
     reward: str | None = None
-    """paper, alive, or MODULE:NAME of a function."""
+    """{rewards}, or MODULE:NAME of a function; by default the recipe's."""
     episodes: Annotated[int | None, Field(ge=1)] = None
     """Number of episodes; by default the paper's 10,000."""
     target: Annotated[float | None, Field(ge=0.0, le=1.0)] = None
-    """Share of trials of 60 s to last, with 95 % confidence; by default 0.99, or 0 without a
-    selection: the first learner."""
+    """Share of 60 s trials to survive, with 95 % confidence; by default 0.99, or 0 without a
+    selection. 0 accepts the first policy."""
     learners: Annotated[int, Field(ge=1)] = 6
-    """Maximum number of learners that are trained for it."""
+    """Maximum number of trainings to meet the target, each with its own random numbers."""
 
 
 @verb
@@ -50,10 +50,9 @@ def train(
 ) -> None:
     """Train a policy by Q-learning, or by another learner.
 
-    PENDULUM is from equipoise identify; by default the shipped one. Learners
-    are trained one after the other until a policy meets the target in held-out
-    trials. Exit code 1: no learner meets it; the best policy is written and
-    marked.
+    PENDULUM is from equipoise identify; by default the shipped one. Trains
+    again, at most --learners times, until a policy meets the target in held-out
+    trials. Exit code 1: none meets it; the best policy is written and marked.
     """
     from equipoise.learning.target import TARGET, train_to_target
     from equipoise.learning.train import check_task
@@ -83,12 +82,12 @@ def train(
     inputs = {"pendulum": source.digest, "world": plant.world, "actuator": best.actuator.digest}
     best.save(out, command="train", inputs=inputs)
     output.result(
+        test=best.test,
+        policy=out,
         seed=best.seed,
         learner=best.learner,
         episodes=best.episodes,
         steps=best.steps,
-        test=best.test and best.test.model_dump(),
-        policy=out,
         warnings=[best.shortfall],
         code=int(bool(best.shortfall)),
         then=command("evaluate", out, makes="evaluation.json"),

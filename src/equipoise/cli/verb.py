@@ -3,15 +3,16 @@
 A verb takes an `Output`, arguments by position, and groups of options by keyword. A field of a
 group is an option, its docstring the help text, and the first line of the group's docstring the
 title above it. `verb` makes the flat signature that typer reads, adds `--json`, and ends an
-interruption with its exit code.
+interruption with its exit code. A help text lists the names of a table of `TABLES` by {NAME}.
 """
 
 import shlex
 import signal
 from collections.abc import Callable
+from importlib.metadata import entry_points
 from inspect import Parameter, Signature, getdoc, signature
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, Final, get_args, get_type_hints
 
 import typer
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -21,6 +22,18 @@ from rich.markup import escape
 from equipoise.artefacts import StrPath
 from equipoise.cli.output import Output, complain, signals
 from equipoise.errors import INTERRUPTED, InputError
+from equipoise.learning.rewards import REWARDS
+from equipoise.model.worlds import WORLDS
+from equipoise.settings import RECIPES, Friction
+
+TABLES: Final = {
+    "arms": sorted(entry_points(group="equipoise.arms").names),
+    "frictions": get_args(Friction),
+    "recipes": RECIPES,
+    "rewards": REWARDS,
+    "worlds": WORLDS,
+}
+"""Names that help texts list; each table is light to import."""
 
 
 class Options(BaseModel):
@@ -44,11 +57,13 @@ def verb(function: Callable[..., None]) -> Callable[..., None]:
 
     for name, parameter in signature(function).parameters.items():
         if group := groups.get(name):
+            kinds = get_type_hints(group)  # without the bounds
             for field, info in group.model_fields.items():
                 default = Parameter.empty if info.is_required() else info.default
-                add(field, info.annotation, default, _option(field, info, group))
+                add(field, kinds[field], default, _option(field, info, group))
         elif hints[name] is not Output:
-            add(name, hints[name], parameter.default, typer.Argument(show_default=False))
+            argument = typer.Argument(metavar=name.upper(), show_default=False)
+            add(name, hints[name], parameter.default, argument)
     json = typer.Option("--json", help="Print one JSON object and nothing else.")
     add("as_json", bool, False, json)
 
@@ -104,9 +119,7 @@ def _name(field: str) -> str:
 
 
 def _option(field: str, info: FieldInfo, group: type[Options]) -> Any:
-    """Return the declaration of an option; a flag that is true by default gets its negation."""
-    name = _name(field)
-    if info.default is True:
-        name += name.replace("--", "/--no-", 1)
+    """Return the declaration of an option."""
     title = (getdoc(group) or "").partition("\n")[0].rstrip(".")
-    return typer.Option(name, help=escape(info.description or ""), rich_help_panel=title)
+    text = (info.description or "").format_map({key: ", ".join(TABLES[key]) for key in TABLES})
+    return typer.Option(_name(field), help=escape(text), rich_help_panel=title)

@@ -203,7 +203,7 @@ class TargetTest(Value):
     target: Share
     """Required share of trials that last [-]."""
     met: bool
-    """Whether the lower end of the interval reaches the target."""
+    """Whether the lower end of the interval reaches the target; zero needs nothing."""
     duration: Number
     """Length of a trial [s]."""
     trials: Count
@@ -216,13 +216,13 @@ class TargetTest(Value):
     causes: dict[Outcome, Count]
     """Number of trials by their outcome."""
 
-    @property
-    def text(self) -> str:
-        """The result in one line."""
+    def __str__(self) -> str:
+        """Return the result in one line."""
         low, high = (format_share(end) for end in self.interval)
+        target = f"; target {format_share(self.target)}" if self.target else ""
         return (
             f"{self.survived:,} of {self.trials:,} trials lasted {self.duration:g} s "
-            f"(95 %: {low} to {high}); target {format_share(self.target)}"
+            f"(95 %: {low} to {high}){target}"
         )
 
 
@@ -284,7 +284,7 @@ class TabularPolicy(Artefact):
 
     def __repr__(self) -> str:
         """Return one line: arm, length of the training, and the test."""
-        tested = "" if self.test is None else f": {self.test.text}"
+        tested = "" if self.test is None else f": {self.test}"
         return f"<TabularPolicy of {self.arm.name!r}, {self.episodes:,} episodes{tested}>"
 
     __str__ = __repr__
@@ -299,7 +299,7 @@ class TabularPolicy(Artefact):
         """One line where the policy misses the target of its training; else empty."""
         if self.test is None or self.test.met:
             return ""
-        return f"the policy misses the target of its training: {self.test.text}"
+        return f"the policy misses the target of its training: {self.test}"
 
     @property
     def u_max(self) -> float:
@@ -365,6 +365,8 @@ class BoundPolicy:
     u_max: float = paper.U_MAX
     """Largest acceleration [m/s^2], that of the paper's actions: safety limits assume it, and a
     larger u is clipped."""
+    shortfall: str = ""
+    """Empty: no training that could miss a target."""
 
     def reset(self) -> None:
         """Begin a trial or a run.

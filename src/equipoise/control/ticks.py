@@ -72,6 +72,8 @@ class TickRecord(NamedTuple):
     estimated_phi: Annotated[float, "rad", "Estimate of phi at the tick, not predicted"] = np.nan
     estimated_phi_dot: Annotated[float, "rad/s", "Estimate of phi_dot at the tick"] = np.nan
     bias: Annotated[float, "rad", "Estimate of the encoder's zero error"] = 0.0
+    estimated_x_dot: Annotated[float, "m/s", "Estimate of x_dot at the tick"] = np.nan
+    estimated_x: Annotated[float, "m", "Estimate of x at the tick"] = np.nan
 
 
 class TickOutput(NamedTuple):

@@ -6,31 +6,36 @@ the acceleration [m/s^2]; `failed` says whether the step ended in failure.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Final
+from math import radians
+from typing import TYPE_CHECKING, Final
 
 from equipoise import paper
-from equipoise.control.controller import Observation
-from equipoise.control.grid import PHI_LIMIT
+
+if TYPE_CHECKING:  # help lists the names without Numba
+    from equipoise.control.controller import Observation
+
+PHI_LIMIT: Final = radians(paper.PHI_LIMIT_DEG)
+"""Failure angle [rad]."""
 
 
-def failure(state: Observation, u: float, next_state: Observation, failed: bool) -> float:
+def failure(state: "Observation", u: float, next_state: "Observation", failed: bool) -> float:
     """Return -1 for a failure, else 0, the textbook's reward."""
     return -1.0 if failed else 0.0
 
 
-def alive(state: Observation, u: float, next_state: Observation, failed: bool) -> float:
+def alive(state: "Observation", u: float, next_state: "Observation", failed: bool) -> float:
     """Return 1 for each step without a failure, as Gymnasium's CartPole does."""
     return 0.0 if failed else 1.0
 
 
-def centred(state: Observation, u: float, next_state: Observation, failed: bool) -> float:
+def centred(state: "Observation", u: float, next_state: "Observation", failed: bool) -> float:
     """Return -1 for a failure, else at most -0.01 per axis for the distance from the middle."""
     if failed:
         return -1.0
     return -0.01 * ((next_state.x / paper.X_LIMIT) ** 2 + (next_state.phi / PHI_LIMIT) ** 2)
 
 
-REWARDS: Final[Mapping[str, Callable[[Observation, float, Observation, bool], float]]] = {
+REWARDS: Final[Mapping[str, Callable[["Observation", float, "Observation", bool], float]]] = {
     "failure": failure,
     "alive": alive,
     "centred": centred,

@@ -121,7 +121,7 @@ def train(
             found.setdefault(accelerations, (point.episodes, averaged.copy()))
             if len(found) > rule.candidates:
                 del found[next(iter(found))]
-        text = f"{point.duration:.1f} s an episode"
+        text = f"mean episode: {point.duration:.1f} s"
         show(stage_of("train", learner), point.episodes / episodes, text)
     chosen, results = training.tables.Q, tuple[Checkpoint, ...]()
     if found:

@@ -177,6 +177,10 @@ class RunLog:
     """Joint velocities commanded for the end of the tick [rad/s], shape (n, joints)."""
     estimated_phi = _TickColumn()
     """Estimate of phi at the tick, without prediction [rad], shape (n,)."""
+    estimated_x_dot = _TickColumn()
+    """Estimate of x_dot at the tick, without prediction [m/s], shape (n,)."""
+    estimated_x = _TickColumn()
+    """Estimate of x at the tick, without prediction [m], shape (n,)."""
     bias = _TickColumn()
     """Estimate of the encoder's zero error [rad], shape (n,)."""
 

@@ -4,6 +4,7 @@ Each function judges one subject and returns its findings; a threshold stands be
 nowhere else. Nothing here moves an arm.
 """
 
+import os
 from collections.abc import Callable, Sequence
 from math import degrees, floor, inf
 from typing import Final, Literal, NamedTuple
@@ -29,6 +30,10 @@ GOOD_ROUND_TRIP: Final = 0.0055
 link setpoints are sent only as replies arrive, and the flange's speed is limited."""
 MAX_ROUND_TRIP: Final = 0.009
 """99th percentile of round trips beyond which a reply is overdue in every tick [s]."""
+DELAYS: Final = ("link to the robot", "encoder's samples")
+"""Checks of devices that a late loop fails, too."""
+COMPUTER: Final = "end other programs on this computer, then measure again"
+"""Remedy for a late device behind a late loop, and for one that this computer emulates."""
 HOME_MARGIN_DEG: Final = 5.0
 """Minimum distance of home from a joint's limits, beyond the rig's margin [deg]."""
 
@@ -78,6 +83,30 @@ def require(findings: Sequence[Finding], error: type[EquipoiseError] = InputErro
         raise error("; ".join(f"{one.name}: {one.found}; {one.remedy}" for one in bad))
 
 
+def is_emulated(address: str | None) -> bool:
+    """Return whether this computer emulates the device at an address, see `rig emulate`."""
+    place = (address or "").partition("://")[2]
+    return place.startswith("127.") or os.path.realpath(place).startswith("/dev/pts/")
+
+
+def judge_loop_first(
+    loop: Finding, devices: Sequence[Finding], addresses: Sequence[str | None]
+) -> list[Finding]:
+    """Return all findings, the loop's first, with the remedy `COMPUTER` where it applies.
+
+    Args:
+        loop: Finding of `check_deadlines`, measured at the same time.
+        devices: Findings on robot and encoder.
+        addresses: Addresses of both.
+    """
+    if loop.status != "good" or any(map(is_emulated, addresses)):
+        devices = [
+            one._replace(remedy=COMPUTER) if one.remedy and one.name in DELAYS else one
+            for one in devices
+        ]
+    return [loop, *devices]
+
+
 def check_settings(granted: dict[str, str]) -> list[Finding]:
     """Judge the real-time settings of a process, see `equipoise.rig.realtime.prepare`."""
     remedy = (
@@ -102,7 +131,7 @@ def check_deadlines(late: Array, *, paced: bool = False) -> Finding:
     """Judge how late deadlines are met, and whether a run outlasts the stalls.
 
     Args:
-        late: Lateness of each deadline [s], shape (n,); the first one of a stall is its length.
+        late: Lateness of each deadline [s], shape (n,); that of a stall is its length.
         paced: Whether the robot sets the pace.
     """
     longest, limit = float(late.max()), STALL if paced else MAX_STALL
@@ -174,7 +203,7 @@ def check_encoder(
         find(
             "encoder's samples",
             f"{rate:.0f} per second, the newest {1e3 * age:.1f} ms old",
-            "use a board with native USB (Teensy, Pico), or set the adapter's latency timer to "
+            "use a faster board with native USB (Teensy, Pico); set an adapter's latency timer to "
             "1 ms: echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer",
             # A board at 500 Hz reaches 450; five samples at 1 kHz.
             warning=rate < 450.0 or age > 0.005,

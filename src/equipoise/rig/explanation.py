@@ -17,7 +17,8 @@ predicts over a time that is shorter by T, each command meets a lean that has gr
 :math:`e^{\lambda T}`.
 
 **The outcome in the log.** A rule that names a root cause (a late tick, a contact) ranks high. A
-rule that names a symptom (the angle, the track) ranks last.
+rule that names a symptom (the angle, the track) ranks last, and so does a late device where the
+computer was late itself.
 """
 
 from contextlib import suppress
@@ -32,6 +33,7 @@ from equipoise.errors import ArtefactError, RecordingError
 from equipoise.identification.refine import ModelMotion, read_motion
 from equipoise.logs.run_log import RunLog
 from equipoise.outcomes import Outcome, describe
+from equipoise.rig.checks import STALL, is_emulated
 from equipoise.rig.phases.context import RESTART_ACCELERATION
 from equipoise.worlds.reachability import diverging_angle, fall_rate, recoverable_angle
 
@@ -61,6 +63,8 @@ class RootCause(StrEnum):
     """The arm follows later than the controller predicts."""
     PAUSE = "pause of the setpoints"
     """The arm stopped while it moved, because the computer or the link stood still."""
+    BUSY = "busy computer"
+    """The loop was late, or the computer emulated the device that was."""
 
 
 ADVICE: Final[dict[Outcome | RootCause, str]] = {
@@ -69,7 +73,7 @@ ADVICE: Final[dict[Outcome | RootCause, str]] = {
     RootCause.OUTSIDE: "release more gently and more upright, and take the hand straight away",
     **dict.fromkeys(
         (RootCause.SATURATION, Outcome.ANGLE),
-        "evaluate the policy on the twin; if it stands there, `equipoise refine` it with this log",
+        "evaluate the policy on the twin; if it balances there, `equipoise refine` it with this",
     ),
     RootCause.PUSH: "keep hands, cables and draughts away from the pendulum",
     RootCause.ZERO: "check the encoder's coupling and wires, level the base, and reference again",
@@ -93,8 +97,8 @@ ADVICE: Final[dict[Outcome | RootCause, str]] = {
         "check the mounting of base and flange, and the actuator in use",
     ),
     **dict.fromkeys(
-        (Outcome.TICK, RootCause.PAUSE),
-        "find with `equipoise rig doctor` what delays this machine",
+        (Outcome.TICK, RootCause.PAUSE, RootCause.BUSY),
+        "end other programs; find with `equipoise rig doctor` what delays this machine",
     ),
     **dict.fromkeys(
         (
@@ -118,6 +122,11 @@ SYMPTOMS: Final = frozenset(
     }
 ) | (frozenset(Outcome) - ADVICE.keys())
 """Outcomes that name a symptom, not a root cause."""
+DELAYS: Final = (
+    *(Outcome.LINK, Outcome.LINK_LOST, Outcome.MEASUREMENT_STALE),
+    *(Outcome.ENCODER_STALE, Outcome.ENCODER_LOST, Outcome.ENCODER_GAP),
+)
+"""Outcomes that name a late device."""
 
 
 class Cause(NamedTuple):
@@ -145,14 +154,13 @@ def explain(run: RunLog) -> list[Cause]:
         run: Log of the run.
     """
     end, balanced = run.ending, run.conditions.simulated
-    if not balanced:
-        try:
-            # The encoder's angles need the zero of the balancing.
-            balanced = len(run.ticks) > 0 and len(run.encoder.time) >= 0
-        except ArtefactError:
-            balanced = False
-    score = 0.2 if end.outcome in SYMPTOMS else 0.95
-    causes = [Cause(end.outcome, score, run.lasted if balanced else None, describe(end))]
+    with suppress(ArtefactError):  # the encoder's angles need the zero of the balancing
+        balanced = balanced or (len(run.ticks) > 0 and len(run.encoder.time) >= 0)
+    time = run.lasted if balanced else None
+    busy = _busy(run) if end.outcome in DELAYS else ""
+    causes = [Cause(RootCause.BUSY, 0.95, time, busy)] if busy else []
+    score = 0.2 if busy or end.outcome in SYMPTOMS else 0.95
+    causes.append(Cause(end.outcome, score, time, describe(end)))
     regular = end.outcome in (Outcome.LASTED, Outcome.OPERATOR, Outcome.EXCITED)
     if balanced and len(run.time) > 0 and not regular:
         causes += root_causes(run)
@@ -212,6 +220,20 @@ def _local_fits(time: Array, values: Array, at: Array, half: float) -> tuple[Arr
 def _u_max(log: RunLog) -> float:
     """Return the policy's maximum u [m/s^2]; where it is unknown, that of the run."""
     return log.conditions.u_max or float(np.abs(log.u).max())
+
+
+def _busy(log: RunLog) -> str:
+    """Return the evidence that the computer was late itself; empty without any."""
+    given, ticks = log.conditions, log.tables["tick"]
+    late = np.nan_to_num(ticks["late"][-round(LATE / given.h) :])
+    missed = late[late > 0.5 * given.h]  # of a run on a rig, see `missed_ticks`
+    if missed.sum() > STALL:
+        most = 1e3 * float(missed.max())
+        return (
+            f"the loop missed {len(missed)} of the last {len(late)} ticks, by up to {most:.0f} ms"
+        )
+    device = given.encoder if "encoder" in log.outcome else given.world
+    return f"this computer emulates {device}" if is_emulated(device) else ""
 
 
 def _outside(log: RunLog) -> Cause | None:

@@ -1,9 +1,9 @@
 """Measurements and checks before the arm moves, for the pre-flight of a run and the diagnosis.
 
-Deadlines are absolute, as in a run: a stall over several deadlines makes all of them late.
+The loop of the measurements is measured, too: a late loop finds every device late.
 """
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -27,6 +27,7 @@ from equipoise.rig.checks import (
     check_settings,
     check_speed,
     find,
+    judge_loop_first,
     max_flange_speed,
 )
 from equipoise.rig.clocks import DrainingClock, SystemClock
@@ -69,7 +70,8 @@ def preflight(
         LinkError: Robot or encoder does not answer.
     """
     policy, settings, seconds = request.policy, request.settings, 1.0  # of each measurement
-    waiting = DrainingClock(rig.clock, rig.sensor)
+    clock = TimedClock(rig.clock)
+    waiting = DrainingClock(clock, rig.sensor)
     paced = isinstance(rig.robot, Clock)  # its stream is the clock of its rig
     trips = round_trips(rig.robot, waiting, seconds, paced=paced)
     rule = rig.plugin.flange_speed
@@ -78,15 +80,20 @@ def preflight(
         check_link(trips, paced=paced),
         *check_speed(policy, max_speed),
         check_posture(rig.robot.measured(), settings),
-        *check_encoder(settings, *listen(rig.sensor, rig.clock, seconds)),
+        *check_encoder(settings, *listen(rig.sensor, clock, seconds)),
         *check_settings(granted),
         *([check_kernel(REALTIME.exists())] if paced and granted else []),
     ]
-    return results, max_speed
+    loop = check_deadlines(np.array(clock.late), paced=paced)
+    return judge_loop_first(loop, results, (request.robot, request.encoder)), max_speed
 
 
 def examine(
-    robot: ServoedArm | None, sensor: AngleSensor | None, rig: RigSettings | None, seconds: float
+    robot: ServoedArm | None,
+    sensor: AngleSensor | None,
+    rig: RigSettings | None,
+    seconds: float,
+    addresses: Sequence[str | None] = (),
 ) -> list[Finding]:
     """Measure a machine and a rig, and judge the measurements; no arm moves.
 
@@ -97,11 +104,14 @@ def examine(
         sensor: The encoder, not connected; None examines none.
         rig: Contents of `rig.toml`; None where they are unknown.
         seconds: Duration of each measurement [s].
+        addresses: Addresses of robot and encoder.
     """
-    clock, paced = SystemClock(), isinstance(robot, PacedRobot)
-    findings = check_settings(prepare())
-    findings += [check_kernel(REALTIME.exists())] if paced else []
-    findings.append(check_deadlines(lateness(clock, seconds), paced=paced))
+    clock, paced = TimedClock(SystemClock()), isinstance(robot, PacedRobot)
+    machine, findings = check_settings(prepare()), list[Finding]()
+    machine += [check_kernel(REALTIME.exists())] if paced else []
+    begin = clock.now()
+    for k in range(max(round(seconds / SETPOINT_PERIOD), 1)):
+        clock.wait_until(begin + (k + 1) * SETPOINT_PERIOD)
     for device in (sensor, robot):
         if device is None:
             continue
@@ -119,7 +129,8 @@ def examine(
             findings.append(find(name, str(error), remedy, bad=True))
         finally:
             device.close()
-    return findings
+    loop = check_deadlines(np.array(clock.late), paced=paced)
+    return [*machine, *judge_loop_first(loop, findings, addresses)]
 
 
 def warm_up(request: RunRequest) -> None:
@@ -157,21 +168,25 @@ def warm_up(request: RunRequest) -> None:
         )
 
 
-def lateness(clock: Clock, seconds: float, *, period: float = SETPOINT_PERIOD) -> Array:
-    """Measure how late absolute deadlines are met [s], shape (n,).
+class TimedClock:
+    """Clock that records how late its waits end."""
 
-    Args:
-        clock: The clock to wait at.
-        seconds: Length of the measurement [s]; at least one deadline.
-        period: Time between deadlines [s].
-    """
-    late = np.zeros(max(round(seconds / period), 1))
-    begin = clock.now()
-    for k in range(len(late)):
-        deadline = begin + (k + 1) * period
-        clock.wait_until(deadline)
-        late[k] = clock.now() - deadline
-    return late
+    def __init__(self, clock: Clock) -> None:
+        """Wrap a clock."""
+        self._clock = clock
+        self.late: list[float] = []
+        """Time from the end of each wait, or from its begin if that was later, to the return [s]:
+        a slow device does not count."""
+
+    def now(self) -> float:
+        """Return the time [s]."""
+        return self._clock.now()
+
+    def wait_until(self, time: float) -> None:
+        """Wait until a time [s]."""
+        due = max(time, self.now())
+        self._clock.wait_until(time)
+        self.late.append(self.now() - due)
 
 
 def round_trips(robot: ServoedArm, clock: Clock, seconds: float, *, paced: bool = False) -> Array:

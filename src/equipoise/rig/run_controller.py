@@ -66,7 +66,7 @@ class RunController(RunContext):
         missed = missed_ticks(inputs.lateness, h)
         late = max(inputs.lateness - missed * h, 0.0)
         if inputs.paused(h):
-            warning = "The computer stood still: `equipoise rig doctor` looks for the cause."
+            warning = "The control loop stalled; `equipoise rig doctor` looks for the cause."
             self.begin_anew(missed, inputs.unsent, warning)
         self._take_measurements(inputs)
         self._take_lines(inputs.lines)

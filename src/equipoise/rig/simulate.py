@@ -20,6 +20,7 @@ from equipoise.artefacts import Seed, StrPath
 from equipoise.control.bound_policy import AnyPolicy, read_policy
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.grid import TRUNCATED, box_indices, make_grid
+from equipoise.control.ticks import TickRecord
 from equipoise.logs.conditions import RunConditions, RunEnd
 from equipoise.logs.run_log import RunLog, simulated_log
 from equipoise.model.actuator import Actuator
@@ -116,9 +117,7 @@ def simulate_run(
             **dict(zip(state, rows.observation.T, strict=True)),
             "box": box_indices(rows.observation, boxes),
             "u": rows.u,
-            "estimated_phi": rows.estimate[:, 0],
-            "estimated_phi_dot": rows.estimate[:, 1],
-            "bias": rows.estimate[:, 2],
+            **dict(zip(TickRecord._fields[-5:], rows.estimate.T, strict=True)),
             "q": _all_joints(arm, rows.q),
             "dq": _all_joints(arm, rows.dq, held=0.0),
         },

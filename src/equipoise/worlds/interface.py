@@ -243,7 +243,7 @@ class TrialRecord(NamedTuple):
     u: Array
     """Commanded acceleration [m/s^2], shape (n,)."""
     estimate: Array
-    """Estimated phi [rad], phi_dot [rad/s] and bias of phi [rad] at the tick, shape (n, 3)."""
+    """`StateEstimate` at the tick, shape (n, 5)."""
     state: Array
     """True x, x_dot, phi, phi_dot at the tick, shape (n, 4)."""
     joints: Array
@@ -273,9 +273,11 @@ class Recorder:
     def before(self, loop: ClosedLoop, u: float) -> None:
         """Record the state and the measurements at a tick, and the u that the policy commands."""
         state, measured = loop.state(), loop.measurement()
-        estimate, encoder, joints = np.append(state[2:], 0.0), (nan, nan), np.full(7, nan)
+        x, x_dot, *pendulum = state
+        estimate = np.array((*pendulum, 0.0, x_dot, x))
+        encoder, joints = (nan, nan), np.full(7, nan)
         if measured is not None:
-            estimate = loop.controller.estimate[: 3 * BATCH_SIZE : BATCH_SIZE].copy()
+            estimate = loop.controller.estimate[::BATCH_SIZE].copy()
             encoder = measured.counts, measured.counted_at
             joints = np.append(measured.q, measured.measured_at)
         self._before = predicted(loop), u, estimate, state, loop.joints(), encoder, joints

@@ -68,7 +68,7 @@ def _trials(where: str, evaluation: Evaluation, seconds: float) -> dict[str, Any
         f"{where}_trials": summary.trials,
         f"{where}_median_s": summary.median,
         f"{where}_stood_{seconds:g}s": stood,
-        f"{where}_interval": exact_interval(stood, summary.trials),
+        f"{where}_interval_95": exact_interval(stood, summary.trials),
         f"{where}_ended_by": summary.outcomes,
     }
 

@@ -24,7 +24,7 @@ class Balancing(RunPhase):
         w2 = run.response.params.pendulum.w2
         run.controller.begin(*run.encoder.falling(run.began or 0.0, w2))
         run.lost_speed = 0.0
-        run.notify("balancing", "Balancing. Any key stops.")
+        run.notify("balancing", "Balancing. Press any key to stop.")
 
     def begin_anew(self, missed: int, unsent: bool) -> None:
         """Go on from rest; missed ticks count."""
@@ -75,4 +75,4 @@ class Balancing(RunPhase):
     def _record(self, u: float) -> None:
         controller = self.run.controller
         observed, estimate = controller.observation, controller.estimate
-        self.run.record = TickRecord(*observed, controller.box, u, *estimate[:3])
+        self.run.record = TickRecord(*observed, controller.box, u, *estimate)

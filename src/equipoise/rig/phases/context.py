@@ -24,7 +24,7 @@ Setpoints = tuple[tuple[float, ...], ...]
 RESTART_ACCELERATION: Final = 0.5 * STOP_DECELERATION
 """Additional acceleration of the flange after a pause of the setpoints, until it has the speed of
 before [m/s^2]: with the policy's largest acceleration that of a stop."""
-LINK_STALLED: Final = "The robot's link stood still: `equipoise rig doctor` looks for the cause."
+LINK_STALLED: Final = "The robot's link stalled; `equipoise rig doctor` looks for the cause."
 """Warning of a stall of the link."""
 
 

@@ -22,7 +22,7 @@ class Homing(RunPhase):
     def enter(self) -> None:
         """Plan the path."""
         self._path = self._path_home()
-        home = f"Moving to home, {self._path.duration:.1f} s. Any key stops, now and later."
+        home = f"Moving to home, {self._path.duration:.1f} s. Press any key to stop, at any time."
         self.run.notify("homing", home)
 
     @property

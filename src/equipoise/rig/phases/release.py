@@ -44,7 +44,7 @@ class Lifting(RunPhase):
             if kind is Phase.ARMED:
                 run.notify("armed", "\aArmed. Let go.")
             else:
-                run.notify("disarmed", "Your hand is still on. Hold the pendulum upright again.")
+                run.notify("disarmed", "You are still holding the pendulum. Hold it upright again.")
         elif kind is Phase.ARMED and self.ticks % interval == interval - 1:
             run.notify("nudge", "Let go. If it stands by itself, nudge it.")
         return run.still()

@@ -252,8 +252,8 @@ class LineEncoder:
     def _late(self, lateness: float) -> LinkError:
         return self._fail(
             f"delivers its lines {1e3 * lateness:.0f} ms late, expected at most "
-            f"{1e3 * MAX_LATENESS:.0f} ms; set the USB adapter's latency timer to 1 ms, take load "
-            "off the host, or use a faster link or a board with a quartz, then connect again"
+            f"{1e3 * MAX_LATENESS:.0f} ms; take load off this computer, set a USB adapter's "
+            "latency timer to 1 ms, or use a faster link or a board with a quartz"
         )
 
     def _fail(self, what: str) -> LinkError:
