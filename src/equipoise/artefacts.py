@@ -201,11 +201,11 @@ def read_document(path: Path) -> dict[str, Any]:
     Raises:
         ArtefactError: The file is missing, not of Equipoise, or does not match its digest.
     """
-    data = read_bytes(path, MAX_FILE_SIZE, "a file of Equipoise", ArtefactError)
+    text = read_text(path, MAX_FILE_SIZE, "a file of Equipoise", ArtefactError)
     kinds = {"format": str, "digest": str, "provenance": dict, "body": dict}
     cure = "make the file again, or give a file that Equipoise wrote"
     try:
-        document: Any = json.loads(data)
+        document: Any = json.loads(text)
         if any(type(document[key]) is not kind for key, kind in kinds.items()):
             raise ValueError(f"expected the keys {', '.join(kinds)}")
         matches = document["digest"] == _digest(document["body"])
@@ -241,6 +241,32 @@ def read_bytes(path: Path, limit: int, kind: str, error: type[InputError]) -> by
         size = f"{limit / MEBIBYTE:.2g} MiB"
         raise error(f"{path} is larger than {size}, the limit for {kind}; give a smaller one")
     return data
+
+
+def read_text(path: Path, limit: int, kind: str, error: type[InputError]) -> str:
+    """Read a text file; arguments and errors are those of `read_bytes` and `decode_text`."""
+    return decode_text(read_bytes(path, limit, kind, error), path, kind, error)
+
+
+def decode_text(data: bytes, path: Path, kind: str, error: type[InputError]) -> str:
+    """Return the text of a file in UTF-8, with or without a byte-order mark.
+
+    Args:
+        data: Content of the file.
+        path: The file, for messages.
+        kind: Expected kind of file, with its article, for messages.
+        error: Class of the errors.
+
+    Raises:
+        InputError: The file is no text in UTF-8; an instance of `error`.
+    """
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = "\0"
+    if "\0" in text:
+        raise error(f"{path} is not text in UTF-8; give {kind} in UTF-8")
+    return text
 
 
 def first_fault(error: ValidationError) -> str:

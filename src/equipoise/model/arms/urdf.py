@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from equipoise.arguments import checked
-from equipoise.artefacts import MEBIBYTE, StrPath, read_bytes, shortened
+from equipoise.artefacts import MEBIBYTE, StrPath, read_text, shortened
 from equipoise.errors import ArmError
 from equipoise.model.arms.arm import Arm, Inertial, Joint
 from equipoise.model.arms.chain import Floats, Triple, rpy_from_rotation
@@ -57,17 +57,15 @@ def read_urdf(
         ArmError: The file is no URDF, or its chain is not an arm with six free joints.
     """
     path = Path(path)
+    text = read_text(path, LARGEST_URDF, "a URDF", ArmError)
     try:
-        text = read_bytes(path, LARGEST_URDF, "a URDF", ArmError).decode()
         robot = ElementTree.fromstring(text)
         if robot.tag != "robot":
             raise ValueError(f"it begins with <{robot.tag}>, expected <robot>")
         spec = mujoco().MjSpec.from_string(text)
-    except ArmError:
-        raise
     except Exception as error:  # of parsers and codecs
         raise ArmError(
-            f"{path} is not a URDF ({shortened(str(error), 200)}); give a URDF file in UTF-8"
+            f"{path} is not a URDF ({shortened(str(error), 200)}); give a URDF file"
         ) from None
     chain = _chain(spec, tip, path)
     limits = {
