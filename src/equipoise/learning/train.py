@@ -186,9 +186,11 @@ def check_task(
         actuators, for the first one that gives a warning.
 
     Raises:
-        InputError: The world takes no such actuators.
-        SettingsError: No controller saves any of the releases, or the share that the target needs.
+        InputError: The world takes no such actuators, or a guest's learner or reward is invalid.
+        SettingsError: The learner or the reward is unknown, or no controller saves any of the
+            releases, or the share that the target needs.
     """
+    with_digests(settings.learning)
     parameters = pendulum.parameters(linearised=settings.plant.linearised)
     warnings = [
         check_releases(parameters, settings, each, least=target)
