@@ -6,6 +6,7 @@ detects corruption, not forgery, and does not cover the provenance). NaN, infini
 other fields are rejected. Files are written atomically.
 """
 
+import glob
 import hashlib
 import json
 import os
@@ -14,12 +15,12 @@ import re
 import reprlib
 import sys
 import threading
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal, Self
+from typing import Annotated, Any, BinaryIO, ClassVar, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -331,12 +332,64 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
 
 def temporary_name(path: Path) -> Path:
-    """Return a hidden path in the folder of a file, unique to this process and thread.
+    """Return a hidden path in the folder of a file, unique to this process and thread."""
+    return _hidden(path, f"{os.getpid()}.{threading.get_ident()}.tmp")
 
-    File systems limit names to 255 bytes, so a long name is truncated.
+
+def _hidden(path: Path, end: str) -> Path:
+    # File systems limit names to 255 bytes, so a long name is truncated.
+    return path.with_name(f".{os.fsdecode(os.fsencode(path.name)[:150])}.{end}")
+
+
+@contextmanager
+def claimed(path: Path) -> Generator[bool]:
+    """Reserve the name of a file, so that two processes never write the same one.
+
+    The reservation is a lock on a hidden file beside it, which the system releases when the process
+    ends in any way. It removes the temporary files of a killed process.
+
+    Yields:
+        Whether no other process has reserved the name.
+
+    Raises:
+        OutsideError: The folder cannot be created or written.
     """
-    name = os.fsdecode(os.fsencode(path.name)[:150])
-    return path.with_name(f".{name}.{os.getpid()}.{threading.get_ident()}.tmp")
+    folder, marker = path.absolute().parent, path.with_name(f".{path.name}.claim")
+    try:
+        is_new = not folder.exists()
+        folder.mkdir(parents=True, exist_ok=True)
+        file = marker.open("ab")
+    except OSError as error:
+        raise OutsideError(
+            f"{folder} takes no file for {path} ({error.strerror}); give another name, or make room"
+        ) from None
+    with file:
+        # Without a name it is that of a process which has just ended.
+        free = lock(file) and os.fstat(file.fileno()).st_nlink > 0
+        for leftover in folder.glob(f"{glob.escape(_hidden(path, '').name)}*.tmp"):
+            if free:
+                leftover.unlink(missing_ok=True)
+        try:
+            yield free
+        finally:
+            with suppress(OSError):
+                if free:
+                    marker.unlink()
+                if is_new:
+                    folder.rmdir()  # where it is still empty
+
+
+def lock(file: BinaryIO) -> bool:
+    """Lock a file until it is closed; return whether no other process had locked it."""
+    try:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except (ImportError, OSError):
+        return True  # this system, or the disk, has no file locks
+    return True
 
 
 def value_digest(value: BaseModel, *, exclude: dict[str, Any] | None = None) -> str:

@@ -69,7 +69,7 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     task = {"arm": None if emulated.arm == "iiwa7" else emulated.arm}
     task |= {"pendulum": emulated.pendulum}
     links = {"robot": emulation.hardware.address, "encoder": encoder}
-    then = command("deploy", yours, **links, **task, makes="run.mcap")
+    then = command("deploy", yours, **links, **task)
     # The emulated robot takes the first core: the loop of the run stays on the last one. The
     # kernel's threads that carry its bytes get their turns there.
     realtime.prepare(core=0, priority=0)

@@ -1,5 +1,7 @@
 """`equipoise evaluate`: measures how long a policy stands, and why it falls."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +13,15 @@ from equipoise.cli.verb import Options, command, verb
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
-    from equipoise.worlds.evaluation import TrialResults
+    from equipoise.worlds.certification import Certificate
+    from equipoise.worlds.evaluation import Evaluation, TrialResults
+
+
+class Report(opt.Files):
+    """Files."""
+
+    out: Path | None = None
+    """File for the evaluation or certificate; by default none is written."""
 
 
 class Trials(Options):
@@ -38,7 +48,7 @@ def evaluate(
     trials: Trials,
     task: opt.Task,
     random: opt.Random,
-    files: opt.Files,
+    files: Report,
 ) -> None:
     """Evaluate a policy: how long it stands, and why it falls.
 
@@ -51,50 +61,63 @@ def evaluate(
     Claim and policy determine the number of trials and their seed, so a second
     attempt is the same. Exit code 1: refused.
     """
-    if trials.claim is not None:
-        certify(output, policy, trials.claim, trials, task, random, files)
-        return
     from equipoise.control.bound_policy import BUILT_IN
     from equipoise.executors import counted
+    from equipoise.worlds import setup_of
+    from equipoise.worlds.certification import certify, make_claim
     from equipoise.worlds.evaluation import evaluate
 
     chosen = task.read(policy)
-    out = files.file("evaluation.json", policy, task.pendulum)
-    settings, given = chosen.settings, {"trials": trials.trials, "duration": trials.duration}
-    changes = {name: value for name, value in given.items() if value is not None}
-    changed = settings.evaluation.model_validate({**dict(settings.evaluation), **changes})
-    output.warn(opt.shortfall(chosen))
-    total = changed.trials * (1 + len(BUILT_IN) * trials.baselines)
-    with output.progress() as show:
-        evaluation = evaluate(
+    work: partial[Any]
+    describe: Callable[[Any], dict[str, Any]]
+    if trials.claim is None:
+        given = {"trials": trials.trials, "duration": trials.duration}
+        changes = {name: value for name, value in given.items() if value is not None}
+        settings = chosen.settings.evaluation
+        changed = settings.model_validate({**dict(settings), **changes})
+        settings = chosen.settings.model_copy(update={"evaluation": changed})
+        setup_of(chosen, trials.world, settings, task.actuator)
+        total = changed.trials * (1 + len(BUILT_IN) * trials.baselines)
+        work = partial(
+            evaluate,
             chosen,
-            settings.model_copy(update={"evaluation": changed}),
+            settings,
             world=trials.world,
             actuator=task.actuator,
             seed=random.seed,
             with_baselines=trials.baselines,
-            workers=random.threads,
-            done=counted("evaluate", total, show),
         )
-    inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
-    evaluation.save(out, command="evaluate", inputs=inputs)
-    fields = _trial_fields(evaluation.results)
-    output.result(
-        world=evaluation.world,
-        arm=evaluation.arm,
-        duration_s=evaluation.duration,
-        seed=evaluation.seed,
-        **fields,
-        baselines={each.name: _trial_fields(each) for each in evaluation.baselines},
-        evaluation=out,
-        code=int(fields["median_s"] < evaluation.duration),
-        then=_deploy(policy, trials, task),
-    )
-
-
-def _deploy(policy: Path | None, trials: Trials, task: opt.Task) -> str:
+        describe = _measured
+    else:
+        if random.seed or task.actuator is not None:
+            raise InputError("a claim fixes seed and actuator; leave out --seed and --actuator")
+        length = 60.0 if trials.duration is None else trials.duration
+        claim = make_claim(trials.claim, duration=length, world=trials.world, trials=trials.trials)
+        total, work, describe = claim.trials, partial(certify, chosen, claim), _certified
+    out = files.out and files.file(output, "", policy, task.pendulum)
+    output.warn(opt.shortfall(chosen))
+    with output.progress() as show:
+        found = work(workers=random.threads, done=counted("evaluate", total, show))
+    if out is not None:
+        inputs = {"policy": chosen.digest, "pendulum": chosen.pendulum.digest}
+        found.save(out, command="evaluate", inputs=inputs)
     world = trials.world if trials.world.startswith("twin:") else None
-    return command("deploy", policy, task, world=world, makes="run.mcap")
+    then = command("deploy", policy, task, world=world)
+    output.result(**describe(found), file=out, then=then)
+
+
+def _measured(evaluation: "Evaluation") -> dict[str, Any]:
+    """Return the results of trials and their baselines as fields of a result, with exit code."""
+    fields = _trial_fields(evaluation.results)
+    return {
+        "world": evaluation.world,
+        "arm": evaluation.arm,
+        "duration_s": evaluation.duration,
+        "seed": evaluation.seed,
+        **fields,
+        "baselines": {each.name: _trial_fields(each) for each in evaluation.baselines},
+        "code": int(fields["median_s"] < evaluation.duration),
+    }
 
 
 def _trial_fields(results: "TrialResults") -> dict[str, Any]:
@@ -104,40 +127,16 @@ def _trial_fields(results: "TrialResults") -> dict[str, Any]:
     return {name: getattr(found, name) for name in names} | {"median_s": found.median}
 
 
-def certify(
-    output: Output,
-    policy: Path | None,
-    probability: float,
-    trials: Trials,
-    task: opt.Task,
-    random: opt.Random,
-    files: opt.Files,
-) -> None:
-    """Grant or refuse a claim about a policy, and write the certificate."""
-    if random.seed or task.actuator is not None:
-        raise InputError("a claim fixes seed and actuator; leave out --seed and --actuator")
-    from equipoise.executors import counted
-    from equipoise.worlds import certification
-
-    chosen = task.read(policy)
-    out = files.file("certificate.json", policy, task.pendulum)
-    length = 60.0 if trials.duration is None else trials.duration
-    claim = certification.make_claim(
-        probability, duration=length, world=trials.world, trials=trials.trials
-    )
-    with output.progress() as show:
-        done = counted("evaluate", claim.trials, show)
-        certificate = certification.certify(chosen, claim, workers=random.threads, done=done)
-    certificate.save(out, command="evaluate", inputs={"policy": chosen.digest})
-    output.result(
-        claim=str(claim),
-        granted=certificate.granted,
-        bound=certificate.bound,
-        trials=claim.trials,
-        failures=certificate.failed,
-        allowed=claim.allowed,
-        outcomes=_trial_fields(certificate.evaluation.results)["outcomes"],
-        certificate=out,
-        code=int(not certificate.granted),
-        then=_deploy(policy, trials, task),
-    )
+def _certified(certificate: "Certificate") -> dict[str, Any]:
+    """Return a verdict about a claim as fields of a result, with exit code."""
+    claim = certificate.claim
+    return {
+        "claim": str(claim),
+        "granted": certificate.granted,
+        "bound": certificate.bound,
+        "trials": claim.trials,
+        "failures": certificate.failed,
+        "allowed": claim.allowed,
+        "outcomes": _trial_fields(certificate.evaluation.results)["outcomes"],
+        "code": int(not certificate.granted),
+    }
