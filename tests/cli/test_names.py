@@ -77,6 +77,9 @@ def test_a_name_that_is_given_is_kept_for_its_file(equipoise, refused, tmp_path)
     refused(*run, saying="mine.mcap exists; give another name, or --force to replace it")
     with claimed(tmp_path / "mine.mcap"):
         refused(*run, "--force", saying="another command is writing mine.mcap")
+    with claimed(tmp_path / "board"):
+        link = ("--encoder-link", "board")
+        refused("rig", "emulate", *link, saying="another command is writing board")
     assert equipoise(*run, "--force", "--seed=1").code == 0
     assert RunLog.load(tmp_path / "mine.mcap").conditions.seed == 1
 
