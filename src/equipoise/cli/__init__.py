@@ -31,7 +31,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115  (until the end)
-    from equipoise.cli.app import app
     from equipoise.cli.output import complain
 
     stdout: Any = sys.stdout
@@ -44,6 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="replace")
     code = 0
     try:
+        from equipoise.cli.app import app
+
         with redirect_stdout(stdout):
             try:
                 app(args=sys.argv[1:] if arguments is None else arguments, prog_name="equipoise")
