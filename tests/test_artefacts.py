@@ -18,8 +18,11 @@ from equipoise.artefacts import (
     read_document,
     value_digest,
 )
-from equipoise.errors import ArtefactError, OutsideError
+from equipoise.errors import ArtefactError, InputError, OutsideError
+from equipoise.identification.recording import read_swing
+from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.pendulum import Pendulum
+from equipoise.settings import resolve
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
@@ -125,6 +128,30 @@ def test_a_file_says_what_it_is_and_where_it_comes_from(saved):
     assert provenance["inputs"] == {"swing": "sha256:0"}
     assert provenance["created"].endswith("+00:00")
     assert {"equipoise", "python", "numpy", "numba"} <= set(provenance["software"])
+
+
+ROBOT = (Path(__file__).parent / "data" / "elbow6.urdf").read_text(encoding="utf-8")
+TEXTS = {
+    "toml": ("[learning]\ngamma = 0.5\n", lambda path: resolve(file=path).learning.gamma),
+    "csv": ("time_s,theta_rad\n0,0.1\n1,0.2\n", lambda path: read_swing(path).theta.tolist()),
+    "json": (signed({"label": "Ä"}), lambda path: Gauge.load(path).label),
+    "urdf": (ROBOT, lambda path: read_urdf(path).digest),
+}
+"""Text of a file of each kind, and what is read of it."""
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+def test_every_text_file_is_read_with_and_without_a_byte_order_mark(tmp_path, kind):
+    text, read = TEXTS[kind]
+    path, found = tmp_path / f"one.{kind}", []
+    for codec in ("utf-8", "utf-8-sig"):
+        path.write_text(text, encoding=codec)
+        found.append(read(path))
+    assert found[0] == found[1]
+    for codec in ("utf-16", "utf-32"):
+        path.write_text(text, encoding=codec)
+        with pytest.raises(InputError, match="one.* is not text in UTF-8; give a"):
+            read(path)
 
 
 # What is refused

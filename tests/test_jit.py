@@ -20,7 +20,10 @@ def triple(x, out):
     out[0] = 3.0 * x
 """
 SESSION = """
-import sys
+import os, sys
+if room := os.environ.get("ROOM"):  # no file may grow beyond it
+    import resource
+    resource.setrlimit(resource.RLIMIT_FSIZE, (int(room), resource.RLIM_INFINITY))
 sys.path.insert(0, sys.argv[1])
 import numba, numpy as np
 from equipoise import jit
@@ -70,12 +73,20 @@ def test_machine_code_is_found_again_unless_its_file_changed_or_is_damaged(tmp_p
 
 
 @pytest.mark.skipif(not JIT, reason="nothing is compiled")
-def test_an_unwritable_cache_gives_one_warning_and_right_results(tmp_path):
-    occupied = tmp_path / "occupied"
-    occupied.write_text("a folder cannot be made here")
-    told, warning = session(tmp_path, EQUIPOISE_CACHE_DIR=str(occupied))
+@pytest.mark.parametrize(
+    ("environment", "reason"),
+    [({"EQUIPOISE_CACHE_DIR": __file__}, "Not a directory"), ({"ROOM": "100"}, "File too large")],
+)
+def test_a_cache_that_takes_no_code_gives_one_warning_and_right_results(
+    tmp_path, environment, reason
+):
+    told, warning = session(tmp_path, **environment)
     assert told == ["4.0", "6.0", "0"]
-    assert "EQUIPOISE_CACHE_DIR" in warning
+    assert warning.count("cannot write the cache") == 1
+    assert f"({reason})" in warning
+    if "ROOM" in environment:  # with room again, code is stored in the same folder
+        assert session(tmp_path) == (["4.0", "6.0", "0"], "")
+        assert session(tmp_path) == (["4.0", "6.0", "2"], "")
 
 
 def test_without_compilation_kernels_are_plain_functions(tmp_path):

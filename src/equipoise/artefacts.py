@@ -6,6 +6,7 @@ detects corruption, not forgery, and does not cover the provenance). NaN, infini
 other fields are rejected. Files are written atomically.
 """
 
+import glob
 import hashlib
 import json
 import os
@@ -14,12 +15,12 @@ import re
 import reprlib
 import sys
 import threading
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal, Self
+from typing import Annotated, Any, BinaryIO, ClassVar, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -201,11 +202,11 @@ def read_document(path: Path) -> dict[str, Any]:
     Raises:
         ArtefactError: The file is missing, not of Equipoise, or does not match its digest.
     """
-    data = read_bytes(path, MAX_FILE_SIZE, "a file of Equipoise", ArtefactError)
+    text = read_text(path, MAX_FILE_SIZE, "a file of Equipoise", ArtefactError)
     kinds = {"format": str, "digest": str, "provenance": dict, "body": dict}
     cure = "make the file again, or give a file that Equipoise wrote"
     try:
-        document: Any = json.loads(data)
+        document: Any = json.loads(text)
         if any(type(document[key]) is not kind for key, kind in kinds.items()):
             raise ValueError(f"expected the keys {', '.join(kinds)}")
         matches = document["digest"] == _digest(document["body"])
@@ -241,6 +242,32 @@ def read_bytes(path: Path, limit: int, kind: str, error: type[InputError]) -> by
         size = f"{limit / MEBIBYTE:.2g} MiB"
         raise error(f"{path} is larger than {size}, the limit for {kind}; give a smaller one")
     return data
+
+
+def read_text(path: Path, limit: int, kind: str, error: type[InputError]) -> str:
+    """Read a text file; arguments and errors are those of `read_bytes` and `decode_text`."""
+    return decode_text(read_bytes(path, limit, kind, error), path, kind, error)
+
+
+def decode_text(data: bytes, path: Path, kind: str, error: type[InputError]) -> str:
+    """Return the text of a file in UTF-8, with or without a byte-order mark.
+
+    Args:
+        data: Content of the file.
+        path: The file, for messages.
+        kind: Expected kind of file, with its article, for messages.
+        error: Class of the errors.
+
+    Raises:
+        InputError: The file is no text in UTF-8; an instance of `error`.
+    """
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = "\0"
+    if "\0" in text:
+        raise error(f"{path} is not text in UTF-8; give {kind} in UTF-8")
+    return text
 
 
 def first_fault(error: ValidationError) -> str:
@@ -305,12 +332,64 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
 
 def temporary_name(path: Path) -> Path:
-    """Return a hidden path in the folder of a file, unique to this process and thread.
+    """Return a hidden path in the folder of a file, unique to this process and thread."""
+    return _hidden(path, f"{os.getpid()}.{threading.get_ident()}.tmp")
 
-    File systems limit names to 255 bytes, so a long name is truncated.
+
+def _hidden(path: Path, end: str) -> Path:
+    # File systems limit names to 255 bytes, so a long name is truncated.
+    return path.with_name(f".{os.fsdecode(os.fsencode(path.name)[:150])}.{end}")
+
+
+@contextmanager
+def claimed(path: Path) -> Generator[bool]:
+    """Reserve the name of a file, so that two processes never write the same one.
+
+    The reservation is a lock on a hidden file beside it, which the system releases when the process
+    ends in any way. It removes the temporary files of a killed process.
+
+    Yields:
+        Whether no other process has reserved the name.
+
+    Raises:
+        OutsideError: The folder cannot be created or written.
     """
-    name = os.fsdecode(os.fsencode(path.name)[:150])
-    return path.with_name(f".{name}.{os.getpid()}.{threading.get_ident()}.tmp")
+    folder, marker = path.absolute().parent, path.with_name(f".{path.name}.claim")
+    try:
+        is_new = not folder.exists()
+        folder.mkdir(parents=True, exist_ok=True)
+        file = marker.open("ab")
+    except OSError as error:
+        raise OutsideError(
+            f"{folder} takes no file for {path} ({error.strerror}); give another name, or make room"
+        ) from None
+    with file:
+        # Without a name it is that of a process which has just ended.
+        free = lock(file) and os.fstat(file.fileno()).st_nlink > 0
+        for leftover in folder.glob(f"{glob.escape(_hidden(path, '').name)}*.tmp"):
+            if free:
+                leftover.unlink(missing_ok=True)
+        try:
+            yield free
+        finally:
+            with suppress(OSError):
+                if free:
+                    marker.unlink()
+                if is_new:
+                    folder.rmdir()  # where it is still empty
+
+
+def lock(file: BinaryIO) -> bool:
+    """Lock a file until it is closed; return whether no other process had locked it."""
+    try:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except (ImportError, OSError):
+        return True  # this system, or the disk, has no file locks
+    return True
 
 
 def value_digest(value: BaseModel, *, exclude: dict[str, Any] | None = None) -> str:

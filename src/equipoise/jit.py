@@ -7,8 +7,8 @@ bits; and a cache on disk.
 Numba's own cache depends only on the file of a kernel, but a kernel also contains the code of the
 kernels that it calls. This cache depends on a digest of all files of `KERNEL_PACKAGES` and of those
 beside them, in the user's cache directory (`EQUIPOISE_CACHE_DIR` moves it). Loading cached code
-runs it, so the folder is created for this user alone. If it cannot be written, kernels compile in
-each process, after one warning.
+runs it, so the folder is created for this user alone. Where it cannot be written, as on a full
+disk, kernels compile in each process, after one warning.
 
 `@compilable` keeps a function in Python and lets kernels call it.
 
@@ -19,15 +19,12 @@ Python to a kernel takes a microsecond, passing its parts takes a hundred.
 that one training loop serves every arm (a dispatcher as an argument would always miss the cache).
 """
 
-import atexit
 import ctypes
 import functools
 import hashlib
 import logging
 import os
-import shutil
 import sys
-import tempfile
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -53,7 +50,7 @@ OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cfu
 
 
 def cache_directory() -> Path:
-    """Return the directory of reproducible files: machine code and generated arms."""
+    """Return the directory of reproducible files: machine code."""
     moved = os.environ.get("EQUIPOISE_CACHE_DIR")
     return Path(moved) if moved else Path(platformdirs.user_cache_dir("equipoise", appauthor=False))
 
@@ -71,29 +68,24 @@ def package_digest() -> str:
 
 
 @functools.cache
-def cache_folder(name: str) -> Path:
-    """Return a folder of the cache, or a temporary one, with a warning, if it cannot be written."""
-    folder = cache_directory() / name
-    try:
+def kernel_folder() -> Path:
+    """Return the folder of the machine code of these sources, which is created if it can be."""
+    folder = cache_directory() / "kernels" / package_digest()
+    with suppress(OSError):
         cache_directory().mkdir(mode=0o700, parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-        return folder
-    except OSError as error:
-        logger.warning(
-            "cannot write the cache %s (%s): code is compiled anew in each process; set "
-            "EQUIPOISE_CACHE_DIR to a folder of your own that can be written",
-            printable(str(folder)),
-            error.strerror,
-        )
-    temporary = Path(tempfile.mkdtemp(prefix="equipoise-"))
-    atexit.register(shutil.rmtree, temporary, ignore_errors=True)
-    return temporary
+    return folder
 
 
-def kernel_folder() -> Path:
-    """Return the folder of the machine code of these sources."""
-    return cache_folder(f"kernels/{package_digest()}")
+@functools.cache
+def warn_of_cache(reason: str) -> None:
+    """Warn once of a cache that cannot be written."""
+    logger.warning(
+        "cannot write the cache %s (%s): code is compiled anew in each process; make room, or set "
+        "EQUIPOISE_CACHE_DIR to a folder of your own that can be written",
+        printable(str(cache_directory())),
+        reason,
+    )
 
 
 @contextmanager
@@ -124,7 +116,9 @@ class _Locator(caching._CacheLocator):
         # Files of equal name share the directory: the path distinguishes them.
         place = hashlib.sha256(py_file.encode()).hexdigest()[:8]
         self._place = f"{py_func.__code__.co_firstlineno}-{place}"
-        self._stamp = hashlib.sha256(Path(py_file).read_bytes()).hexdigest()
+        # The source of a generated arm has no file: its name contains the digest of the arm.
+        source = Path(py_file).read_bytes() if os.path.exists(py_file) else b""
+        self._stamp = hashlib.sha256(source).hexdigest()
 
     def get_cache_path(self) -> str:  # pyright: ignore[reportIncompatibleMethodOverride]
         return str(self._directory)
@@ -179,6 +173,13 @@ class _KernelCache(caching.FunctionCache):
             with suppress(OSError):
                 self.flush()  # or the new code could not be added
             return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Save machine code in the cache, or warn that it cannot be saved."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            warn_of_cache(error.strerror)
 
 
 class _LinkedCache(_KernelCache):
@@ -294,7 +295,7 @@ def function_pointer(function: F, signature: Any, cached: bool = True) -> F:
     """Compile `function` for one `signature`, as an argument of kernels.
 
     Args:
-        function: A plain function of a real `.py` file.
+        function: A plain function of a module.
         signature: Numba signature, e.g. `void(float64[::1], float64[::1])`.
         cached: Whether to cache the machine code on disk. The digest of the cache does not cover
             code from outside the package, which is not cached and has its indices checked.

@@ -24,7 +24,7 @@ from equipoise.artefacts import (
     Value,
     first_fault,
     quoted,
-    read_bytes,
+    read_text,
     shortened,
 )
 from equipoise.errors import SettingsError
@@ -441,12 +441,12 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
         SettingsError: The file is missing, too large, or not TOML.
     """
     # [bytes]: all settings with a comment each need less than 20 kB.
-    data = read_bytes(path, 64 * 1024, f"a TOML file with {kind}", SettingsError)
+    text = read_text(path, 64 * 1024, f"a TOML file with {kind}", SettingsError)
     try:
-        return tomllib.loads(data.decode("utf-8"))
+        return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         reason = shortened(str(error), 2 * MAX_QUOTE_LENGTH)
-        raise SettingsError(f"{path} is not valid TOML in UTF-8 ({reason}); correct it") from None
+        raise SettingsError(f"{path} is not valid TOML ({reason}); correct it") from None
 
 
 def _toml_value(text: str) -> Any:

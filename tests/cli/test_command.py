@@ -14,6 +14,7 @@ import pytest
 
 from equipoise.cli.output import Output
 from equipoise.cli.verb import TABLES
+from equipoise.worlds.evaluation import Evaluation
 from tests.cli.conftest import verbs
 
 HEAVY = ("numba", "numpy", "scipy", "mujoco", "matplotlib", "mcap")
@@ -155,3 +156,31 @@ def test_a_full_disk_is_told_in_one_sentence_and_a_closed_pipe_silently(argument
     )
     os.close(write)
     assert (ran.returncode, ran.stderr) == (141, "")
+
+
+@pytest.mark.compiled_only
+@pytest.mark.skipif(os.name != "posix", reason="the shell closes streams")
+@pytest.mark.parametrize("closed", [">&-", "<&- >&-", "<&- >&- 2>&-"])
+def test_a_verb_works_with_closed_streams(tmp_path, closed):
+    words = "evaluate --trials=2 --duration=0.5 --no-baselines --out=found.json"
+    ran = subprocess.run(
+        ["sh", "-c", f"{sys.executable} -m equipoise {words} {closed}"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ran.returncode, ran.stdout) == (0, "")
+    assert "Traceback" not in ran.stderr
+    assert len(Evaluation.load(tmp_path / "found.json").results.survival) == 2
+
+
+@pytest.mark.parametrize("error", [OSError(5, "Input/output error", "swing.csv"), TimeoutError()])
+def test_an_error_of_the_system_is_not_blamed_on_the_output(equipoise, monkeypatch, error):
+    def fail(*_, **__):
+        raise error
+
+    monkeypatch.setattr("equipoise.identification.recording.read_swing", fail)
+    ran = equipoise("identify", "swing.csv")
+    assert (ran.code, ran.out) == (3, "")
+    assert ran.err == f"error: a file or a link failed: {error}; check it, and repeat the command\n"

@@ -37,6 +37,22 @@ REFUSED = {
     ("evaluate", "small.json", "--arm", "iiwa7"): "iiwa14",
     ("identify", "swing.csv", "--mass", "1"): "--length",
     ("play", "nowhere"): "nowhere",
+    # A wrong word comes before the name of a file.
+    ("evaluate", "--world", "nominal", "--out", "taken.json"): "did you mean twin:nominal?",
+    ("evaluate", "--world", "twin:hars", "--out", "taken.json"): "did you mean twin:harsh?",
+    ("evaluate", "--world", "nominal", "--claim", "0.9"): "did you mean twin:nominal?",
+    ("evaluate", "--actuator", "none.json", "--out", "taken.json"): "none.json",
+    ("train", "--world", "nominal", "--out", "taken.json"): "did you mean twin:nominal?",
+    ("train", "--learner", "sarsaa", "--out", "taken.json"): "unknown learner 'sarsaa'",
+    ("train", "--reward", "nope", "--out", "taken.json"): "unknown reward 'nope'",
+    ("deploy", "--world", "nominal", "--out", "taken.mcap"): "did you mean twin:nominal?",
+    ("deploy", "--excite", "--world", "fr33", "--out", "taken.mcap"): "did you mean twin:fr3?",
+    (*TWIN[:2], "twin:nom", "--out", "taken.mcap"): "did you mean twin:nominal?",
+    ("deploy", "--robot", KST, "--encoder", "usb:///x", "--out", "taken.mcap"): "serial:",
+    ("rig", "record", "--encoder", "usb:///x", "--out", "swing.csv"): "serial:",
+    ("rig", "emulate", "--world", "nominal"): "did you mean twin:nominal?",
+    ("reproduce", "--arm", "ur5", "--out", "full"): "iiwa7",
+    ("reproduce", "--set", "learning.reward=nope", "--out", "full"): "unknown reward",
     # The rig
     ("deploy", "--dry-run"): "--robot",
     ("deploy", "--rig", "rig.toml"): "--robot",
@@ -95,7 +111,7 @@ def test_an_error_of_the_disk_leaves_nothing(equipoise, monkeypatch, tmp_path):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
-    ran = equipoise("evaluate", "--trials=1", "--duration=0.1", "--no-baselines")
+    ran = equipoise("evaluate", "--trials=1", "--duration=0.1", "--no-baselines", "--out=e.json")
     assert ran.code == 3
     assert "No space left on device" in ran.err
     assert not list(tmp_path.iterdir())

@@ -47,6 +47,23 @@ def test_what_is_written_comes_back(tmp_path):
     }
 
 
+def test_every_number_that_a_protocol_can_carry_comes_back_or_is_unknown(tmp_path):
+    recorder, writer = Recorder(7), RunWriter(tmp_path / "run.mcap", RIG, 0.0)
+    # A board's counts are 32 bits; the driver goes on beyond their ends.
+    counts = [-(2**31), 2**31 - 1, 2**31 + 8192]
+    torques = [1.0, 1e300, -np.inf]
+    for i, (count, torque) in enumerate(zip(counts, torques, strict=True)):
+        recorder.encoder.push(0.01 * i, count, 0, 0, 0, 0.01 * i)
+        recorder.reply.push(0.01 * i, 0.0, POSTURE, np.full(7, torque), 0.01 * i)
+    writer.drain(recorder)
+    writer.finish(0.1, RunEnd(outcome=Outcome.LASTED))
+    tables = RunLog.load(tmp_path / "run.mcap").tables
+    assert tables["encoder"]["counts"].tolist() == counts
+    assert tables["reply"]["torque"][:, 0].tolist() == pytest.approx(
+        [1.0, np.nan, np.nan], nan_ok=True
+    )
+
+
 def test_a_writer_that_is_killed_leaves_its_chunks(tmp_path):
     path = tmp_path / "run.mcap"
     script = (

@@ -8,8 +8,13 @@ import io
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stdout, suppress
+from typing import Any, Final
 
 from equipoise.errors import INTERRUPTED, EquipoiseError, OutsideError
+
+READER_GONE: Final = 141
+"""Exit code of a program that the system ends because nobody reads its output."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -22,32 +27,55 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code: 0 done, 1 the result is bad, 2 wrong use or bad input, 3 the outside world
         failed, 130 interrupted, 141 the reader of the output has gone.
     """
-    from equipoise.cli.app import app
+    # Otherwise files that a verb opens get the numbers of streams that the caller has closed.
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115  (until the end)
     from equipoise.cli.output import complain
 
+    stdout: Any = sys.stdout
+    with suppress(io.UnsupportedOperation):  # a notebook's has no number
+        raw = _StandardOutput(stdout.fileno(), "w", closefd=False)
+        stdout = io.TextIOWrapper(io.BufferedWriter(raw), stdout.encoding)
     # Characters that the terminal cannot show must not end a verb.
-    for stream in (sys.stdout, sys.stderr):
+    for stream in (stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     code = 0
     try:
-        try:
-            app(args=list(sys.argv[1:] if arguments is None else arguments), prog_name="equipoise")
-        except SystemExit as end:
-            if isinstance(end.__context__, BrokenPipeError):
-                raise end.__context__ from None
-            code = end.code if isinstance(end.code, int) else int(bool(end.code))
-        sys.stdout.flush()
+        from equipoise.cli.app import app
+
+        with redirect_stdout(stdout):
+            try:
+                app(args=sys.argv[1:] if arguments is None else arguments, prog_name="equipoise")
+            except SystemExit as end:
+                code = end.code if isinstance(end.code, int) else int(bool(end.code))
+            stdout.flush()
     except EquipoiseError as error:
-        complain(str(error), "error: ")
+        if error.exit_code != READER_GONE:
+            complain(str(error), "error: ")
         return error.exit_code
     except KeyboardInterrupt:
         return INTERRUPTED
     except OSError as error:
-        # Otherwise the interpreter tries at its end to write the rest again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if isinstance(error, BrokenPipeError):
-            return 141  # that of a program ended by SIGPIPE
-        complain(f"cannot write to standard output: {error}; make room", "error: ")
+        complain(f"a file or a link failed: {error}; check it, and repeat the command", "error: ")
         return OutsideError.exit_code
     return code
+
+
+class _StandardOutput(io.FileIO):
+    def write(self, data: Any) -> int | None:
+        """Write bytes.
+
+        Raises:
+            OutsideError: They cannot be written, or nobody reads them.
+        """
+        try:
+            return super().write(data)
+        except OSError as failure:
+            # Otherwise the interpreter tries at its end to write the rest again.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
+            error = OutsideError(f"cannot write to standard output: {failure}; make room")
+            if isinstance(failure, BrokenPipeError):
+                error.exit_code = READER_GONE
+            raise error from None

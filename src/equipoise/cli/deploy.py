@@ -75,22 +75,26 @@ def deploy(
         raise InputError("--dry-run, --max-speed and --identify need --robot")
     identified = ("-actuator.json",) if on_rig.identify else ()
     read = policy, task.pendulum, rig.rig
-    place = partial(files.file, "run.mcap", *read, suffix=".mcap", beside=identified)
+    place = partial(files.file, output, "run.mcap", *read, suffix=".mcap", beside=identified)
     if on_a_rig:
         _run_on_rig(output, policy, run, task, rig, on_rig, place)
         return
 
+    from equipoise.model.worlds import read_world
     from equipoise.outcomes import Outcome
     from equipoise.rig import simulate
+    from equipoise.worlds import setup_of
 
     common: Any = {"world": run.world, "seed": run.seed}
     if run.excite:
-        arm = opt.read_arm(task.arm or "iiwa7")
+        arm, _ = opt.read_arm(task.arm or "iiwa7"), read_world(run.world)
         length, made, out = run.duration or 10.0, dict[str, str](), place()
         with output.busy("moving the arm"):
             log = simulate.excite(arm, pendulum=task.pendulum, duration=length, **common)
     else:
-        chosen, out = task.read(policy), place()
+        chosen = task.read(policy)
+        setup_of(chosen, run.world, actuator=task.actuator)
+        out = place()
         output.warn(chosen.shortfall)
         with output.busy("running"):
             log = simulate.simulate_run(
@@ -100,7 +104,7 @@ def deploy(
     log.save(out, command="deploy", inputs=made)
     then = command("log explain", out)
     if run.excite:
-        then = command("identify", out, makes="actuator.json")
+        then = command("identify", out)
     output.result(
         outcome=log.outcome,
         lasted_s=log.lasted,
@@ -185,11 +189,11 @@ def _run_on_rig(
     from equipoise.rig.run import run_virtually
 
     request = _request(output, policy, run, task, rig, on_rig)
-    out = place()
     with output.busy("checking policy and addresses"):
         require(check_fit(request.policy, request.actuator, request.settings))
         with guest_code(f"the driver of {request.robot}"):
             devices = connect(request)  # nothing is opened before the run
+    out = place()
     if world_of(request.robot):
         with signals() as stopped, guest_code(f"the driver of {request.robot}"):
             end = run_virtually(request, out, TerminalOperator(output, stopped), rig=devices)
@@ -204,7 +208,7 @@ def _run_on_rig(
     then = command("log explain", out)
     if end.outcome is Outcome.DRY_RUN:
         moving = on_rig.model_copy(update={"dry_run": False})
-        then = command("deploy", policy, run, rig, moving, task, makes=out)
+        then = command("deploy", policy, run, rig, moving, task)
     elif end.outcome is Outcome.UNIDENTIFIED and actuator is not None:
         pendulum = opt.file_of(request.policy.pendulum.digest, shipped_pendulum())
         arm = task.arm or rig.rig or opt.name_of(request.policy.arm)
@@ -213,7 +217,6 @@ def _run_on_rig(
             task.pendulum or pendulum,
             arm=arm,
             actuator=actuator,
-            makes="policy.json",
         )
     output.result(
         outcome=end.outcome,

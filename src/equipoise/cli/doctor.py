@@ -49,5 +49,5 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
         },
         restart=robot and restart_instruction(robot),
         code=int(not fit),
-        then=command("deploy", rig, dry_run=True, makes="run.mcap") if fit and robot else "",
+        then=command("deploy", rig, dry_run=True) if fit and robot else "",
     )

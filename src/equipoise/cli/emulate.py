@@ -51,6 +51,8 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
         output.stream.flush()
 
     settings = read_world(emulated.world).settings
+    if (link := emulated.encoder_link) is not None:
+        opt.Files(out=link, force=True).file(output, "", suffix=link.suffix.lower())
     emulation = Emulation(
         emulated.robot,
         opt.read_arm(emulated.arm),
@@ -59,17 +61,17 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
         SystemClock(),
         port=emulated.port,
         seed=emulated.seed,
-        link=emulated.encoder_link,
+        link=link,
         say=say,
     )
-    encoder = f"serial://{(emulated.encoder_link or emulation.terminal.path).absolute()}"
+    encoder = f"serial://{(link or emulation.terminal.path).absolute()}"
 
     # The shipped table is for the defaults.
     yours = None if emulated.arm == "iiwa7" and emulated.pendulum is None else "POLICY"
     task = {"arm": None if emulated.arm == "iiwa7" else emulated.arm}
     task |= {"pendulum": emulated.pendulum}
     links = {"robot": emulation.hardware.address, "encoder": encoder}
-    then = command("deploy", yours, **links, **task, makes="run.mcap")
+    then = command("deploy", yours, **links, **task)
     # The emulated robot takes the first core: the loop of the run stays on the last one. The
     # kernel's threads that carry its bytes get their turns there.
     realtime.prepare(core=0, priority=0)

@@ -15,6 +15,13 @@ if TYPE_CHECKING:
     from equipoise.worlds.evaluation import Summary, TrialResults
 
 
+class Report(opt.Files):
+    """Files."""
+
+    out: Path | None = None
+    """File for the evaluation; by default none is written."""
+
+
 class Trials(Options):
     """Trials."""
 
@@ -39,7 +46,7 @@ def evaluate(
     trials: Trials,
     task: opt.Task,
     random: opt.Random,
-    files: opt.Files,
+    files: Report,
 ) -> None:
     """Evaluate a policy: how long it balances, and why it fails.
 
@@ -54,23 +61,27 @@ def evaluate(
     """
     from equipoise.control.bound_policy import BUILT_IN
     from equipoise.executors import counted
+    from equipoise.worlds import setup_of
     from equipoise.worlds.evaluation import evaluate, trials_for
 
     chosen = task.read(policy)
-    out = files.file("evaluation.json", policy, task.pendulum)
-    settings, given = chosen.settings, {"trials": trials.trials, "duration": trials.duration}
+    given = {"trials": trials.trials, "duration": trials.duration}
     if trials.claim is not None:
         given["trials"] = trials.trials or trials_for(trials.claim)
         check_claim(given["trials"], trials.claim)
-    with_baselines = not trials.no_baselines and trials.claim is None
     changes = {name: value for name, value in given.items() if value is not None}
-    changed = settings.evaluation.model_validate({**dict(settings.evaluation), **changes})
+    settings = chosen.settings.evaluation
+    changed = settings.model_validate({**dict(settings), **changes})
+    settings = chosen.settings.model_copy(update={"evaluation": changed})
+    setup_of(chosen, trials.world, settings, task.actuator)
+    out = files.out and files.file(output, "", policy, task.pendulum)
     output.warn(chosen.shortfall)
+    with_baselines = not trials.no_baselines and trials.claim is None
     total = changed.trials * (1 + len(BUILT_IN) * with_baselines)
     with output.progress() as show:
         evaluation = evaluate(
             chosen,
-            settings.model_copy(update={"evaluation": changed}),
+            settings,
             world=trials.world,
             actuator=task.actuator,
             seed=random.seed,
@@ -78,13 +89,15 @@ def evaluate(
             workers=random.threads,
             done=counted("evaluate", total, show),
         )
-    inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
-    evaluation.save(out, command="evaluate", inputs=inputs)
+    if out is not None:
+        inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
+        evaluation.save(out, command="evaluate", inputs=inputs)
     fields = _trial_fields(evaluation.results)
     code = int(fields["median_s"] < evaluation.duration)
     if trials.claim is not None:
-        fields["claim"] = claim_fields(evaluation.results.summary(), trials.claim)
-        code = int(not fields["claim"]["granted"])
+        verdict = claim_fields(evaluation.results.summary(), trials.claim)
+        fields, code = verdict | fields, int(not verdict["granted"])
+    world = trials.world if trials.world.startswith("twin:") else None
     output.result(
         **fields,
         duration_s=evaluation.duration,
@@ -92,15 +105,10 @@ def evaluate(
         arm=evaluation.arm,
         seed=evaluation.seed,
         baselines={each.name: _trial_fields(each) for each in evaluation.baselines},
-        evaluation=out,
+        file=out,
         code=code,
-        then=_deploy(policy, trials, task),
+        then=command("deploy", policy, task, world=world),
     )
-
-
-def _deploy(policy: Path | None, trials: Trials, task: opt.Task) -> str:
-    world = trials.world if trials.world.startswith("twin:") else None
-    return command("deploy", policy, task, world=world, makes="run.mcap")
 
 
 def _trial_fields(results: "TrialResults") -> dict[str, Any]:
@@ -121,7 +129,7 @@ def check_claim(trials: int, claim: float) -> None:
     if allowed_failures(trials, claim) < 0:
         least = ceil(log(1.0 - CLAIM_CONFIDENCE) / log(claim))
         raise InputError(
-            f"{trials:,} trials cannot grant a claim of {claim:g}, even if all last; give "
+            f"{trials:,} trials cannot grant a claim of {claim:g}, even if all survive; give "
             f"--trials {least} or more"
         )
 
@@ -132,8 +140,8 @@ def claim_fields(found: "Summary", claim: float) -> dict[str, Any]:
 
     bound = lower_bound(found.survived, found.trials, CLAIM_CONFIDENCE)
     return {
-        "probability": claim,
         "granted": bound >= claim,
-        "bound": bound,
+        "claim": claim,
+        "bound_95": bound,
         "allowed_failures": allowed_failures(found.trials, claim),
     }

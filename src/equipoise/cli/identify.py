@@ -73,14 +73,14 @@ def identify(
     elif model.mass is not None or model.length is not None:
         raise InputError("I and b need both --mass and --length; give the other one too")
     recorded = read_swing(recording, **dict(swing))
-    out = files.file("pendulum.json", recording, beside=(".svg", ".png"))
+    out = files.file(output, "pendulum.json", recording, beside=(".svg", ".png"))
     with output.busy(f"fitting {len(recorded.time):,} samples"):
         pendulum = identify(recorded, settings.identification, mass, length)
         pendulum.save(out, command="identify", inputs={"recording": recorded.sha256})
         drawn = save(free_swing(recorded, pendulum), out.with_suffix(""))
-    then = command("train", out, makes="policy.json")
+    then = command("train", out)
     if richer := pendulum.fit and richer_friction(pendulum.fit):
-        then = command("identify", recording, swing, model, changes, makes=out, friction=richer)
+        then = command("identify", recording, swing, model, changes, friction=richer)
     output.result(
         pendulum,
         pendulum.fit,
@@ -97,7 +97,7 @@ def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:
     from equipoise.model.pendulum import shipped_pendulum
 
     run = load_run(log)
-    out = files.file("actuator.json", log)
+    out = files.file(output, "actuator.json", log)
     with output.busy(f"fitting {len(run.replies.time):,} measured postures"):
         actuator = identify_run(run)
     actuator.save(out, command="identify", inputs={"run": run.digest})
@@ -108,5 +108,5 @@ def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:
         fit,
         warnings=[run.damage, *(fit.warnings if fit else ())],
         actuator=out,
-        then=command("train", pendulum, arm=arm, actuator=out, makes="policy.json"),
+        then=command("train", pendulum, arm=arm, actuator=out),
     )

@@ -32,7 +32,7 @@ def explain(output: Output, run: Path) -> None:
     causes, end = why(read), read.ending
     then = command("log show", run)
     if end.outcome is Outcome.EXCITED:
-        then = command("identify", run, makes="actuator.json")
+        then = command("identify", run)
     if end.outcome in (Outcome.LASTED, Outcome.OPERATOR) and len(read.ticks):
         found = _standing(read)
     else:
@@ -119,10 +119,10 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
         check_format(video.suffix.lower())
     log = RunLog.load(run, damaged=True)
     if files.out is not None or video is None:
-        folder = files.folder(run.with_name(f"{run.stem}-csv"))
+        folder = files.folder(output, run.with_name(f"{run.stem}-csv"))
     if video is not None:
         suffix = video.suffix.lower()
-        opt.Files(out=video, force=files.force).file("", run, suffix=suffix)
+        opt.Files(out=video, force=files.force).file(output, "", run, suffix=suffix)
         with output.busy("drawing the film"):
             write_film(log, video, film.from_, film.to)
     output.result(

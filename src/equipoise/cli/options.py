@@ -1,13 +1,16 @@
 """Options that several verbs share, in groups, and the values that they name."""
 
 import os
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack, suppress
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
+from equipoise.artefacts import claimed
+from equipoise.cli.output import Output
 from equipoise.cli.verb import Options
 from equipoise.errors import InputError
 
@@ -110,59 +113,89 @@ class Files(Options):
     """Files."""
 
     out: Path | None = None
-    """Output file; each verb has a default name."""
+    """File or folder to write; by default named by the verb, with a number if that is taken."""
     force: bool = False
     """Replace existing files; otherwise they are kept."""
 
     def file(
         self,
+        output: Output,
         default: str,
         *inputs: Path | None,
         suffix: str = ".json",
         beside: Iterable[str] = (),
     ) -> Path:
-        """Return the file to write, checked before the work begins.
+        """Return the file to write; its name is reserved until the end of the verb.
 
         Args:
-            default: Name without `--out`.
+            output: Output of the verb.
+            default: Name without `--out`; a number is added where it is taken.
             inputs: Files that the verb reads; they are never replaced.
             suffix: Required end of the name.
             beside: Ends of the names of further files, after the stem.
 
         Raises:
-            InputError: The name has another suffix, a file exists or is read, or the folder is
-                read-only.
+            InputError: The name has another suffix, or a file exists, is read, or is being written.
+            OutsideError: The folder cannot be written.
         """
-        out = self.out or Path(default)
-        if out.suffix.lower() != suffix:
-            raise InputError(f"{out} is to be written; give a name that ends in {suffix}")
-        for path in (out, *(out.with_name(out.stem + end) for end in beside)):
-            if path.is_dir():
-                raise InputError(f"{path} is a folder; give the name of a file to write")
-            if any(one and one.exists() and path.exists() and path.samefile(one) for one in inputs):
-                raise InputError(f"{path} is read and would be written over; give another name")
-            if os.path.lexists(path) and not self.force:
-                raise InputError(f"{path} exists; give another name, or --force to replace it")
-        return _writable(out, out.absolute().parent)
+        read = [one for one in inputs if one and os.path.exists(one)]
 
-    def folder(self, default: Path) -> Path:
-        """Return the folder to write, which may be new, checked before the work begins.
+        def refusal(out: Path, claims: ExitStack) -> str:
+            if out.suffix.lower() != suffix:
+                return f"{out} is to be written; give a name that ends in {suffix}"
+            for path in (out, *(out.with_name(out.stem + end) for end in beside)):
+                if not claims.enter_context(claimed(path)):
+                    return f"another command is writing {path}; give another name"
+                if path.is_dir():
+                    return f"{path} is a folder; give the name of a file to write"
+                if path.exists() and any(map(path.samefile, read)):
+                    return f"{path} is read and would be written over; give another name"
+                if os.path.lexists(path) and not self.force:
+                    return f"{path} exists; give another name, or --force to replace it"
+            return ""
+
+        return self._reserve(output, Path(default), refusal)
+
+    def folder(self, output: Output, default: Path) -> Path:
+        """Return the folder to write, which may be new; it is reserved as a file is.
 
         Raises:
-            InputError: It is a file, has files that shall not be replaced, or is read-only.
+            InputError: It has files that shall not be replaced, or is being written.
+            OutsideError: It is a file, or cannot be written.
+        """
+
+        def refusal(out: Path, claims: ExitStack) -> str:
+            if not claims.enter_context(claimed(out / "folder")):
+                return f"another command is writing {out}; give another name"
+            if any(one.name[0] != "." for one in out.iterdir()) and not self.force:
+                return f"{out} is not empty; give another name, or --force to write there"
+            return ""
+
+        return self._reserve(output, default, refusal)
+
+    def _reserve(
+        self, output: Output, default: Path, refusal: Callable[[Path, ExitStack], str]
+    ) -> Path:
+        """Return the first free name: that of `--out`, or the default with a number.
+
+        Args:
+            output: Output of the verb, which keeps the reservation.
+            default: Name without `--out`.
+            refusal: Reserves a name; returns the reason for which it cannot be written, or "".
         """
         out = self.out or default
-        if out.is_dir() and any(out.iterdir()) and not self.force:
-            raise InputError(f"{out} is not empty; give another name, or --force to write there")
-        return _writable(out, out.absolute())
-
-
-def _writable(out: Path, folder: Path) -> Path:
-    while not os.path.lexists(folder):
-        folder = folder.parent
-    if not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise InputError(f"{folder} takes no files; give another name")
-    return out
+        for number in count(2):
+            with ExitStack() as claims:
+                reason = refusal(out, claims)
+                if not reason:
+                    output.claims.enter_context(claims.pop_all())
+                    break
+            if self.out is not None:
+                raise InputError(reason)
+            out = default.with_stem(f"{default.stem}-{number}")
+        if out not in (self.out, default):
+            output.tell(f"{default} is taken; writing {out}")
+        return out
 
 
 def read_arm(name: str) -> "Arm":

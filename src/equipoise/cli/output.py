@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Generator, Iterable, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Final, TextIO
 
 import typer
@@ -65,6 +65,8 @@ class Output:
         self._as_json = as_json
         self._words = EscapingConsole(quiet=as_json)
         self._messages = EscapingConsole(stderr=True)
+        self.claims = ExitStack()
+        """Names of the files that the verb writes, reserved until its end."""
 
     def tell(self, what: Any) -> None:
         """Print a message for the operator; with `--json` on stderr."""

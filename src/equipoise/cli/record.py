@@ -30,8 +30,6 @@ def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
     Hold the pivot still. Let the pendulum hang, lift it, hold it, release it.
     The angle is shown meanwhile. Ctrl-C ends the recording without a file.
     """
-    out = files.file("swing.csv", suffix=".csv")
-
     from equipoise.identification.recording import write_swing
     from equipoise.rig.clocks import SystemClock
     from equipoise.rig.connection import open_encoder
@@ -39,6 +37,7 @@ def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
 
     clock = SystemClock()
     sensor = open_encoder(recording.encoder, clock, counts_per_rev=recording.counts_per_rev)
+    out = files.file(output, "swing.csv", suffix=".csv")
     driver = guest_code(f"the driver of {recording.encoder}")
     with output.busy("connecting") as rename, driver, closing(sensor):
         sensor.connect()
@@ -57,5 +56,5 @@ def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
         rejected=sensor.rejected,
         counts_per_rev=sensor.counts_per_rev,
         recording=out,
-        then=command("identify", out, makes="pendulum.json"),
+        then=command("identify", out),
     )

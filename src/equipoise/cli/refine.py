@@ -24,7 +24,7 @@ def refine(output: Output, policy: Path, run: Path, *, files: opt.Files) -> None
 
     table = TabularPolicy.load(policy)
     log = load_run(run)
-    out = files.file("refined.json", policy, run, beside=("-actuator.json",))
+    out = files.file(output, "refined.json", policy, run, beside=("-actuator.json",))
     output.warn(log.damage)
     with output.busy("identifying again"):
         findings = inspect(table, log)
@@ -39,7 +39,7 @@ def refine(output: Output, policy: Path, run: Path, *, files: opt.Files) -> None
         paths["actuator"] = actuator = out.with_name(out.stem + "-actuator.json")
         findings.actuator.save(actuator, command="refine", inputs=inputs)
     arm = opt.name_of(table.arm)
-    then = command("train", pendulum, arm=arm, actuator=actuator, makes="policy.json")
+    then = command("train", pendulum, arm=arm, actuator=actuator)
     output.result(
         findings.fit,
         **findings.response,

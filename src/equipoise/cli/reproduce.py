@@ -39,19 +39,22 @@ def reproduce(
     from equipoise.apps.report.page import build
     from equipoise.apps.report.rows import comparison
     from equipoise.identification.recording import read_swing
+    from equipoise.learning.choice import with_digests
     from equipoise.reproduction.pipeline import reproduce
     from equipoise.reproduction.results import POLICY
 
     recorded = None
     if extent.swing is not None:
         recorded = read_swing(extent.swing, counts_per_rev=extent.counts_per_rev)
-    out = files.folder(Path("equipoise-report"))
+    arm, settings = opt.read_arm(extent.arm), changes.resolve()
+    with_digests(settings.learning)
+    out = files.folder(output, Path("equipoise-report"))
     with output.progress() as show:
         found = reproduce(
             out,
             swing=recorded,
-            arm=opt.read_arm(extent.arm),
-            settings=changes.resolve(),
+            arm=arm,
+            settings=settings,
             seed=random.seed,
             quick=extent.quick,
             workers=random.threads,
@@ -65,5 +68,5 @@ def reproduce(
         comparison=comparison(found),
         warnings=[found.default.policy.shortfall],
         code=int(evaluation.results.summary().median < evaluation.duration),
-        then=command("evaluate", out / POLICY, trials=1000, makes="evaluation.json"),
+        then=command("evaluate", out / POLICY, trials=1000),
     )

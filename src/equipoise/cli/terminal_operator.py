@@ -41,7 +41,7 @@ class TerminalOperator:
         self._answers: tuple[str, ...] = ()
         self._typed = ""
         self._live = False
-        self._ended = sys.stdin is None or sys.stdin.closed
+        self._ended = False
 
     def notify(self, event: Any) -> None:
         """Print an event."""
@@ -100,7 +100,7 @@ def _edit_lines(edits: bool) -> None:
     """Let a terminal show and edit a line until Enter, or deliver each key at once."""
     import termios
 
-    with suppress(termios.error, OSError, ValueError, TypeError):  # no terminal, closed, or None
+    with suppress(termios.error, OSError, ValueError):  # no terminal, or closed
         modes = termios.tcgetattr(sys.stdin)
         modes[3] &= ~(termios.ICANON | termios.ECHO)
         if edits:
@@ -123,7 +123,7 @@ def single_keys() -> Generator[None]:
             f"{sys.platform} cannot read single keys of a terminal, with which a run is stopped; "
             "drive a robot from Linux"
         ) from None
-    if sys.stdin is None or sys.stdin.closed or not sys.stdin.isatty():
+    if not sys.stdin.isatty():
         yield
         return
     before = termios.tcgetattr(sys.stdin)

@@ -61,11 +61,11 @@ def train(
     named = {f"learning.{n}": getattr(learning, n) for n in ("learner", "reward", "episodes")}
     settings = changes.resolve(**named)
     source, arm, given = read_pendulum(pendulum), opt.read_arm(plant.arm), plant.actuator
-    out = files.file("policy.json", pendulum, changes.settings)
     target = learning.target
     if target is None:
         target = TARGET if settings.selection.every else 0.0
     output.warn(check_task(source, settings, given, world=plant.world, target=target))
+    out = files.file(output, "policy.json", pendulum, changes.settings)
     with output.progress() as show:
         best = train_to_target(
             source,
@@ -90,5 +90,5 @@ def train(
         steps=best.steps,
         warnings=[best.shortfall],
         code=int(bool(best.shortfall)),
-        then=command("evaluate", out, makes="evaluation.json"),
+        then=command("evaluate", out),
     )

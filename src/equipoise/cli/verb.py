@@ -11,7 +11,6 @@ import signal
 from collections.abc import Callable
 from importlib.metadata import entry_points
 from inspect import Parameter, Signature, getdoc, signature
-from pathlib import Path
 from typing import Annotated, Any, Final, get_args, get_type_hints
 
 import typer
@@ -19,7 +18,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 from rich.markup import escape
 
-from equipoise.artefacts import StrPath
 from equipoise.cli.output import Output, complain, signals
 from equipoise.errors import INTERRUPTED, InputError
 from equipoise.learning.rewards import REWARDS
@@ -71,8 +69,9 @@ def verb(function: Callable[..., None]) -> Callable[..., None]:
         try:
             for name, group in groups.items():
                 given[name] = group(**{field: given.pop(field) for field in group.model_fields})
-            with signals(raising=True):
-                function(Output(as_json), **given)
+            output = Output(as_json)
+            with signals(raising=True), output.claims:
+                function(output, **given)
         except ValidationError as error:
             fault = error.errors()[0]
             raise InputError(f"{_name(str(fault['loc'][0]))}: {fault['msg']}") from None
@@ -86,14 +85,13 @@ def verb(function: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-def command(verb: str, *arguments: object, makes: StrPath = "", **options: object) -> str:
+def command(verb: str, *arguments: object, **options: object) -> str:
     """Return the next command to try, as typed after `equipoise`.
 
     Args:
         verb: The verb.
         arguments: Arguments, without those that are None; of a group of options, those that differ
             from the defaults.
-        makes: File that the command makes by default; a number is added where the name is taken.
         options: Further options by their fields; None is left out.
     """
     words, given = verb.split(), dict[str, object]()
@@ -102,12 +100,7 @@ def command(verb: str, *arguments: object, makes: StrPath = "", **options: objec
             given |= each.model_dump(exclude_defaults=True)
         elif each is not None:
             words.append(str(each))
-    free, number = Path(makes), 1
-    while makes and free.exists():
-        number += 1
-        free = Path(makes).with_stem(f"{Path(makes).stem}-{number}")
-    given |= options | ({"out": free} if number > 1 else {})
-    for field, value in given.items():
+    for field, value in (given | options).items():
         for one in value if isinstance(value, list) else [value]:
             if one is not None:
                 words += [_name(field)] if one is True else [_name(field), str(one)]

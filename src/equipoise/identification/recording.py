@@ -30,6 +30,7 @@ from equipoise.artefacts import (
     MEBIBYTE,
     Seed,
     StrPath,
+    decode_text,
     read_bytes,
     shortened,
     write_whole,
@@ -184,12 +185,7 @@ def read_swing(
 
 def _read_table(path: Path, data: bytes) -> tuple[str, str, Array]:
     """Return the names of the columns of time and motion, and their numbers, shape (n, 2)."""
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = "\0"
-    if "\0" in text:
-        raise RecordingError(f"{path} is not text in UTF-8; save the recording as CSV in UTF-8")
+    text = decode_text(data, path, "a recording", RecordingError)
     first = text.split("\n", 1)[0].strip()
     separator = max(",;\t", key=first.count) if ";" in first or "\t" in first else ","
     if separator != ",":

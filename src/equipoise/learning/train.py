@@ -179,9 +179,11 @@ def check_task(
         A warning with the share of releases that no controller saves, or None.
 
     Raises:
-        InputError: The world takes no such actuator.
-        SettingsError: No controller saves any of the releases, or the share that the target needs.
+        InputError: The world takes no such actuator, or a guest's learner or reward is invalid.
+        SettingsError: The learner or the reward is unknown, or no controller saves any of the
+            releases, or the share that the target needs.
     """
+    with_digests(settings.learning)
     parameters = pendulum.parameters(linearised=settings.plant.linearised)
     response = actuator_in(world, settings, actuator)
     return check_releases(parameters, settings, response, least=target)

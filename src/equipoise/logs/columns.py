@@ -26,8 +26,9 @@ from equipoise.control.ticks import TickRecord
 
 Rows = npt.NDArray[Any]
 """Rows of a table, as a structured array."""
-MAX_NUMBER: Final = 1e9
-"""Limit on times [s], counts and all other numbers in a row: clocks and encoders reach 1e8."""
+MAX_NUMBER: Final = 1e12
+"""Limit on times [s], counts and all other numbers in a row: a board's counts begin anywhere in 32
+bits and go on beyond them; products of numbers within it stay finite."""
 
 
 class Column(NamedTuple):
@@ -129,12 +130,12 @@ def schema(table: str) -> dict[str, Any]:
 
 
 def canonical(rows: Rows) -> Rows:
-    """Return rows with NaN in place of infinities and of incomplete postures."""
+    """Return rows with NaN in place of numbers beyond `MAX_NUMBER` and incomplete postures."""
     rows = rows.copy()
     for name in rows.dtype.names or ():
         column = rows[name]
         if column.dtype.kind == "f":
-            known = np.isfinite(column)
+            known = np.abs(column) <= MAX_NUMBER
             column[~(known.all(axis=1) if column.ndim == 2 else known)] = np.nan
     return rows
 

@@ -15,11 +15,11 @@ import tempfile
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated, BinaryIO, Final
+from typing import Annotated, Final
 
 from pydantic import Field
 
-from equipoise.artefacts import Name, Value, write_whole
+from equipoise.artefacts import Name, Value, lock, write_whole
 from equipoise.errors import OutsideError
 from equipoise.logs.recorder import Recorder
 from equipoise.model.arms.arm import Arm
@@ -127,16 +127,3 @@ def is_alive(folder: Path) -> bool:
             return not lock(file)
     except OSError:
         return False
-
-
-def lock(file: BinaryIO) -> bool:
-    """Lock a file until it is closed; return whether no other process had locked it."""
-    try:
-        import fcntl
-    except ImportError:
-        return True  # no rig runs on a system without file locks
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True

@@ -13,6 +13,7 @@ data are facts; numbers marked *assumed* are pessimistic choices within the plau
 
 import os.path
 from collections.abc import Mapping
+from difflib import get_close_matches
 from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
@@ -217,6 +218,17 @@ CLEAN: Final[Mapping[str, float]] = {
 """Numbers of the clean twin, which has none of these effects."""
 
 
+def meant_world(name: str) -> str:
+    """Return the question whether a wrong name means a named twin; empty if none is similar.
+
+    Example:
+        >>> meant_world("nominal"), meant_world("twin:hrsh"), meant_world("plant")
+        ('did you mean twin:nominal?', 'did you mean twin:harsh?', '')
+    """
+    close = get_close_matches(name.removeprefix(PREFIX), WORLDS, n=1)
+    return f"did you mean {PREFIX}{close[0]}?" if close else ""
+
+
 def read_world(name: str) -> World:
     """Return the twin of a name.
 
@@ -237,7 +249,8 @@ def read_world(name: str) -> World:
     if name == MODEL:
         raise SettingsError(f"the plant of the training is no digital twin; choose {twins}")
     if not name.startswith(PREFIX):
-        raise SettingsError(f"there is no world {quoted(name)}; choose {IDEAL}, {MODEL}, {twins}")
+        remedy = meant_world(name) or f"choose {IDEAL}, {MODEL}, {twins}"
+        raise SettingsError(f"there is no world {quoted(name)}; {remedy}")
     which = name.removeprefix(PREFIX)
     if which in WORLDS:
         return World(PREFIX + which, TwinSettings.model_validate(WORLDS[which]))
@@ -249,9 +262,9 @@ def read_world(name: str) -> World:
             f"the name of the world {quoted(name)} is not UTF-8; give the file another name"
         ) from None
     if not which or not os.path.lexists(file):
+        remedy = meant_world(name) or f"choose one of {', '.join(WORLDS)}, or give a TOML file"
         raise SettingsError(
-            f"there is no world {quoted(name)}: no set of that name, and no such file; choose one "
-            f"of {', '.join(WORLDS)}, or give a TOML file"
+            f"there is no world {quoted(name)}: no set of that name, and no such file; {remedy}"
         )
     differences = read_toml(file, "the numbers of a world")
     try:

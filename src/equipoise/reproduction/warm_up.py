@@ -129,5 +129,6 @@ def warm_up(workers: int, show: Show = lambda *_: None) -> None:
     finally:
         for process in running.values():
             process.terminate()
-    _marker().touch()
+    with suppress(OSError):  # a cache that cannot be written
+        _marker().touch()
     show("compile", 1.0, "once on this machine")

@@ -12,7 +12,7 @@ from equipoise.artefacts import StrPath, quoted
 from equipoise.control.policy import TaskPolicy
 from equipoise.errors import SettingsError
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, read_actuator
-from equipoise.model.worlds import PREFIX, World
+from equipoise.model.worlds import PREFIX, World, meant_world, read_world
 from equipoise.settings import Settings
 from equipoise.user_code import guest_code, load_object
 from equipoise.worlds.external import ExternalLoop
@@ -54,9 +54,11 @@ def world_class(world: str | World) -> type[Simulation]:
 
     Raises:
         InputError: The class cannot be imported.
-        SettingsError: The world does not exist, or its class is no `Simulation`.
+        SettingsError: The world or its twin does not exist, or its class is no `Simulation`.
     """
     name = PREFIX if isinstance(world, World) else world
+    if isinstance(world, str) and name.startswith(PREFIX):
+        read_world(name)
     registered = {point.name: point for point in entry_points(group=GROUP)}
     if (point := registered.get(name.partition(":")[0])) is not None:
         with guest_code(f"the world {point.value}"):
@@ -65,7 +67,8 @@ def world_class(world: str | World) -> type[Simulation]:
         found = load_object(name, "--world")
     else:
         known = ", ".join(sorted(registered))
-        raise SettingsError(f"there is no world {quoted(name)}; choose {known} or MODULE:CLASS")
+        remedy = meant_world(name) or f"choose {known} or MODULE:CLASS"
+        raise SettingsError(f"there is no world {quoted(name)}; {remedy}")
     if not (isinstance(found, type) and issubclass(found, Simulation)):
         raise SettingsError(
             f"the world {quoted(name)} is no subclass of equipoise.worlds.Simulation"

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from equipoise.artefacts import lock
 from equipoise.logs import shared
 from equipoise.logs.recorder import LoggedEvent, read_events
 from equipoise.outcomes import Phase
@@ -58,7 +59,7 @@ class RunWatch:
         """Whether the process of the run has ended."""
         self._folder = folder
         self._console = (folder / shared.CONSOLE).open("r+b")
-        if not shared.lock(self._console):
+        if not lock(self._console):
             self._console.close()
             raise BlockingIOError("another console is attached to this run")
         self._recorder = shared.open_recorder(folder, len(self.info.arm.joints))

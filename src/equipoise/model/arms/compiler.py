@@ -8,8 +8,7 @@ the lanes each. `kinematics` writes the whole record, with some 300 operations a
 and cosine for an iiwa; `motion` writes position, rotation and twist alone, with equal bits.
 
 The modules of the iiwas are part of the package (`make generated` writes them). The module of any
-other arm is written to the user's cache directory under the digest of its geometry. Numba caches
-machine code only for functions of real files: see `docs/decisions`.
+other arm is named by the digest of its geometry and has no file: see `docs/decisions`.
 
 The kinematics writes one record of `FRAME_SIZE` rows for each lane of a block (see
 `equipoise.model.elementary`), all in base axes::
@@ -23,17 +22,14 @@ The kinematics writes one record of `FRAME_SIZE` rows for each lane of a block (
 
 import functools
 import importlib
-import importlib.util
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from equipoise.artefacts import write_whole
-from equipoise.errors import OutsideError
-from equipoise.jit import cache_folder
 from equipoise.model.arms.chain import FREE_JOINTS, Floats, Link, links
 from equipoise.model.arms.symbols import Symbol, Tape, Vector
 from equipoise.model.elementary import BATCH_SIZE
@@ -186,7 +182,7 @@ def _function(name: str, rows: str, lines: Iterable[str]) -> str:
 
 @functools.lru_cache(maxsize=64)
 def load(arm: "Arm") -> tuple[KinematicsFunction, KinematicsFunction]:
-    """Return the functions of an arm, plain functions of a real file.
+    """Return the functions of an arm, plain functions of a module.
 
     Returns:
         `kinematics`, which writes whole records, and `motion`, which writes position, rotation and
@@ -199,14 +195,8 @@ def load(arm: "Arm") -> tuple[KinematicsFunction, KinematicsFunction]:
     digest = arm.digest.removeprefix("sha256:")
     name = f"equipoise_arm_{digest}"
     if name not in sys.modules:
-        path, text = cache_folder("arms") / f"{digest}.py", source(arm)
-        if not path.exists() or path.read_bytes() != text.encode():
-            write_whole(path, text)
-        spec = importlib.util.spec_from_file_location(name, path)
-        if spec is None or spec.loader is None:
-            raise OutsideError(f"cannot import {path}")
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
+        module = ModuleType(name)
+        exec(compile(source(arm), f"{name}.py", "exec"), vars(module))
         sys.modules[name] = module  # where Numba looks when it loads the machine code again
     module = sys.modules[name]
     return module.kinematics, module.motion

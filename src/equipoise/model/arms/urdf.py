@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from equipoise.arguments import checked
-from equipoise.artefacts import MEBIBYTE, StrPath, read_bytes, shortened
+from equipoise.artefacts import MEBIBYTE, StrPath, read_text, shortened
 from equipoise.errors import ArmError
 from equipoise.model.arms.arm import ROUNDING, Arm, Inertial, Joint, check_free
 from equipoise.model.arms.chain import Floats, Triple, rpy_from_rotation
@@ -65,9 +65,8 @@ def read_urdf(
         ArmError: The file is no URDF, or its chain is not an arm with six free joints.
     """
     path = Path(path)
-    data = read_bytes(path, LARGEST_URDF, "a URDF", ArmError)
+    text = read_text(path, LARGEST_URDF, "a URDF", ArmError)
     try:
-        text = data.decode()
         robot = ElementTree.fromstring(text)
         if robot.tag != "robot":
             raise ValueError(f"it begins with <{robot.tag}>, expected <robot>")
@@ -77,7 +76,7 @@ def read_urdf(
         spec = mujoco().MjSpec.from_string(UNUSED.sub(r"\1unused", text))
     except Exception as error:  # of parsers and codecs
         raise ArmError(
-            f"{path} is not a URDF ({shortened(str(error), 200)}); give a URDF file in UTF-8"
+            f"{path} is not a URDF ({shortened(str(error), 200)}); give a URDF file"
         ) from None
     chain = _chain(spec, tip, path)
     check_free([joint.name for body in chain for joint in body.joints], held)

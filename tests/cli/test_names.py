@@ -1,0 +1,145 @@
+"""Names of files: second calls, calls at the same time, and calls that were killed."""
+
+import os
+import signal
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from equipoise.artefacts import claimed, temporary_name
+from equipoise.control.policy import shipped_policy
+from equipoise.logs.run_log import RunLog
+from equipoise.model.pendulum import Pendulum
+from equipoise.rig.simulate import simulate_run
+from tests.cli.conftest import contents
+from tests.cli.test_verbs import SHORT
+
+RUN = ("deploy", "--duration=0.3", "--json")
+
+SECOND_CALLS = {
+    "identify swing.csv": {"pendulum.json", "pendulum.svg", "pendulum.png"},
+    "train --target=0 " + " ".join(SHORT): {"policy.json"},
+    "deploy --duration=0.3": {"run.mcap"},
+    "deploy --excite --duration=2": {"run.mcap"},
+    "deploy --duration=0.3 --robot=twin:nominal": {"run.mcap"},
+    "log export given.mcap": {"given-csv/tick.csv", "given-csv/truth.csv"},
+}
+
+
+@pytest.fixture
+def together(tmp_path):
+    """Start commands at the same time; return their exit codes and messages."""
+
+    def start(*commands):
+        def run(words):
+            ran = subprocess.run(
+                [sys.executable, "-m", "equipoise", *words],
+                cwd=tmp_path,
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            return ran.returncode, ran.stderr
+
+        with ThreadPoolExecutor(len(commands)) as pool:
+            return sorted(pool.map(run, commands))
+
+    return start
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize("call", SECOND_CALLS)
+def test_a_second_call_takes_the_next_name_and_says_so(equipoise, swing, tmp_path, call):
+    if "given" in call:
+        simulate_run(shipped_policy(), duration=0.3).save(tmp_path / "given.mcap")
+    before = contents(tmp_path)
+    assert equipoise(*call.split()).code == 0
+    first = contents(tmp_path)
+    assert first.keys() - before.keys() >= SECOND_CALLS[call]
+    second = equipoise(*call.split())
+    name, *_ = sorted(one.partition("/")[0] for one in SECOND_CALLS[call])
+    free = Path(name).with_stem(Path(name).stem + "-2")
+    assert (second.code, f"{name} is taken; writing {free}") == (0, second.out.splitlines()[0])
+    after = contents(tmp_path)
+    assert first.items() <= after.items()
+    assert {one.replace("-2", "") for one in after.keys() - first.keys()} == (
+        first.keys() - before.keys()
+    )
+
+
+@pytest.mark.compiled_only
+def test_a_name_that_is_given_is_kept_for_its_file(equipoise, refused, tmp_path):
+    run = ("deploy", "--duration=0.3", "--out=mine.mcap")
+    assert equipoise(*run).code == 0
+    refused(*run, saying="mine.mcap exists; give another name, or --force to replace it")
+    with claimed(tmp_path / "mine.mcap"):
+        refused(*run, "--force", saying="another command is writing mine.mcap")
+    with claimed(tmp_path / "board"):
+        link = ("--encoder-link", "board")
+        refused("rig", "emulate", *link, saying="another command is writing board")
+    assert equipoise(*run, "--force", "--seed=1").code == 0
+    assert RunLog.load(tmp_path / "mine.mcap").conditions.seed == 1
+
+
+@pytest.mark.compiled_only
+def test_commands_at_the_same_time_lose_nothing(together, swing, tmp_path):
+    runs = [(*RUN, f"--seed={seed}") for seed in (1, 2)]
+    done = together(*runs, *[("identify", "swing.csv")] * 2)
+    assert [code for code, _ in done] == [0] * 4
+    names = {"run.mcap", "run-2.mcap"}
+    assert {RunLog.load(tmp_path / name).conditions.seed for name in names} == {1, 2}
+    stems = {"pendulum", "pendulum-2"}
+    assert len({Pendulum.load(tmp_path / f"{stem}.json").digest for stem in stems}) == 1
+    figures = {f"{stem}.{end}" for stem in stems for end in ("json", "svg", "png")}
+    assert contents(tmp_path).keys() == {"swing.csv"} | names | figures
+    (first, _), (second, message) = together(*[(*run, "--out=named.mcap") for run in runs])
+    assert (first, second) == (0, 2)
+    assert message.startswith("error: ")
+    assert message.count("\n") == 1
+    assert RunLog.load(tmp_path / "named.mcap").conditions.seed in (1, 2)
+
+
+KILLED = """
+import sys
+from pathlib import Path
+from equipoise.artefacts import claimed, temporary_name
+path = Path("run.mcap")
+with claimed(path) as free:
+    temporary_name(path).touch()
+    print(free, flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="there are no file locks")
+def test_the_name_of_a_killed_process_is_free_and_what_it_left_is_removed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = Path("run.mcap")
+    with subprocess.Popen(
+        [sys.executable, "-c", KILLED], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
+        assert process.stdout.readline() == b"True\n"
+        with claimed(path) as free:
+            assert not free
+        assert len(contents(tmp_path)) == 2
+        process.send_signal(signal.SIGKILL)
+    other = temporary_name(Path("run-2.mcap"))
+    other.touch()
+    with claimed(path) as free:
+        assert free
+    assert contents(tmp_path).keys() == {str(other)}
+
+
+def test_a_verb_that_fails_leaves_neither_file_nor_folder(equipoise, tmp_path):
+    ran = equipoise("reproduce", "--swing", "none.csv", "--out", "deep/report")
+    assert ran.code == 2
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "file").touch()
+    ran = equipoise("deploy", "--out", "file/run.mcap")
+    assert (ran.code, "takes no file for file/run.mcap" in ran.err) == (3, True)
+    ran = equipoise("deploy", "--out", "a" * 300 + ".mcap")
+    assert (ran.code, "File name too long" in ran.err) == (3, True)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
