@@ -16,13 +16,14 @@ from equipoise import worlds
 from equipoise.cli import main
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, SettingsError
-from equipoise.testing import WorldConformance
 from equipoise.worlds import setup_of, simulate, world_class
 from equipoise.worlds.evaluation import evaluate
 
 PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "bring-a-world.md"
 BLOCK = re.compile(r"^```(python|toml|sh)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-BLOCKS = dict(BLOCK.findall(PAGE.read_text()))
+FOUND = BLOCK.findall(PAGE.read_text())
+BLOCKS = dict(FOUND)
+WORLD, SUITE = (text for language, text in FOUND if language == "python")
 POLICY = shipped_policy()
 BROKEN = """
 from equipoise.worlds import ExternalLoop, Simulation
@@ -55,7 +56,7 @@ pytestmark = pytest.mark.compiled_only
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
-    (tmp_path / "own_world.py").write_text(BLOCKS["python"])
+    (tmp_path / "own_world.py").write_text(WORLD)
     (tmp_path / "broken_world.py").write_text(BROKEN)
     monkeypatch.chdir(tmp_path)
     yield
@@ -68,11 +69,9 @@ def make(world="own_world:Windy"):
     return simulate(world, setup, seed=1, stream=7), setup
 
 
-class TestWindy(WorldConformance):
-    ENCODER = False
-
-    def make(self):
-        return make()
+printed: dict = {}
+exec(SUITE, printed)
+TestWindy = printed["TestWindy"]  # the suite of the page, collected as it is printed
 
 
 def test_the_page_runs_as_it_is_printed(capsys):

@@ -110,7 +110,7 @@ class Outcome(StrEnum):
     LINK_LOST = "link lost"
     """The robot's link failed: software cannot stop the arm any more."""
     FAULT = "fault"
-    """The controller failed."""
+    """The controller, a driver or another part of the run failed."""
     ERROR = "error"
     """An error ended the program."""
     EXCITED = "excited"

@@ -419,7 +419,7 @@ NUMBERS = (
     _held_back("six numbers in a setpoint", "wrong count", _setpoint(lambda q, since: q[:6]), "7"),
     Fault("controller fails", _ends("fault"),
           _inputs(lambda inputs: inputs._replace(samples=[None])), within=0.03,
-          says="the controller failed"),
+          says="a part of the run failed"),
 )
 # fmt: on
 

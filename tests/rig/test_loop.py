@@ -1,5 +1,7 @@
 """The loop in virtual time, around a heart, a sensor and a robot that do as each test says."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import Reply, Sample
 from equipoise.rig.loop import CANNOT_STOP, run_loop
+from equipoise.rig.run import run_end
 from equipoise.safety.rules import limits_of
 
 ARM = iiwa(7)
@@ -242,6 +245,27 @@ def test_a_heart_that_fails_leaves_the_arm_to_come_to_rest(error):
     # The stream goes on without a gap, and what left is what the log says.
     assert np.diff([when for when, _ in course.arm.sent]).max() <= 0.01 + 1e-9
     logged_as_sent(course)
+
+
+@pytest.mark.parametrize("call", ["replies", "send"])
+def test_a_driver_that_fails_is_no_lost_link_and_the_arm_rests_if_it_still_sends(call):
+    course = Course(Heart(20))
+    working, count = getattr(course.arm, call), 12 if call == "send" else 6
+
+    def defective(*arguments):
+        if course.arm.calls[call] >= count:
+            raise TypeError("float() argument must be a number")
+        return working(*arguments)
+
+    setattr(course.arm, call, defective)
+    ending = course.run()
+    controller = SimpleNamespace(end=None, lasted=0.0, encoder=course.sensor, identified=None)
+    course.sensor.zero = 0.0
+    end = run_end(controller, ending)
+    assert (end.outcome, end.exit_code, end.stoppable) == ("fault", 3, call == "replies")
+    assert "TypeError: float() argument must be a number" in end.evidence["text"]
+    assert "test_loop.py, line" in end.evidence["text"]
+    assert came_to_rest(course.arm.sent, 12) == (call == "replies")
 
 
 def test_the_heart_beats_while_the_arm_comes_to_rest_without_it():

@@ -6,7 +6,7 @@ screen. Equal input gives equal SVG.
 """
 
 import io
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -85,6 +85,11 @@ def plain(text: str) -> str:
 def typeset(text: str) -> str:
     """Return the text of a number with a minus sign in place of a hyphen."""
     return text.replace("-", "\N{MINUS SIGN}")
+
+
+def edges(ends: Sequence[float], limit: float) -> list[str]:
+    """Return the edges of all intervals between `ends` and a limit on both sides as text."""
+    return [typeset(f"{end:g}".replace("inf", "∞")) for end in (-limit, *ends, limit)]
 
 
 def save(figure: "Figure", stem: Path) -> tuple[Path, Path]:

@@ -12,10 +12,10 @@ from equipoise.errors import InputError
 def console(output: Output, *, page: opt.Page) -> None:
     """Show the runs on this computer in the browser, with all buttons, until Ctrl-C.
 
-    Open the printed address, token included. The console shows each run of
-    deploy --robot that you have started on this computer, and waits for the
-    next one. STOP and the space bar stop the arm. A run does not depend on the
-    console.
+    Open the printed address, token included. The console shows each run on a
+    robot, real or of rig emulate, that you start on this computer; log show
+    replays a run in virtual time. STOP and the space bar stop the arm. A run
+    does not depend on the console.
     """
     from equipoise.apps.console.live import serve
 

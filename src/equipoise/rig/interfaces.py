@@ -101,7 +101,7 @@ class Robot(ServoedArm, Protocol):
             q: The joints [rad], shape (joints,).
 
         Raises:
-            LinkError: The link is down, or replies are overdue.
+            LinkError: The link is down, no servo runs, or replies are overdue.
             InputError: The setpoint is not one finite number per joint; nothing was sent.
         """
 

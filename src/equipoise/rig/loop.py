@@ -142,7 +142,7 @@ def run_loop(
         _rest(robot, clock, recorder, h / 2.0)
         raise
     except BaseException as error:  # after any failure the arm has to come to rest
-        text = f"the controller failed ({format_error(error)})"
+        text = f"a part of the run failed ({format_error(error)})"
         fault = End(Outcome.FAULT, {"text": text})
     if fault is not None:
         text = describe(fault) if stoppable else f"{describe(fault)}; {CANNOT_STOP}"
@@ -167,7 +167,8 @@ def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) 
         for setpoint in robot.rest():
             moment += period
             clock.wait_until(moment)
-            robot.robot.replies()
+            with suppress(Exception):  # unused; a lost link is noticed by `send`
+                robot.robot.replies()
             now = clock.now()
             robot.send(setpoint)
             recorder.stream.push(now, robot.last)

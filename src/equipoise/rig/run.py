@@ -210,8 +210,7 @@ def run_end(controller: RunController, ending: LoopResult, max_speed: float = in
     """Return the end of a run from the states of its controller and its loop."""
     end = controller.end or End(Outcome.FAULT, {"text": "the run ended without a cause"})
     if ending.fault is not None:
-        outcome = ending.fault.outcome if ending.stoppable else Outcome.LINK_LOST
-        end = ending.fault._replace(outcome=outcome)
+        end = ending.fault
     return RunEnd(
         outcome=end.outcome,
         evidence=dict(end.evidence),

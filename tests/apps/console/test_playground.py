@@ -59,6 +59,11 @@ def test_the_page_pushes_and_changes_the_rig(monkeypatch):
     page.advance(0)
     assert "standing" in page._page._state.content
     assert "shipped table" in page._page._state.content
+    table = page._boxes.content
+    assert table.count("<rect") == 270
+    assert table.count('stroke-width="3"') == 1
+    for label in ("angle φ [°]", ">−5<", ">50<", "x −0.08 to 0.08 m", "ẋ 0.5 to ∞ m/s"):
+        assert label in table
     page._controls["delay"].value = 25.0
     page._controls["policy"].value = "LQR"
     page._changed()

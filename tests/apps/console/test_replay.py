@@ -43,10 +43,11 @@ def page():
 
 def test_it_plays_pauses_at_the_end_begins_again_and_steps(page):
     assert (page.time, page.playing) == (-2.0, False)
-    page.toggle()
+    page.begin()  # as the first browser does
     page.advance(0.5)
     assert (page.time, page.playing) == (-1.5, True)
     page.advance(99.0)
+    page.begin()
     assert (page.time, page.playing) == (LAST, False)
     page.toggle()
     assert (page.time, page.playing) == (FIRST, True)

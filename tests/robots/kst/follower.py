@@ -2,6 +2,7 @@
 
 from math import exp, isnan
 
+from equipoise.model.arms.iiwa import iiwa7
 from equipoise.rig.clocks import TICK, VirtualClock
 from equipoise.rig.transports import memory_pipe
 from equipoise.robots.kst.server_emulator import KstServer
@@ -12,6 +13,9 @@ LAG = 0.005
 
 class Follower:
     """The simplest arm: each joint closes in on the target within LAG."""
+
+    arm = iiwa7()
+    stopped = ""
 
     def __init__(self):
         self.q, self.goal = list(HOME), list(HOME)
@@ -24,6 +28,12 @@ class Follower:
 
     def torques(self, external):
         return self.external if external else (0.0, -12.5, 0.0, 8.25, 0.0, 0.5, 0.0)
+
+    def flange(self):
+        return (450.0, 0.0, 600.0, 0.0, 0.0, 3.0)
+
+    def wrench(self):
+        return (0.0, 0.5, -4.0, 0.25, 0.0, 0.0)
 
     def servo(self, running):
         self.running = running

@@ -46,7 +46,6 @@ JAVA = {
 
 
 def test_setpoint_is_the_line_of_the_captured_session():
-    assert setpoint(Q, "done") == b"jp_0.0013_0.4364_0_-1.3962_0_1.309_0_\n"
     assert setpoint(np.array(Q)) == b"jpJP_0.0013_0.4364_0_-1.3962_0_1.309_0_\n"
     assert setpoint(Q, "external").startswith(b"jpExT_")
     assert PORT == 30001
@@ -55,7 +54,7 @@ def test_setpoint_is_the_line_of_the_captured_session():
 @given(st.lists(SEVEN, min_size=20, max_size=20))
 def test_setpoint_keeps_nine_digits_and_the_server_reads_them(setpoints):
     for q in setpoints:
-        fields = tokens(setpoint(q).rstrip(b"\n"))
+        fields = tokens(setpoint(q).decode().rstrip("\n"))
         assert fields[0] == "jpJP"
         assert len(fields) == JOINTS + 1
         for value, field in zip(q, fields[1:], strict=True):
@@ -190,6 +189,6 @@ def test_whatever_is_said_is_read_or_refused(said):
     for line in KstLineSplitter().feed(b"\n".join(said) + b"\n"):
         with contextlib.suppress(LinkError):
             assert all(map(math.isfinite, expect_numbers(line, line.count(b"_"), "jpJP")))
-        for field in tokens(line):
+        for field in tokens(line.decode("latin-1")):
             with contextlib.suppress(InputError):
                 assert isinstance(java_double(field), float)

@@ -63,7 +63,10 @@ class LivePage:
         self._page.describe(
             "waiting for a run",
             GREY,
-            ["Start one on this computer: equipoise deploy --robot ADDRESS. It appears here."],
+            [
+                "Start one on this computer: equipoise deploy --robot ADDRESS. It appears here.",
+                "A run in virtual time does not appear: equipoise log show replays it.",
+            ],
         )
 
     def begin(self, watch: RunWatch) -> None:

@@ -3,18 +3,18 @@
 import threading
 import time
 from collections.abc import Callable
-from math import pi, radians, remainder
+from itertools import pairwise
+from math import inf, pi, radians, remainder
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise.apps.console.playground import SCENES, Playground, Scene
-from equipoise.apps.console.scene import RigPage
+from equipoise.apps.console.scene import RigPage, card
 from equipoise.apps.console.web import LOOPBACK, serving
-from equipoise.apps.style import GREEN, GREY, VERMILION
+from equipoise.apps.style import BLUE, GREEN, GREY, INK, PALE, VERMILION, edges
 from equipoise.control.policy import TaskPolicy
-from equipoise.paper import U_MAX
+from equipoise.paper import PHI_LIMIT_DEG, U_MAX, X_LIMIT
 from equipoise.settings import BoxSettings
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 PICTURE: Final = 4
 """Number of ticks between two pictures."""
 SLOW: Final = 12
-"""Number of pictures between two texts, and two pictures of the boxes."""
+"""Number of pictures between two texts, and two drawings of the table."""
 PUSH: Final = radians(15.0)
 """Change of the pendulum's rate by a button [rad/s]."""
 SLIDERS: Final = {
@@ -80,11 +80,7 @@ class PlayPage:
             )
         self._table = gui.add_folder("The table: 270 boxes", order=51)
         with self._table:
-            self._boxes = gui.add_image(self._picture(-1), format="png")
-            gui.add_markdown(
-                "Angle to the right, its rate upwards; the nine groups are place and speed of the "
-                "flange. Orange pushes right, blue left; bright boxes were used just now."
-            )
+            self._boxes = gui.add_html(self._drawn_table())
 
     def _changed(self) -> None:
         """Set the scene of the controls up."""
@@ -132,28 +128,50 @@ class PlayPage:
                 name, colour = ("fallen", VERMILION) if twin.fallen else ("standing", GREEN)
                 self._page.describe(name, colour, twin.sentences())
                 self._table.visible = twin.u_of_box is not None
-                self._boxes.image = self._picture(twin.box)
+                self._boxes.content = self._drawn_table()
 
-    def _picture(self, current: int) -> npt.NDArray[np.uint8]:
-        """Return the boxes as a picture, shape (height, width, 3); empty without a table."""
-        shape, cell_size, gap = BoxSettings().shape, 14, 8  # [px]
-        n_phi, n_rate, n_x, n_speed = shape
-        wide, high = n_phi * cell_size + gap, n_rate * cell_size + gap
-        picture = np.full((n_speed * high + gap, n_x * wide + gap, 3), 255, np.uint8)
-        pushes, used = self.playground.u_of_box, self.playground.used
-        for box, (phi, rate, x, speed) in enumerate(np.ndindex(*shape)):
-            if pushes is None:
-                break
-            left = gap + x * wide + phi * cell_size
-            top = gap + (n_speed - 1 - speed) * high + (n_rate - 1 - rate) * cell_size
-            full = np.array((213, 94, 0) if pushes[box] > 0.0 else (0, 114, 178), np.float64)
-            ink = abs(float(pushes[box])) / U_MAX * (0.15 + 0.85 * float(used[box]))
-            cell = picture[top : top + cell_size - 1, left : left + cell_size - 1]
-            if box == current:
-                cell[:] = 0
-                cell = cell[2:-2, 2:-2]
-            cell[:] = (255.0 + ink * (full - 255.0)).astype(np.uint8)
-        return picture
+    def _drawn_table(self) -> str:
+        """Return the boxes with their axes as SVG, and a legend."""
+        twin, boxes, cell, gap = self.playground, BoxSettings(), 15, 16  # [px]
+        pushes = np.zeros(boxes.count) if twin.u_of_box is None else twin.u_of_box
+        n_phi, n_rate, n_x, n_speed = boxes.shape
+        wide, high = n_phi * cell + gap, n_rate * cell + gap
+        width, height = n_x * wide, n_speed * high
+        parts: list[str] = []
+        for box, (phi, rate, x, speed) in enumerate(np.ndindex(*boxes.shape)):
+            left = x * wide + phi * cell
+            top = (n_speed - 1 - speed) * high + (n_rate - 1 - rate) * cell
+            u = pushes[box]
+            ink = abs(u) / U_MAX * (0.15 + 0.85 * twin.used[box])
+            pen = f'stroke="{INK}" stroke-width="3"' if box == twin.box else f'stroke="{PALE}"'
+            parts.append(
+                f'<rect x="{left}" y="{top}" width="{cell - 2}" height="{cell - 2}" {pen} '
+                f'fill="{VERMILION if u > 0.0 else BLUE}" fill-opacity="{ink:.2f}"/>'
+            )
+
+        def write(x: float, y: float, text: str, turned: int = 0) -> None:
+            place = f'transform="translate({x:g} {y:g}) rotate({turned})"'
+            parts.append(f'<text {place} text-anchor="middle">{text}</text>')
+
+        angles, rates = edges(boxes.phi_deg, PHI_LIMIT_DEG), edges(boxes.phi_dot_deg, inf)
+        for n, (low, high_end) in enumerate(pairwise(edges(boxes.x, X_LIMIT))):
+            write(n * wide + 0.5 * (wide - gap), -6, f"x {low} to {high_end} m")
+            for edge in range(1, n_phi, 2):
+                write(n * wide + edge * cell, height + 2, angles[edge])
+        for n, (low, high_end) in enumerate(pairwise(edges(boxes.x_dot, inf))):
+            top = (n_speed - 1 - n) * high
+            write(width - 4, top + 0.5 * (high - gap), f"ẋ {low} to {high_end} m/s", 90)
+            for edge in range(1, n_rate):
+                write(-12, top + (n_rate - edge) * cell + 3, rates[edge])
+        write(0.5 * width, height + 16, "angle φ [°]")
+        write(-28, 0.5 * height, "its rate dφ/dt [°/s]", -90)
+        return card(
+            "table",
+            f'<svg viewBox="-40 -18 {width + 46} {height + 40}" width="100%" font-size="9.5" '
+            f'fill="{INK}">{"".join(parts)}</svg><b style="color:{VERMILION}">■</b> pushes right, '
+            f'<b style="color:{BLUE}">■</b> left; a strong colour is a strong push. Bright boxes '
+            "were used just now; the framed one is in use.",
+        )
 
 
 def play(

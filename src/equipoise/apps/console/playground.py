@@ -125,7 +125,7 @@ class Playground:
         if isinstance(policy, TabularPolicy) and policy.settings.boxes == BoxSettings():
             self.u_of_box = policy.u_of_box.reshape(-1)
         """Command of each box [m/s^2], shape (270,); None without a table of the usual boxes."""
-        self.used = np.zeros(BoxSettings().count)
+        self.box, self.used = -1, np.zeros(BoxSettings().count)
         """Recent use of each box, 0 to 1, shape (270,)."""
         self.begin()
 

@@ -54,7 +54,7 @@ class ReplayPage:
     """Content of all browsers, and the position in the run."""
 
     def __init__(self, server: "viser.ViserServer", run: RunLog, title: str) -> None:
-        """Fill a server's page; nothing plays before `play` is called.
+        """Fill a server's page; it plays from the first browser on, while `play` is called.
 
         Args:
             server: The viser server.
@@ -90,7 +90,12 @@ class ReplayPage:
         }
         events = gui.add_dropdown("event", tuple(marks), order=45)
         events.on_update(self._asking(lambda: self.jump(marks[events.value])))
+        server.on_client_connect(self._asking(self.begin))
         self.show()
+
+    def begin(self) -> None:
+        """Play, unless a browser has already moved the position."""
+        self.playing = self.playing or self.time == self._motion.part()[0]
 
     def toggle(self) -> None:
         """Play or pause; play from the start if the position is at the end."""

@@ -1,6 +1,5 @@
 """Picture of a policy: the boxes of its table with the commanded acceleration of each."""
 
-from collections.abc import Sequence
 from itertools import pairwise
 from math import inf
 from typing import TYPE_CHECKING, Any
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from equipoise import paper
-from equipoise.apps.style import INK, new_figure, styled, typeset
+from equipoise.apps.style import INK, edges, new_figure, styled, typeset
 from equipoise.control.policy import TabularPolicy
 from equipoise.logs.run_log import RunLog
 
@@ -57,22 +56,17 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
         panel.grid(visible=False)
         panel.tick_params(length=0)
         panel.spines[:].set_visible(False)
-    phi, rate = _edges(boxes.phi_deg, paper.PHI_LIMIT_DEG), _edges(boxes.phi_dot_deg, inf)
+    phi, rate = edges(boxes.phi_deg, paper.PHI_LIMIT_DEG), edges(boxes.phi_dot_deg, inf)
     for panel in axes[-1]:
         panel.set_xticks(range(len(phi)), phi)
         panel.set_xlabel("φ [°]")
     for panel in axes[:, 0]:
         panel.set_yticks(range(len(rate)), rate)
         panel.set_ylabel("dφ/dt [°/s]")
-    for panel, (low, high) in zip(axes[0], pairwise(_edges(boxes.x, paper.X_LIMIT)), strict=True):
+    for panel, (low, high) in zip(axes[0], pairwise(edges(boxes.x, paper.X_LIMIT)), strict=True):
         panel.set_title(f"x from {low} to {high} m", ha="center", x=0.5)
     beside: Any = {"rotation": -90, "va": "center", "xycoords": "axes fraction"}
-    speeds = pairwise(_edges(boxes.x_dot, inf))
+    speeds = pairwise(edges(boxes.x_dot, inf))
     for panel, (low, high) in zip(axes[::-1, -1], speeds, strict=True):
         panel.annotate(f"dx/dt from {low} to {high} m/s", (1.03, 0.5), **beside)
     return figure
-
-
-def _edges(ends: Sequence[float], limit: float) -> list[str]:
-    """Return the edges of all intervals as text."""
-    return [typeset(f"{end:g}".replace("inf", "∞")) for end in (-limit, *ends, limit)]

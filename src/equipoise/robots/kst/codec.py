@@ -35,11 +35,10 @@ official clients cause steps of 1 rad/s^2 in the second difference."""
 MAX_LINE: Final = 1024
 """Maximum accepted line length [bytes]; seven Java numbers take less than 190."""
 
-ReplyKind = Literal["done", "joints", "external"]
-"""Reply that a setpoint requests: an acknowledgement, measured joints [rad], or external torques
-[N m]."""
+ReplyKind = Literal["joints", "external"]
+"""Reply that a setpoint requests: measured joints [rad], or external torques [N m]."""
 
-SETPOINTS: Final[dict[ReplyKind, str]] = {"done": "jp", "joints": "jpJP", "external": "jpExT"}
+SETPOINTS: Final[dict[ReplyKind, str]] = {"joints": "jpJP", "external": "jpExT"}
 """Commands that set the target of the joint servo, by requested reply."""
 
 GET_JOINTS: Final = b"getJointsPositions\n"
@@ -129,9 +128,9 @@ def expect_numbers(line: bytes, count: int, command: str) -> tuple[float, ...]:
     raise _out_of_step(line, f"{count} finite numbers that end in _", command)
 
 
-def tokens(line: bytes) -> list[str]:
+def tokens(line: str) -> list[str]:
     """Return the non-empty fields of a client's line, split as the server splits it."""
-    return [field for field in line.decode("latin-1").split("_") if field]
+    return [field for field in line.split("_") if field]
 
 
 def java_double(text: str) -> float:

@@ -90,7 +90,7 @@ class KstHardware:
 
     def _begin(self) -> None:
         """Start a server."""
-        self._server = KstServer(self.bench.body, self.bench.joints)
+        self._server = KstServer(self.bench.body)
         self._client: socket.socket | None = None
         self._restarts = False
         with suppress(BlockingIOError):  # whoever called the server before is not served any more

@@ -61,7 +61,7 @@ def emulate(
     rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: int
 ) -> Emulated[KstRobot]:
     """Return the driver in front of an emulated server that drives a simulated arm."""
-    server = KstServer(rig.body, rig.joints)
+    server = KstServer(rig.body)
     host, cabinet = memory_pipe(session.clock, delay)
 
     def advance(now: float) -> None:

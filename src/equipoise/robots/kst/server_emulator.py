@@ -1,38 +1,53 @@
-"""Emulator of the KST server's joint servo, as bytes and times, with the real server's faults.
+"""Emulator of the KST server's joint servo and motions, as bytes and times, with its faults.
 
 As in the real server, two threads share one string. The *reader* receives each line, and handles
-targets, `getJointsPositions`, stop and end itself. Any other line waits in that string for the
-*main* thread, which ignores it while a servo runs. Hence:
+targets, `getJointsPositions`, lamp, pins, stop and end itself. Any other line waits in that string
+for the *main* thread, which ignores it while a servo or a motion runs. Hence:
 
 - A servo is acknowledged before it exists; its target is then overwritten with the measured joints.
+- A point-to-point motion is acknowledged twice, at its start and at its end. It keeps its own goal:
+  targets in between are acknowledged, and nothing stops it.
 - A command for the main thread that arrives while a servo runs is not answered, and the next line
-  erases it. An unknown command is never answered.
+  erases it; so does the end of a motion. An unknown command is never answered.
+- A motion that the controller cannot plan is acknowledged, then refused: `nak`.
 - A number that Java cannot parse (`nan`; but `NaN` becomes the target) kills the reader: all later
   lines are ignored, stop and end included, and the servo continues.
 - Fewer than seven joints change the first ones only; further ones are ignored.
 - The client is not supervised: if it vanishes, the servo continues, and no other client is ever
   served.
 
-Not modelled: Cartesian, impedance and velocity servos, point-to-point motions, tools, pins and
-forces, which are not answered; the server does not end when no client connects for 60 s.
+Not modelled: Cartesian, impedance and velocity servos and motions that end at a torque (`doPTP!`)
+are not answered; Cartesian motions and tools (`TFtrans`) are refused, so that pose, force and
+moment are those of the flange; all pins read 1, as those of a server without a media flange; the
+server does not end when no client connects for 60 s.
 """
 
-from typing import Final
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Final, TypeVar
 
+from equipoise.control.minimum_jerk import path_within
 from equipoise.errors import InputError, LinkError
-from equipoise.robots.kst import codec
-from equipoise.robots.kst.codec import SETPOINTS, ReplyKind, java_double, tokens
+from equipoise.robots.kst.codec import KstLineSplitter, java_double, numbers_reply, tokens
 from equipoise.worlds.twin.simulated_arm import SimulatedArm
+
+T = TypeVar("T")
 
 DONE: Final = b"done\n"
 """Acknowledgement of the server."""
+NAK: Final = b"nak\n"
+"""Reply of the server after an error in its main thread."""
 SERVO_START: Final = 5e-3
 """Time from the acknowledgement until a servo exists [s]: "a few milliseconds"."""
 SERVO_STOP: Final = 3e-3
 """Time from the acknowledgement of a stop until the servo has ended [s]: "a few milliseconds"."""
+PLANNING_TIME: Final = 0.1
+"""Time from the acknowledgement of a motion until it starts or is refused [s]. Assumed. A client
+that receives both replies in one segment waits for the second without end."""
+SETTLING_TIME: Final = 0.35
+"""Time from the end of a motion's path until its second acknowledgement [s]: the emulated arm
+follows by the law of the servo, which takes this for the last milliradian."""
 EPSILON: Final = 1e-9
 """Rounding of times [s]."""
-_KINDS: Final[dict[str, ReplyKind]] = {command: kind for kind, command in SETPOINTS.items()}
 
 
 class KstServer:
@@ -46,12 +61,11 @@ class KstServer:
             connection.send(segment)
     """
 
-    def __init__(self, body: SimulatedArm, joints: int = codec.JOINTS) -> None:
+    def __init__(self, body: SimulatedArm) -> None:
         """Begin with a connected client, the arm at rest and no servo.
 
         Args:
-            body: The arm.
-            joints: Number of joints; lines have as many fields.
+            body: The arm; lines have a field for each of its joints.
         """
         self.drops = self.refuses = False
         """Whether replies are lost, or `nak`: faults; their commands are executed."""
@@ -63,25 +77,27 @@ class KstServer:
         """Whether the server's program has ended; the connection is closed then."""
         self.deserted = False
         """Whether the client left without an `end`; no other is ever served."""
-        self._body, self._target = body, [0.0] * joints
-        self._lines = codec.KstLineSplitter()
+        self.busy = False
+        """Whether a servo or a motion runs or is starting."""
+        self._body, self._target = body, [0.0] * len(body.arm.joints)
+        self._lines = KstLineSplitter()
         self._reads = True
         self._segments: list[bytes] = []
-        self._now = 0.0
+        self._now = self._speed = 0.0
         self._waiting = ""
-        self._starts: float | None = None  # of the servo; None without one
-        self._stops: float | None = None
-        self._requested = self._runs = False
+        self._requested = self._runs = False  # the servo
+        self._tasks: dict[str, Callable[[str], Iterable[None]]] = {
+            "startDirectServoJoints": self._serve,
+            "doPTPinJS": self._move,
+            "doPTPinCS": self._refuse_motion,
+            "jRelVel": self._set_speed,
+        }
+        self._main = self._run_main()
 
     @property
     def closed(self) -> bool:
         """Whether the connection is closed from this side."""
         return self.cut or (self.ended and not self._segments)
-
-    @property
-    def busy(self) -> bool:
-        """Whether a servo runs or is starting."""
-        return self._starts is not None
 
     def feed(self, data: bytes, now: float) -> None:
         """Receive bytes from the client.
@@ -110,10 +126,7 @@ class KstServer:
             Segments sent to the client since the last call, in order.
         """
         self._now = now
-        self._step_servo()
-        if not self.busy and self._waiting and not self.ended:
-            waiting, self._waiting = self._waiting, ""
-            self._main(waiting)
+        next(self._main, None)
         segments, self._segments = self._segments, []
         return [] if self.deserted or self.cut else segments
 
@@ -124,6 +137,10 @@ class KstServer:
         """
         self._now, self.deserted, self._reads = now, True, False
 
+    def _say(self, reply: bytes) -> None:
+        if reply and not self.drops:
+            self._segments.append(NAK if self.refuses else reply)
+
     # The reader's thread.
 
     def _read(self, line: bytes) -> None:
@@ -133,59 +150,140 @@ class KstServer:
             InputError: The line kills the reader.
         """
         self._waiting = ""
-        command, separator, _ = line.decode("latin-1").partition("_")
-        if separator and command in _KINDS:
+        command = line.decode("latin-1")
+        if answer := _entry(_TARGETS, command):
             try:
-                for i, field in enumerate(tokens(line)[1 : len(self._target) + 1]):
+                for i, field in enumerate(tokens(command)[1 : len(self._target) + 1]):
                     self._target[i] = java_double(field)
             finally:  # the servo follows the numbers read before the reader died
                 if self._runs:
                     self._body.target(tuple(self._target))
-            self._answer(_KINDS[command])
+            self._say(answer(self._body))
         elif command.startswith("end"):
             self._requested, self.ended, self._reads = False, True, False
-        elif command.startswith("stopDirectServoJoints"):
-            self._requested = False
-            self._say(DONE)
-        elif command.startswith("getJointsPositions"):
-            self._answer("joints")
-        elif self.busy:
-            self._waiting = command
+        elif answer := _entry(_READER, command):
+            if command.startswith("stopDirectServoJoints"):
+                self._requested = False
+            self._say(answer(self._body))
         else:
-            self._main(command)
+            self._waiting = command
 
-    def _answer(self, kind: ReplyKind) -> None:
-        body = self._body
-        values = body.measured() if kind == "joints" else body.torques(external=True)
-        self._say(DONE if kind == "done" else codec.numbers_reply(values))
+    # The main thread; each `yield` waits for the next `advance`.
 
-    def _say(self, reply: bytes) -> None:
-        if not self.drops:
-            self._segments.append(b"nak\n" if self.refuses else reply)
+    def _run_main(self) -> Iterator[None]:
+        while not self.ended:
+            command, self._waiting = self._waiting, ""
+            if answer := _entry(_MAIN, command):
+                self._say(answer(self._body))
+            elif task := _entry(self._tasks, command):
+                self.busy = True
+                try:
+                    yield from task(command)
+                except InputError:
+                    self._say(NAK)
+                self.busy = False
+            yield
 
-    # The main thread.
+    def _sleep(self, duration: float) -> Iterator[None]:
+        until = self._now + duration - EPSILON
+        while self._now < until:
+            yield
 
-    def _main(self, command: str) -> None:
-        if command.startswith("startDirectServoJoints"):
-            self._requested = True
-            self._say(DONE)
-            self._starts, self._stops = self._now + SERVO_START, None
+    def _serve(self, _command: str) -> Iterator[None]:
+        """Run a servo; it runs on without a client."""
+        self._requested = True
+        self._say(DONE)
+        yield from self._sleep(SERVO_START)
+        self._runs = True
+        self._body.servo(True)
+        self._target[:] = self._body.measured()
+        self._body.target(tuple(self._target))
+        while self._requested:
+            yield
+        yield from self._sleep(SERVO_STOP)
+        self._body.servo(False)
+        self._runs = False
 
-    def _step_servo(self) -> None:
-        """Start and stop the servo when due; it runs on without a client."""
-        if self._starts is None:
-            return
-        if not self._runs:
-            if self._now < self._starts - EPSILON:
-                return
-            self._runs = True
-            self._body.servo(True)
-            self._target[:] = [float(q) for q in self._body.measured()]
-            self._body.target(tuple(self._target))
-        if self._requested:
-            return
-        if self._stops is None:
-            self._stops = self._now + SERVO_STOP
-        if self._now >= self._stops - EPSILON:
-            self._body.servo(False)
-            self._starts, self._runs = None, False
+    def _move(self, _command: str) -> Iterator[None]:
+        """Move to the target along a minimum-jerk path, at a share of the joints' speed limits."""
+        body, joints, goal = self._body, self._body.arm.joints, tuple(self._target)
+        self._say(DONE)
+        yield from self._sleep(PLANNING_TIME)
+        within = all(a.lower <= q <= a.upper for a, q in zip(joints, goal, strict=True))
+        if body.stopped or not within or self._speed > 1.0:
+            raise InputError("the controller cannot plan this motion")
+        speeds = [self._speed * joint.velocity for joint in joints]
+        path = path_within(body.measured(), goal, speeds, [joint.acceleration for joint in joints])
+        start = self._now
+        body.servo(True)
+        while self._now < start + path.duration + SETTLING_TIME:
+            body.target(path.at(self._now - start).q)
+            yield
+        body.servo(False)
+        self._say(NAK if body.stopped else DONE)
+        self._waiting = ""
+
+    def _refuse_motion(self, _command: str) -> Iterator[None]:
+        self._say(DONE)
+        yield from self._sleep(PLANNING_TIME)
+        raise InputError("Cartesian motions are not emulated")
+
+    def _set_speed(self, command: str) -> Iterable[None]:
+        """Set the share of the joints' speed limits at which motions run."""
+        self._speed = java_double("".join(tokens(command)[1:2]))
+        self._say(DONE)
+        return ()
+
+
+Answer = Callable[[SimulatedArm], bytes]
+
+
+def _entry(table: dict[str, T], command: str) -> T | None:
+    """Return the entry of the first key with which a command and its line end start."""
+    line = command + "\n"
+    return next((entry for key, entry in table.items() if line.startswith(key)), None)
+
+
+def _fixed(reply: bytes) -> Answer:
+    return lambda arm: reply
+
+
+def _numbers(measure: Callable[[SimulatedArm], Sequence[float]]) -> Answer:
+    return lambda arm: numbers_reply(measure(arm))
+
+
+_JOINTS: Final = _numbers(lambda arm: arm.measured())
+_EXTERNAL: Final = _numbers(lambda arm: arm.torques(external=True))
+_TORQUES: Final = _numbers(lambda arm: arm.torques(external=False))
+_POSE: Final = _numbers(lambda arm: arm.flange())
+_FORCE: Final = _numbers(lambda arm: arm.wrench()[:3])
+
+# Replies by the start of a line; \n is its end, where the server compares the whole line.
+_TARGETS: Final[dict[str, Answer]] = {
+    "jp_": _fixed(DONE),
+    "jpJP_": _JOINTS,
+    "jpExT_": _EXTERNAL,
+    "jpMT_": _TORQUES,
+    "jpEEfP_": _POSE,
+    "jpEEfFrelEEF_": _FORCE,
+    "jf_": _fixed(b""),
+}
+_READER: Final[dict[str, Answer]] = {
+    "getJointsPositions": _JOINTS,
+    "stopDirectServoJoints": _fixed(DONE),
+    "cArtixanPosition": _fixed(DONE),
+    "blueOn": _fixed(DONE),
+    "blueOff": _fixed(DONE),
+    **{f"pin{pin}{state}": _fixed(DONE) for pin in (1, 2, 11, 12) for state in ("on", "off")},
+    **{f"getPin{pin}": _fixed(b"1\n\n") for pin in (3, 4, 10, 13, 16)},
+}
+_MAIN: Final[dict[str, Answer]] = {
+    "TFtrans": _fixed(NAK),
+    "handGuiding": _fixed(DONE),
+    "preciseHandGuiding": _fixed(DONE),
+    "Torques_ext_J": _EXTERNAL,
+    "Torques_m_J": _TORQUES,
+    "Eef_pos\n": _POSE,
+    "Eef_force\n": _FORCE,
+    "Eef_moment\n": _numbers(lambda arm: arm.wrench()[3:]),
+}

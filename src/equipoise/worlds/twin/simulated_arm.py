@@ -47,12 +47,13 @@ class SimulatedArm:
         Raises:
             ArmError: The masses of the arm's links are not known.
         """
-        mj = mujoco()
+        self.arm = arm
+        """Its description."""
         self._twin, self._n = twin, len(arm.joints)
         self._joint_noise = settings.joint_noise
-        self._inverse = mj.mj_inverse
+        self._mj = mujoco()
         self._bare = build_bare(arm)
-        self._bare_data = mj.MjData(self._bare)
+        self._bare_data = self._mj.MjData(self._bare)
         self._braking = 0
         self.running = False
         """Whether a servo runs."""
@@ -79,10 +80,23 @@ class SimulatedArm:
             bare = self._bare_data
             bare.qpos[:], bare.qvel[:] = kernel.bodies.qpos[:n], kernel.bodies.qvel[:n]
             bare.qacc[:] = acceleration
-            self._inverse(self._bare, bare)
+            self._mj.mj_inverse(self._bare, bare)
             torques = bare.qfrc_inverse + kernel.bodies.gravity - torques
         noise(kernel, TORQUE_NOISE, 3, torques)
         return tuple(torques.tolist())
+
+    def wrench(self) -> tuple[float, ...]:
+        """Return the external force [N] and moment [N m] on the flange, in its axes, shape (6,).
+
+        The controller derives both from the external torques, by least squares.
+        """
+        twin, bodies = self._twin, self._twin.kernel.bodies
+        jacobian = np.zeros((6, twin.model.nv))
+        self._mj.mj_jacBody(twin.model, twin.data, jacobian[:3], jacobian[3:], bodies.flange)
+        wrench = np.linalg.lstsq(jacobian[:, : self._n].T, self.torques(external=True))[0]
+        return tuple(
+            (wrench.reshape(2, 3) @ bodies.xmat[bodies.flange].reshape(3, 3)).ravel().tolist()
+        )
 
     def flange(self) -> tuple[float, ...]:
         """Return the pose of the flange in the base: x, y, z [mm], a, b, c [rad].
