@@ -36,12 +36,10 @@ class FreeSwing(NamedTuple):
     period: float
     """Period of the swing [s]."""
     starts: list[Array]
-    """Initial guesses of w2, c, Coulomb friction, drag, angle and rate at the first sample, and
-    offset; shape (7,) each, the likeliest first."""
+    """Initial guesses of w2, c, Coulomb friction, drag, angle and rate at the first sample, offset
+    and scale, which is 1; shape (8,) each, the likeliest first."""
     release: float | None
     """First time of the part [s]; None where the start of the recording was given."""
-    touched: float | None
-    """Last time of the part [s], if something ends the swing there; None at the recording's end."""
 
 
 def find_free_swing(trajectory: Trajectory) -> FreeSwing:
@@ -57,13 +55,11 @@ def find_free_swing(trajectory: Trajectory) -> FreeSwing:
     def refusal(fault: str) -> RecordingError:
         return RecordingError(
             f"{trajectory.source} {fault}: {len(time)} samples in {lasts:.3g} s that vary by "
-            f"{spread:.3g} rad, or rad/s; release the pendulum from 40 to 60 deg, record ten "
-            f"periods with at least {MIN_SAMPLES_PER_PERIOD:g} samples in each, and give the unit "
-            "in the column's name"
+            f"{spread:.3g} rad, or rad/s; release the pendulum from 40 to 60 deg, with so little "
+            f"friction that it swings for ten periods, record {MIN_SAMPLES_PER_PERIOD:g} samples "
+            "or more in each, and give the unit in the column's name"
         )
 
-    if not is_rate and spread >= 2.0 * pi:
-        raise refusal("goes over the top")
     if len(time) < 2 * MIN_SAMPLES_PER_PERIOD:
         raise refusal("holds too few samples")
     turns = _turning_points(trajectory, spread)
@@ -101,14 +97,12 @@ def find_free_swing(trajectory: Trajectory) -> FreeSwing:
         most = 1.98 * root if is_rate else 0.99 * pi
         state = [0.0, 0.0]
         state[is_rate] = min(max(lead, -most), most)
-        starts.append(np.array([w2, max(decay, 1e-3 * root), 0.0, 0.0, *state, middle]))
-    cut_short = time[-1] - end > 1.5 * half and swings[-1] > 0.2 * swings[0]
+        starts.append(np.array([w2, max(decay, 1e-3 * root), 0.0, 0.0, *state, middle, 1.0]))
     return FreeSwing(
         slice(turns[0], turns[-1] + 1),
         period,
         starts,
         release=None if trajectory.released else begin,
-        touched=end if cut_short else None,
     )
 
 
