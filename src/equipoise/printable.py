@@ -43,7 +43,7 @@ def label(name: str) -> str:
         >>> label("median_s"), label("speed_m_s"), label("gap_at_start")
         ('median [s]', 'speed [m/s]', 'gap at start')
     """
-    unit = "_(rad_s|m_s|s|ms|deg|mm|m)$"
+    unit = "_(rad_s|m_s|s|ms|deg|mm|m|percent)$"
     return re.sub(unit, lambda of: f" [{of[1].replace('_', '/')}]", name).replace("_", " ")
 
 
@@ -73,6 +73,7 @@ def as_text(value: Any) -> str:
         case list() | tuple():
             return "\n".join(map(as_text, value))
         case _ if hasattr(value, "interval"):
-            return f"{plus_minus(value.value, value.interval)} ({value.source})"
+            level = "95 %, " if value.low < value.high else ""
+            return f"{plus_minus(value.value, value.interval)} ({level}{value.source})"
         case _:
             return printable(str(value))

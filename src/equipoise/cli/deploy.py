@@ -6,6 +6,7 @@ One program for a simulated run, an emulated rig and a real rig.
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -215,11 +216,12 @@ def _run_on_rig(
             actuator=actuator,
             makes="policy.json",
         )
-    names = ("outcome", "reason", "stoppable", "zero", "missed")
+    names = ("outcome", "reason", "stoppable", "missed")
     output.result(
         world=request.robot,
         lasted_s=end.lasted,
         **{name: getattr(end, name) for name in names},
+        zero_deg=degrees(end.zero),
         identified=end.identified and end.identified.summary,
         actuator=actuator,
         run=out,
