@@ -121,6 +121,14 @@ def test_a_counter_that_overflows_is_unwrapped_by_its_own_period(tmp_path, count
     np.testing.assert_allclose(read - read[0], counts - counts[0], atol=within)
 
 
+@pytest.mark.parametrize("counts", [[0, 5], [0, 5, 0], [0.1, 0.4, 0.1]])
+def test_a_few_counts_are_read_as_they_are(tmp_path, counts):
+    path = tmp_path / "swing.csv"
+    path.write_text("time_s,counts\n" + "".join(f"{t},{n}\n" for t, n in enumerate(counts)))
+    read = read_swing(path, counts_per_rev=4096).theta
+    np.testing.assert_allclose(read, np.array(counts) * 2.0 * pi / 4096)
+
+
 def test_a_clock_of_32_bits_that_wraps_goes_on(tmp_path):
     stamps = (np.arange(2**32 - 2500, 2**32 + 2500, 1000) % 2**32).tolist()
     path = tmp_path / "swing.csv"

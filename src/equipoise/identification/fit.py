@@ -4,7 +4,7 @@ Fixed integration steps make the prediction a smooth function of the unknowns, s
 differences give its sensitivities; an adaptive integrator would not.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from math import inf, sqrt
 from typing import Final, NamedTuple
 
@@ -31,7 +31,7 @@ MAX_UNEXPLAINED: Final = 0.25
 """Largest accepted misfit (residual without noise), as a share of the recording's standard
 deviation; more is not a free swing. A long swing with the wrong friction model leaves 5 %."""
 COARSE, FINE = 1e-6, 1e-12
-"""Relative changes of the sum of squares at which a comparison and a final fit stop."""
+"""Relative changes of the sum of squares at which a fit of a part and a final fit stop."""
 MAX_EVALUATIONS: Final = 50
 """Limit on the evaluations of a fit; those of recorded swings take up to 21."""
 
@@ -94,43 +94,29 @@ class SwingRecording(NamedTuple):
 
 
 def fit_swing(
-    recording: SwingRecording,
-    starts: Sequence[Array],
-    friction: Friction,
-    show: Callable[[str], None],
+    recording: SwingRecording, start: Array, friction: Friction, show: Callable[[str], None]
 ) -> Array:
     """Fit the recording over a growing horizon; return the unknowns, shape (8,).
 
-    A long window that is fitted at once has local minima that are off by a period. After a poor
-    fit, other initial states are tried, until two end in the same minimum. A richer friction model
-    starts from the solution of the simpler one, and is never worse.
+    A long window that is fitted at once has local minima that are off by a period. A richer
+    friction model starts from the solution of the simpler one, and is never worse.
 
     Args:
         recording: The free swing.
-        starts: Initial guesses of the unknowns, the likeliest first; shape (8,) each.
+        start: Initial guess of the unknowns, shape (8,).
         friction: The friction model.
         show: Called with the progress in a few words.
     """
     elapsed = recording.time - recording.time[0]
     periods = elapsed[-1] / recording.period
-    found = list[tuple[float, Array]]()
-    for unknowns in starts:
-        # A shorter horizon does not determine period and friction.
-        horizon = 1.5 * recording.period
-        while horizon < elapsed[-1]:
-            show(f"fitting {horizon / recording.period:.0f} of {periods:.0f} periods")
-            end = int(np.searchsorted(elapsed, horizon, side="right"))
-            part = recording._replace(time=recording.time[:end], values=recording.values[:end])
-            unknowns = fit_bounded(part, [C], unknowns, COARSE)
-            horizon *= 2.0
-        unknowns = fit_bounded(recording, [C], unknowns, COARSE)
-        share = recording.misfit(unknowns) / float(np.std(recording.values))
-        again = any(abs(share - other) < 0.01 * other for other, _ in found)
-        found.append((share, unknowns))
-        # The wrong friction model over 60 periods leaves 5 % in the global minimum.
-        if share < 0.05 or (again and share < MAX_UNEXPLAINED):
-            break
-    best = min(found, key=lambda one: one[0])[1]
+    # A shorter horizon does not determine period and friction.
+    best, horizon = start, 1.5 * recording.period
+    while horizon < elapsed[-1]:
+        show(f"fitting {horizon / recording.period:.0f} of {periods:.0f} periods")
+        end = int(np.searchsorted(elapsed, horizon, side="right"))
+        part = recording._replace(time=recording.time[:end], values=recording.values[:end])
+        best = fit_bounded(part, [C], best, COARSE)
+        horizon *= 2.0
     models = list(FRICTIONS)
     for model in models[: models.index(friction) + 1]:
         show(f"fitting {model} friction to {periods:.0f} periods")

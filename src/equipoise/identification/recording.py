@@ -204,12 +204,12 @@ def _wrap(counts: Array, turn: float) -> float:
     if not np.any(wraps):
         return turn
     motion = np.where(wraps, 0.0, steps)
-    between = np.convolve(motion, (0.5, 0.0, 0.5), mode="same")
-    period = float(np.round(np.median(np.abs(steps - between)[wraps])))
+    between = np.convolve(motion, (0.5, 0.0, 0.5))[1:-1]
+    period = float(np.median(np.abs(steps - between)[wraps]))
     known = min(turn, 2.0 ** np.round(np.log2(period)), key=lambda one: abs(one - period))
     if abs(known - period) <= 1.0 + np.max(np.abs(motion)):
         period = known
-    return period if period > span else turn
+    return max(float(np.round(period)), span + 1.0) if period > span else turn
 
 
 def _read_table(path: Path, data: bytes) -> tuple[str, str, Array]:

@@ -87,9 +87,9 @@ def identify(
     settings = settings or IdentificationSettings()
     free = find_free_swing(trajectory)
     time, values = trajectory.time[free.part], trajectory.values[free.part]
-    is_rate, w2 = trajectory.theta is None, float(free.starts[0][W2])
+    is_rate, w2 = trajectory.theta is None, float(free.start[W2])
     recording = SwingRecording(time, values, is_rate, free.period, w2)
-    unknowns = fitting.fit_swing(recording, free.starts, settings.friction, show)
+    unknowns = fitting.fit_swing(recording, free.start, settings.friction, show)
     swing_fit = SwingFit(
         source=trajectory.source,
         sha256=trajectory.sha256,
@@ -107,7 +107,7 @@ def identify(
     )
     advice = ""
     if swing_fit.unexplained > WARNING_MISFIT:
-        advice = _advice(recording, unknowns, settings.friction, free.starts[0], show)
+        advice = _advice(recording, unknowns, settings.friction, free.start, show)
     left = recording.misfit(unknowns, trajectory.resolution) / float(np.std(values))
     if left > fitting.MAX_UNEXPLAINED:
         raise RecordingError(
@@ -170,7 +170,7 @@ def _advice(
     start = start.copy()
     start[THETA_DOT if recording.is_rate else THETA] = recording.values[0] - start[OFFSET]
     start[[W2, SCALE]] = scaled.w2, SMALL_SWING / _amplitude(recording, start)
-    better = fitting.fit_swing(scaled, [start], MODELS[-1], show)
+    better = fitting.fit_swing(scaled, start, MODELS[-1], show)
     if not recording.misfit(better) < enough:
         return ""
     if _amplitude(recording, better) < SMALL_SWING:
@@ -193,6 +193,7 @@ def _disturbance(
     time, end = trajectory.time, float(recording.time[-1])
     first, last = np.searchsorted(time, [end, end + recording.period])
     after = slice(first, last + 1)
+    # A longer gap may hide a turning point.
     if np.max(np.diff(time[after]), initial=0.0) > 0.25 * recording.period:
         return "samples are missing"
     longer = recording._replace(time=np.append(recording.time[0], time[after]))
