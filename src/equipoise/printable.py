@@ -40,10 +40,10 @@ def label(name: str) -> str:
     """Return the name of a field, with its unit in brackets.
 
     Example:
-        >>> label("median_s"), label("speed_m_s"), label("gap_at_start")
-        ('median [s]', 'speed [m/s]', 'gap at start')
+        >>> label("speed_m_s"), label("zero_counts"), label("gap_at_start")
+        ('speed [m/s]', 'zero [counts]', 'gap at start')
     """
-    unit = "_(rad_s|m_s|s|ms|deg|mm|m|percent)$"
+    unit = "_(rad_s|m_s|s|ms|deg|mm|m|percent|counts)$"
     return re.sub(unit, lambda of: f" [{of[1].replace('_', '/')}]", name).replace("_", " ")
 
 

@@ -6,7 +6,6 @@ One program for a simulated run, an emulated rig and a real rig.
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -221,7 +220,7 @@ def _run_on_rig(
         world=request.robot,
         lasted_s=end.lasted,
         **{name: getattr(end, name) for name in names},
-        zero_deg=degrees(end.zero),
+        zero_counts=end.zero,
         identified=end.identified and end.identified.summary,
         actuator=actuator,
         run=out,

@@ -194,10 +194,11 @@ def _labelled(value: "BaseModel") -> dict[str, Any]:
     fields: dict[str, Any] = {}
     for name, info in type(value).model_fields.items():
         unit = re.search(r"\[[^\]]+\]", info.description or "")
-        found = getattr(value, name) if info.repr else None
-        if hasattr(found, "model_dump") and not hasattr(found, "interval"):
+        found = getattr(value, name)
+        nested = hasattr(found, "model_dump") and not hasattr(found, "interval")
+        if nested and info.repr:
             fields |= _labelled(found)
-        else:
+        elif info.repr:
             fields[f"{name} {unit[0]}" if unit else name] = found
     return fields
 
