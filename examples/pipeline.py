@@ -8,7 +8,7 @@ import os
 import equipoise as eq
 
 
-def show(stage, share, state):
+def show(stage: str, share: float | None, state: str) -> None:
     """Print the progress of the training on one line."""
     print(f"\r{stage} {share or 0:4.0%} {state:40}", end="", flush=True)
 

@@ -23,4 +23,6 @@ def test_estimates_show_their_interval_and_source_wherever_they_stand():
     w2, c = shipped_pendulum().w2, shipped_pendulum().c
     both = as_text([w2, c]).splitlines()
     assert both == [as_text(w2), as_text(c)]
-    assert all(line.endswith(f"({each.source})") for line, each in zip(both, (w2, c), strict=True))
+    assert all(
+        line.endswith(f"(95 %, {each.source})") for line, each in zip(both, (w2, c), strict=True)
+    )

@@ -40,10 +40,10 @@ def label(name: str) -> str:
     """Return the name of a field, with its unit in brackets, or its level of confidence.
 
     Example:
-        >>> label("median_s"), label("speed_m_s"), label("interval_95"), label("gap_at_start")
-        ('median [s]', 'speed [m/s]', 'interval (95 %)', 'gap at start')
+        >>> label("zero_counts"), label("speed_m_s"), label("interval_95"), label("gap_at_start")
+        ('zero [counts]', 'speed [m/s]', 'interval (95 %)', 'gap at start')
     """
-    name, unit = name.replace("_95", " (95 %)"), "_(rad_s|m_s|s|ms|deg|mm|m)$"
+    name, unit = name.replace("_95", " (95 %)"), "_(rad_s|m_s|s|ms|deg|mm|m|percent|counts)$"
     return re.sub(unit, lambda of: f" [{of[1].replace('_', '/')}]", name).replace("_", " ")
 
 
@@ -73,6 +73,7 @@ def as_text(value: Any) -> str:
         case list() | tuple():
             return "\n".join(map(as_text, value))
         case _ if hasattr(value, "source"):
-            return f"{plus_minus(value.value, value.interval)} ({value.source})"
+            level = "95 %, " if value.low < value.high else ""
+            return f"{plus_minus(value.value, value.interval)} ({level}{value.source})"
         case _:
             return printable(str(value))

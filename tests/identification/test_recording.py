@@ -101,6 +101,63 @@ def test_a_written_swing_is_read_back_to_the_last_bit(tmp_path_factory, steps, v
     assert np.array_equal(again.values, swing.values)
 
 
+@pytest.mark.parametrize("counts_per_rev", [400, 1600, 2500, 4096, 131072])
+@pytest.mark.parametrize("period", [2**8, 2**15, 2**16, 2**32, 10000])
+def test_a_counter_that_overflows_is_unwrapped_by_its_own_period(tmp_path, counts_per_rev, period):
+    time = np.arange(0.0, 8.0, 0.005)
+    angle = 0.4 * np.exp(-0.1 * time) * np.cos(8.0 * time)
+    counts = np.round(angle * counts_per_rev / (2.0 * pi)).astype(int)
+    if np.ptp(counts) >= period:
+        pytest.skip("a counter has to hold the range of the swing")
+    wrapped = (counts + period // 2 - 7 + period // 2) % period - period // 2
+    assert np.ptp(wrapped) > 0.9 * period
+    rows = "".join(f"{t},{n}\n" for t, n in zip(time, wrapped, strict=True))
+    path = tmp_path / "swing.csv"
+    path.write_text("time_s,counts\n" + rows)
+    swing = read_swing(path, counts_per_rev=counts_per_rev)
+    read = swing.theta * counts_per_rev / (2.0 * pi)
+    # A period that is no power of two is found to a count.
+    within = 1e-3 if period % 256 == 0 else 1.001
+    np.testing.assert_allclose(read - read[0], counts - counts[0], atol=within)
+
+
+@pytest.mark.parametrize("counts", [[0, 5], [0, 5, 0], [0.1, 0.4, 0.1]])
+def test_a_few_counts_are_read_as_they_are(tmp_path, counts):
+    path = tmp_path / "swing.csv"
+    path.write_text("time_s,counts\n" + "".join(f"{t},{n}\n" for t, n in enumerate(counts)))
+    read = read_swing(path, counts_per_rev=4096).theta
+    np.testing.assert_allclose(read, np.array(counts) * 2.0 * pi / 4096)
+
+
+def test_a_clock_of_32_bits_that_wraps_goes_on(tmp_path):
+    stamps = (np.arange(2**32 - 2500, 2**32 + 2500, 1000) % 2**32).tolist()
+    path = tmp_path / "swing.csv"
+    path.write_text("time_us,theta_rad\n" + "".join(f"{t},{t % 7}\n" for t in stamps))
+    np.testing.assert_allclose(np.diff(read_swing(path).time), 1e-3, rtol=1e-6)
+
+
+def test_a_repeated_row_counts_once(tmp_path):
+    path = tmp_path / "swing.csv"
+    path.write_text("time_s,theta_rad\n0,1\n0.1,2\n0.1,2\n0.2,2\n")
+    assert read_swing(path).time.tolist() == [0.0, 0.1, 0.2]
+
+
+PLACES = {
+    "how many, and where": ("0,1\n0.1,2\n0.1,3\n0.3,3\n0.2,3\n", "2 of 5 .* after 0.1 s"),
+    "the line as an editor counts it": ("0,1\n\n0.1,high\n", "line 4: .*'high'"),
+    "the line of a number": ("0,1\n\n0.1,2\n0.2,inf\n", "in line 5 is inf"),
+    "the line that is short": ("0,1\n0.1\n", "line 3: 1 cells, expected 2"),
+}
+
+
+@pytest.mark.parametrize(("rows", "said"), PLACES.values(), ids=PLACES)
+def test_a_refusal_says_where(tmp_path, rows, said):
+    path = tmp_path / "swing.csv"
+    path.write_text("time_s,theta_rad\n" + rows)
+    with pytest.raises(RecordingError, match=said):
+        read_swing(path)
+
+
 REFUSED = {
     "nothing": "",
     "two quantities": "time_s,theta_rad,theta_deg\n0,1,2\n1,1,2\n",

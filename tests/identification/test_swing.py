@@ -303,6 +303,84 @@ def test_a_richer_friction_never_fits_worse_and_is_asked_for_where_it_is_missing
     assert fits[2].warnings == ()
 
 
+def refused_or_warned(swing, friction):
+    """Return what the user reads about a swing."""
+    try:
+        return " ".join(identify(swing, with_friction(friction)).fit.warnings)
+    except RecordingError as refusal:
+        return str(refusal)
+
+
+def spring(amplitude=0.55):
+    time = np.arange(0.0, 20.0, 0.017)
+    theta = amplitude * np.exp(-0.01 * time) * np.cos(2.0 * pi * time / 1.31)
+    return Trajectory(time=time, theta=theta, resolution=radians(0.001))
+
+
+def test_a_richer_friction_is_never_worse_for_any_oscillator():
+    rng, swings = np.random.default_rng(44), [spring(), spring(1.5)]
+    for seed in range(8):
+        w2 = 10.0 ** rng.uniform(1.0, 2.3)
+        c, coulomb, drag = (rng.integers(2) * 10.0 ** rng.uniform(-3.0, -1.5) for _ in range(3))
+        truth = PendulumParameters(w2, w2 / 9.81, c * sqrt(w2), coulomb * w2, drag)
+        period, theta0 = 2.0 * pi / sqrt(w2), rng.uniform(0.3, 2.5)
+        options = {"duration": 12.0 * period, "rate_hz": 50.0 / period, "seed": seed}
+        swings.append(simulated(truth, theta0=theta0, **options))
+    for swing in swings:
+        rms = [identify(swing, with_friction(model)).fit.rms for model in MODELS]
+        assert rms == sorted(rms, reverse=True)
+
+
+@pytest.mark.parametrize("friction", MODELS)
+def test_a_spring_is_named_and_no_other_friction_advised(friction):
+    said = refused_or_warned(spring(), friction)
+    assert "period does not depend on the amplitude: a spring" in said
+    assert "--friction" not in said
+
+
+WRONG_UNITS = {
+    "four times too few counts per revolution": (4.0, "4 times smaller"),
+    "twice too many counts per revolution": (0.5, "2 times larger"),
+}
+
+
+@pytest.mark.parametrize(("factor", "said"), WRONG_UNITS.values(), ids=WRONG_UNITS)
+@pytest.mark.parametrize("amplitude", [0.6, 1.5])
+def test_counts_per_revolution_that_are_off_are_suspected_by_the_period(factor, said, amplitude):
+    swing = simulated(theta0=amplitude, noise=1e-4, duration=8.0)
+    wrong = replace(swing, theta=factor * swing.theta, sha256="")
+    assert said in refused_or_warned(wrong, "viscous")
+
+
+@pytest.mark.parametrize("amplitude", [0.5, 1.0, 2.4])
+def test_deg_per_s_taken_for_rad_per_s_are_suspected_by_the_period(amplitude):
+    rng, time = np.random.default_rng(2), np.arange(0.0, 8.0, 0.005)
+    _, rate = reference.swing(time, amplitude, 0.0, w2=70.2, c=0.15)
+    recorded = np.rad2deg(rate + 0.005 * rng.standard_normal(len(time)))
+    said = refused_or_warned(Trajectory(time=time, theta_dot=recorded), "viscous")
+    assert "57.3 times smaller than recorded" in said
+
+
+DRY = PendulumParameters(w2=205.0, k=20.9, c=1.0, coulomb=9.0)
+
+
+@pytest.mark.parametrize("friction", MODELS)
+@pytest.mark.parametrize("degrees", [30.0, 50.0])
+def test_nothing_touched_a_pendulum_that_dry_friction_stops(friction, degrees):
+    said = refused_or_warned(simulated(DRY, theta0=radians(degrees), noise=0.0), friction)
+    assert "touched" not in said
+    assert "missing" not in said
+
+
+def test_missing_samples_are_no_touch():
+    swing = simulated(duration=12.0)
+    there = (swing.time < 7.1) | (swing.time > 7.9)
+    recorded = Trajectory(time=swing.time[there], theta=swing.theta[there])
+    said = refused_or_warned(recorded, "viscous")
+    assert "samples are missing after 6.63 s" in said
+    assert "touched" not in said
+
+
 def test_gravity_mass_and_length_give_coupling_inertia_and_friction_with_their_uncertainty():
     mass, length = (Estimate.normal(value, 0.01 * value, "given") for value in (0.2, 0.14))
     pendulum = identify(simulated(), IdentificationSettings(g=9.78), mass=mass, length=length)

@@ -1,5 +1,6 @@
 """`equipoise identify`: identifies a pendulum from a swing, or an actuator from a run log."""
 
+from math import degrees
 from pathlib import Path
 from typing import Annotated
 
@@ -63,7 +64,7 @@ def identify(
     from equipoise.apps.style import save
     from equipoise.artefacts import Estimate
     from equipoise.identification.recording import read_swing
-    from equipoise.identification.swing import identify, richer_friction
+    from equipoise.identification.swing import advised_friction, identify
 
     settings = changes.resolve(**{"identification.friction": model.friction})
     mass = length = None
@@ -74,17 +75,18 @@ def identify(
         raise InputError("I and b need both --mass and --length; give the other one too")
     recorded = read_swing(recording, **dict(swing))
     out = files.file(output, "pendulum.json", recording, beside=(".svg", ".png"))
-    with output.busy(f"fitting {len(recorded.time):,} samples"):
-        pendulum = identify(recorded, settings.identification, mass, length)
+    with output.busy(f"fitting {len(recorded.time):,} samples") as show:
+        pendulum = identify(recorded, settings.identification, mass, length, show)
         pendulum.save(out, command="identify", inputs={"recording": recorded.sha256})
         drawn = save(free_swing(recorded, pendulum), out.with_suffix(""))
-    then = command("train", out)
-    if richer := pendulum.fit and richer_friction(pendulum.fit):
+    then, fit = command("train", out), pendulum.fit
+    if fit and (richer := advised_friction(fit)):
         then = command("identify", recording, swing, model, changes, friction=richer)
     output.result(
         pendulum,
-        pendulum.fit,
         period_s=pendulum.period,
+        unexplained_percent=fit and 100.0 * fit.unexplained,
+        zero_deg=degrees(fit.offset) if fit and fit.quantity == "angle" else None,
         pendulum=out,
         figures=drawn,
         then=then,
@@ -101,12 +103,11 @@ def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:
     with output.busy(f"fitting {len(run.replies.time):,} measured postures"):
         actuator = identify_run(run)
     actuator.save(out, command="identify", inputs={"run": run.digest})
-    fit, pendulum = actuator.fit, opt.file_of(run.conditions.pendulum_digest, shipped_pendulum())
+    pendulum = opt.file_of(run.conditions.pendulum_digest, shipped_pendulum())
     arm = opt.name_of(run.conditions.arm)
     output.result(
         actuator,
-        fit,
-        warnings=[run.damage, *(fit.warnings if fit else ())],
+        warnings=list(filter(None, [run.damage])),
         actuator=out,
         then=command("train", pendulum, arm=arm, actuator=out),
     )

@@ -83,26 +83,26 @@ class Output:
             self._words.print(Text.assemble(("warning: ", "bold yellow"), printable(what)))
 
     def result(
-        self, *values: "BaseModel | None", code: int = 0, then: str = "", **fields: Any
+        self, value: "BaseModel | None" = None, *, code: int = 0, then: str = "", **fields: Any
     ) -> None:
-        """Print the result of a verb: values and fields as lines and tables, or as a JSON object.
+        """Print the result of a verb: value and fields as lines and tables, or as a JSON object.
 
         Args:
-            values: Values with a docstring under each field, whose unit is shown.
+            value: Value with a docstring under each field, whose unit is shown. The text has the
+                fields of the values in it as well, and leaves out those with `repr=False`.
             code: Exit code of the verb; 1 for a bad result.
             then: Next command to try, after `equipoise`.
             fields: Further fields by name, which ends in the unit; a mapping of mappings is a
                 table, and `warnings` are printed as such. The text leaves out None and empty ones.
         """
-        given = [value for value in values if value is not None]
         if self._as_json:
-            dumped = {name: each for one in given for name, each in one.model_dump().items()}
+            dumped = value.model_dump() if value else {}
             whole = to_json(dumped | fields, inf_nan_mode="null", fallback=str)
             print(whole.decode(), flush=True)
         else:
-            shown = {name: each for one in given for name, each in _labelled(one).items()}
-            shown |= {label(name): value for name, value in fields.items()}
-            self.warn(*(shown.pop("warnings", None) or ()))
+            shown = _labelled(value) if value else {}
+            self.warn(*(fields.pop("warnings", None) or ()), *shown.pop("warnings", ()))
+            shown |= {label(name): each for name, each in fields.items()}
             self._words.print(*_tables(shown, self._words), sep="\n")
             if then:
                 line = Text.assemble(("next: ", "dim"), f"equipoise {then}")
@@ -197,12 +197,15 @@ def signals(*, raising: bool = False) -> Generator[threading.Event]:
 
 
 def _labelled(value: "BaseModel") -> dict[str, Any]:
-    """Return the plain fields of a value by name and unit; nested values are left out."""
+    """Return the fields of a value, and of the values in it, by name and unit."""
     fields: dict[str, Any] = {}
     for name, info in type(value).model_fields.items():
         unit = re.search(r"\[[^\]]+\]", info.description or "")
         found = getattr(value, name)
-        if not hasattr(found, "model_dump") or hasattr(found, "interval"):
+        nested = hasattr(found, "model_dump") and not hasattr(found, "interval")
+        if nested and info.repr:
+            fields |= _labelled(found)
+        elif info.repr:
             fields[f"{name} {unit[0]}" if unit else name] = found
     return fields
 

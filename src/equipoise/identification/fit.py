@@ -4,7 +4,7 @@ Fixed integration steps make the prediction a smooth function of the unknowns, s
 differences give its sensitivities; an adaptive integrator would not.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from math import inf, sqrt
 from typing import Final, NamedTuple
 
@@ -17,8 +17,9 @@ from equipoise.settings import Friction
 
 Array = npt.NDArray[np.float64]
 
-W2, C, COULOMB, DRAG, THETA, THETA_DOT, OFFSET = range(7)
-"""Indices of the unknowns: four of the pendulum, its initial state, zero offset (or gyro bias)."""
+W2, C, COULOMB, DRAG, THETA, THETA_DOT, OFFSET, SCALE = range(8)
+"""Indices of the unknowns: four of the pendulum, its initial state, zero offset (or gyro bias), and
+the true motion as a share of the recorded one, which is 1 except in a diagnosis."""
 
 FRICTIONS: Final[dict[Friction, list[int]]] = {
     "viscous": [C],
@@ -30,7 +31,9 @@ MAX_UNEXPLAINED: Final = 0.25
 """Largest accepted misfit (residual without noise), as a share of the recording's standard
 deviation; more is not a free swing. A long swing with the wrong friction model leaves 5 %."""
 COARSE, FINE = 1e-6, 1e-12
-"""Relative changes of the sum of squares at which a comparison and a final fit stop."""
+"""Relative changes of the sum of squares at which a fit of a part and a final fit stop."""
+MAX_EVALUATIONS: Final = 50
+"""Limit on the evaluations of a fit; those of recorded swings take up to 21."""
 
 
 class SwingRecording(NamedTuple):
@@ -47,15 +50,17 @@ class SwingRecording(NamedTuple):
     w2: float
     """First guess of w2 [1/s^2]; a fit stays within a factor of four, which excludes the second,
     upside-down solution with w2 < 0."""
+    any_scale: bool = False
+    """Whether SCALE is fitted as well."""
 
     def predict(self, unknowns: Array) -> Array:
         """Simulate the recorded values, shape (n,)."""
         thetas, theta_dots = np.empty_like(self.time), np.empty_like(self.time)
-        w2, c, coulomb, drag, theta, theta_dot, offset = map(float, unknowns)
+        w2, c, coulomb, drag, theta, theta_dot, offset, scale = map(float, unknowns)
         pendulum = PendulumParameters(w2, 0.0, c, coulomb, drag)
         h = self.period / STEPS_PER_PERIOD
-        swing(self.time, theta, theta_dot, h, pendulum, thetas, theta_dots)
-        return (theta_dots if self.is_rate else thetas) + offset
+        swing(self.time, scale * theta, scale * theta_dot, h, pendulum, thetas, theta_dots)
+        return (theta_dots if self.is_rate else thetas) / scale + offset
 
     def residual(self, unknowns: Array) -> Array:
         """Return recorded minus predicted values, shape (n,)."""
@@ -88,68 +93,57 @@ class SwingRecording(NamedTuple):
         return np.stack(columns, axis=1)
 
 
-class FittedUnknowns(NamedTuple):
-    """Result of a least-squares fit."""
+def fit_swing(
+    recording: SwingRecording, start: Array, friction: Friction, show: Callable[[str], None]
+) -> Array:
+    """Fit the recording over a growing horizon; return the unknowns, shape (8,).
 
-    unknowns: Array
-    """Values, shape (7,)."""
-    fitted: list[int]
-    """Indices of the free unknowns."""
-    bound: list[int]
-    """Indices of frictions that were fixed at zero, their lower bound."""
-
-
-def fit_growing(
-    recording: SwingRecording, starts: Sequence[Array], friction: Friction
-) -> FittedUnknowns:
-    """Fit the recording over a growing horizon.
-
-    A long window that is fitted at once has local minima that are off by a period. After a poor
-    fit, other initial states are tried, until two end in the same minimum.
+    A long window that is fitted at once has local minima that are off by a period. A richer
+    friction model starts from the solution of the simpler one, and is never worse.
 
     Args:
         recording: The free swing.
-        starts: Initial guesses of the unknowns, the likeliest first; shape (7,) each.
+        start: Initial guess of the unknowns, shape (8,).
         friction: The friction model.
+        show: Called with the progress in a few words.
     """
     elapsed = recording.time - recording.time[0]
-    found = list[tuple[float, Array]]()
-    for unknowns in starts:
-        # A shorter horizon does not determine period and friction.
-        horizon = 1.5 * recording.period
-        while horizon < elapsed[-1]:
-            end = int(np.searchsorted(elapsed, horizon, side="right"))
-            part = recording._replace(time=recording.time[:end], values=recording.values[:end])
-            unknowns = fit_bounded(part, friction, unknowns, COARSE).unknowns
-            horizon *= 2.0
-        unknowns = fit_bounded(recording, friction, unknowns, COARSE).unknowns
-        share = recording.misfit(unknowns) / float(np.std(recording.values))
-        again = any(abs(share - other) < 0.01 * other for other, _ in found)
-        found.append((share, unknowns))
-        # The wrong friction model over 60 periods leaves 5 % in the global minimum.
-        if share < 0.05 or (again and share < MAX_UNEXPLAINED):
-            break
-    best = min(found, key=lambda one: one[0])[1]
-    return fit_bounded(recording, friction, best, FINE)
+    periods = elapsed[-1] / recording.period
+    # A shorter horizon does not determine period and friction.
+    best, horizon = start, 1.5 * recording.period
+    while horizon < elapsed[-1]:
+        show(f"fitting {horizon / recording.period:.0f} of {periods:.0f} periods")
+        end = int(np.searchsorted(elapsed, horizon, side="right"))
+        part = recording._replace(time=recording.time[:end], values=recording.values[:end])
+        best = fit_bounded(part, [C], best, COARSE)
+        horizon *= 2.0
+    models = list(FRICTIONS)
+    for model in models[: models.index(friction) + 1]:
+        show(f"fitting {model} friction to {periods:.0f} periods")
+        best = fit_bounded(recording, FRICTIONS[model], best, FINE)
+    return best
 
 
 def fit_bounded(
-    recording: SwingRecording, friction: Friction, start: Array, tolerance: float
-) -> FittedUnknowns:
-    """Fit a friction model; fix a friction that comes out negative at zero, the worst one first.
+    recording: SwingRecording, frictions: list[int], start: Array, tolerance: float
+) -> Array:
+    """Fit some frictions; fix one that comes out negative at zero, the worst one first.
 
     Args:
         recording: The free swing.
-        friction: The friction model.
-        start: Initial guess of the unknowns, shape (7,).
+        frictions: Indices of the fitted frictions.
+        start: Initial guess of the unknowns, shape (8,).
         tolerance: Relative change of the sum of squares at which the fit stops.
+
+    Returns:
+        The unknowns, shape (8,); those of `start` where no others fit better.
     """
-    low, high = np.full(7, -np.inf), np.full(7, np.inf)
+    low, high = np.full(8, -np.inf), np.full(8, np.inf)
     low[W2], high[W2] = 0.25 * recording.w2, 4.0 * recording.w2
-    unknowns, kept, bound = start.copy(), list(FRICTIONS[friction]), list[int]()
+    low[SCALE], high[SCALE] = 1e-3, 1e3
+    unknowns, kept = start.copy(), list(frictions)
     while True:
-        unknowns[bound] = 0.0
-        fitted = [W2, *kept, THETA, THETA_DOT, OFFSET]
+        fitted = [W2, *kept, THETA, THETA_DOT, OFFSET, *([SCALE] if recording.any_scale else [])]
 
         def sensitivities(x: Array, places: list[int] = fitted) -> Array:
             # Where a motion begins to diverge, it has no derivative, and no influence on the step.
@@ -166,22 +160,25 @@ def fit_bounded(
                 xtol=100.0 * tolerance,
                 ftol=tolerance,
                 gtol=tolerance,
+                max_nfev=MAX_EVALUATIONS,
             )
         if all(unknowns[place] > 0.0 for place in kept):
-            return FittedUnknowns(unknowns, fitted, bound)
+            return min(start, unknowns, key=recording.rms)
         worst = min(kept, key=lambda place: unknowns[place] / _scales(unknowns)[place])
         kept.remove(worst)
-        bound.append(worst)
+        unknowns[worst] = 0.0
 
 
 def _scales(unknowns: Array) -> Array:
-    """Return the scale of each unknown, shape (7,)."""
+    """Return the scale of each unknown, shape (8,)."""
     w2 = abs(unknowns[W2])
     root = np.sqrt(w2)
-    return np.array([w2, root, w2, 1.0, 1.0, root, 1.0])
+    return np.array([w2, root, w2, 1.0, 1.0, root, 1.0, 1.0])
 
 
-def covariance(recording: SwingRecording, fit: FittedUnknowns, blocks: int) -> Array:
+def covariance(
+    recording: SwingRecording, unknowns: Array, friction: Friction, blocks: int
+) -> Array:
     """Estimate the covariance of the unknowns with a jackknife over blocks of time.
 
     The jackknife stays valid for autocorrelated residuals. A friction that was fixed at zero gets
@@ -189,21 +186,29 @@ def covariance(recording: SwingRecording, fit: FittedUnknowns, blocks: int) -> A
 
     Args:
         recording: The free swing.
-        fit: Its fit.
+        unknowns: Its fit, shape (8,).
+        friction: The friction model.
         blocks: Number of blocks of equal duration.
 
     Returns:
-        Shape (7, 7); zero for unknowns outside the model.
+        Shape (8, 8); zero for unknowns outside the model.
     """
-    residual, block = recording.residual(fit.unknowns), blocks_of_time(recording.time, blocks)
-    scales = _scales(fit.unknowns)
+    residual, block = recording.residual(unknowns), blocks_of_time(recording.time, blocks)
+    scales = _scales(unknowns)
 
     def of(places: list[int]) -> Array:
-        J = recording.sensitivities(fit.unknowns, places) * scales[places]
+        J = recording.sensitivities(unknowns, places) * scales[places]
         return jackknife(J, residual, block) * np.outer(scales[places], scales[places])
 
-    spread = np.zeros((7, 7))
-    spread[np.ix_(fit.fitted, fit.fitted)] = of(fit.fitted)
-    for place in fit.bound:
-        spread[place, place] = of([*fit.fitted, place])[-1, -1]
+    spread, bound = np.zeros((8, 8)), at_bound(unknowns, friction)
+    free = [place for place in FRICTIONS[friction] if place not in bound]
+    fitted = [W2, *free, THETA, THETA_DOT, OFFSET]
+    spread[np.ix_(fitted, fitted)] = of(fitted)
+    for place in bound:
+        spread[place, place] = of([*fitted, place])[-1, -1]
     return spread
+
+
+def at_bound(unknowns: Array, friction: Friction) -> list[int]:
+    """Return the frictions of a model that were fixed at zero, their lower bound."""
+    return [place for place in FRICTIONS[friction] if unknowns[place] == 0.0]

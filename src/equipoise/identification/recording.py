@@ -7,16 +7,18 @@ line::
     time_s,theta_rad        or time_ms, time_us; theta_deg, counts, rate_rad_s
     0.000,-1.618429
 
-Semicolons and tabs are accepted separators, also with decimal commas. Text is UTF-8. Other columns
-are ignored. Angles are unwrapped: a jump by more than half a turn between two samples comes from a
-recorder that wraps the angle.
+Semicolons and tabs are accepted separators, also with decimal commas. Text is UTF-8. Other columns,
+and rows that repeat the one before, are ignored. Angles are unwrapped: a jump by more than half a
+turn between two samples comes from a recorder that wraps the angle. Counts are unwrapped by the
+period of their counter, and times by that of one of 32 bits.
 """
 
+import csv
 import hashlib
 import io
-import warnings
+from array import array
 from dataclasses import dataclass
-from math import inf, pi, radians
+from math import inf, pi
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -53,6 +55,8 @@ MAX_TIME: Final = 1e10
 """Limit on a time stamp [s]: 300 years; seconds since 1970 are below, milliseconds above."""
 MAX_VALUE: Final = 1e9
 """Limit on an angle [rad] or a rate [rad/s], beyond the range of any encoder."""
+CLOCK_PERIOD: Final = 2.0**32
+"""Period of a microcontroller's clock: 71.6 minutes of microseconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +104,9 @@ class Trajectory:
         late = np.flatnonzero(np.diff(self.time) <= 0.0)
         if late.size:
             raise RecordingError(
-                f"{self.source}: time does not increase at sample {late[0] + 2}; remove repeated "
-                "samples or sort the recording"
+                f"{self.source}: {late.size} of {len(self.time)} time stamps do not increase, the "
+                f"first after {self.time[late[0]]:.10g} s; record times with more digits, or sort "
+                "the samples"
             )
         if not self.sha256:
             object.__setattr__(self, "sha256", DIGEST_PREFIX + digest.hexdigest())
@@ -141,26 +146,31 @@ def read_swing(
     path = Path(path)
     data = read_bytes(path, MAX_RECORDING_SIZE, "a recording", RecordingError)
     time_name, quantity, table = _read_table(path, data)
-    units = {"theta_deg": radians(1.0)}
-    if quantity == "counts":
-        if counts_per_rev is None or counts_per_rev <= 0:
-            raise RecordingError(
-                f"{path} holds encoder counts, but the counts per revolution are {counts_per_rev}; "
-                "give them (after x4) with --counts-per-rev"
-            )
-        units["counts"] = 2.0 * pi / counts_per_rev
-    unit, is_rate = units.get(quantity, 1.0), quantity == "rate_rad_s"
-    stamps, values = TIMES[time_name] * table[:, 0], unit * table[:, 1]
-    for name, column, limit in ((time_name, stamps, MAX_TIME), (quantity, values, MAX_VALUE)):
+    is_counts, is_rate = quantity == "counts", quantity == "rate_rad_s"
+    if is_counts and (counts_per_rev is None or counts_per_rev <= 0):
+        raise RecordingError(
+            f"{path} holds encoder counts, but the counts per revolution are {counts_per_rev}; "
+            "give them (after x4) with --counts-per-rev"
+        )
+    turn = {"theta_deg": 360.0, "counts": counts_per_rev or 1}.get(quantity, 2.0 * pi)
+    unit = 2.0 * pi / turn
+    for name, column, limit in (
+        (time_name, TIMES[time_name] * table[:, 1], MAX_TIME),
+        (quantity, unit * table[:, 2], MAX_VALUE),
+    ):
         if not np.all(np.abs(column) <= limit):
             row = int(np.argmin(np.abs(column) <= limit))
             raise RecordingError(
-                f"{path}: {name} of sample {row + 1} is {column[row]:.4g} in SI units, expected a "
-                f"number up to {limit:g}; name the column by its unit, or remove the line"
+                f"{path}: {name} in line {table[row, 0]:.0f} is {column[row]:.4g} in SI units, "
+                f"expected a number up to {limit:g}; name the column by its unit, or remove the "
+                "line"
             )
-    resolution = unit if quantity == "counts" else unit * _smallest_step(table[:, 1])
-    if from_upright:
-        values = -values if is_rate else pi - values
+    table = table[np.append(True, np.any(np.diff(table[:, 1:], axis=0), axis=1))]
+    _, stamps, values = table.T
+    resolution = unit * (1.0 if is_counts else _smallest_step(values))
+    stamps = TIMES[time_name] * np.unwrap(stamps, period=CLOCK_PERIOD)
+    if not is_rate:
+        values = np.unwrap(values, period=_wrap(values, turn) if is_counts else turn)
     keep = stamps >= (-inf if start is None else start - 1e-9)
     keep &= stamps < (inf if end is None else end + 1e-9)
     if np.count_nonzero(keep) < 2:
@@ -168,10 +178,11 @@ def read_swing(
             f"{path} has {np.count_nonzero(keep)} samples between {start} and {end} s, it lasts "
             f"from {stamps[0]:.10g} s to {stamps[-1]:.10g} s; choose --start and --end inside"
         )
-    values = values[keep]
+    values = unit * values[keep]
+    if from_upright:
+        values = -values if is_rate else pi - values
     if not is_rate:
-        values = np.unwrap(values)
-        values = values - 2.0 * pi * np.round(np.median(values) / (2.0 * pi))
+        values -= 2.0 * pi * np.round(np.median(values) / (2.0 * pi))
     return Trajectory(
         time=stamps[keep],
         theta=None if is_rate else values,
@@ -183,10 +194,29 @@ def read_swing(
     )
 
 
+def _wrap(counts: Array, turn: float) -> float:
+    """Return the period by which counts wrap: that of a counter that overflows, or a turn.
+
+    A swing that is sampled ten times a period never moves by half of its range between two samples.
+    A larger step is a wrap, less the motion meanwhile, and its period exceeds the range.
+    """
+    steps, span = np.diff(counts), float(np.ptp(counts))
+    wraps = np.abs(steps) > 0.5 * span
+    if not np.any(wraps):
+        return turn
+    motion = np.where(wraps, 0.0, steps)
+    between = np.convolve(motion, (0.5, 0.0, 0.5))[1:-1]
+    period = float(np.median(np.abs(steps - between)[wraps]))
+    known = min(turn, 2.0 ** np.round(np.log2(period)), key=lambda one: abs(one - period))
+    if abs(known - period) <= 1.0 + np.max(np.abs(motion)):
+        period = known
+    return max(float(np.round(period)), span + 1.0) if period > span else turn
+
+
 def _read_table(path: Path, data: bytes) -> tuple[str, str, Array]:
-    """Return the names of the columns of time and motion, and their numbers, shape (n, 2)."""
+    """Return the names of the columns of time and motion; lines and their numbers, shape (n, 3)."""
     text = decode_text(data, path, "a recording", RecordingError)
-    first = text.split("\n", 1)[0].strip()
+    first, _, text = io.StringIO(text, newline=None).read().partition("\n")
     separator = max(",;\t", key=first.count) if ";" in first or "\t" in first else ","
     if separator != ",":
         text, first = text.replace(",", "."), first.replace(",", ".")
@@ -199,30 +229,23 @@ def _read_table(path: Path, data: bytes) -> tuple[str, str, Array]:
             f"{', '.join(TIMES)} and one of {', '.join(QUANTITIES)}, separated by a comma, a "
             "semicolon or a tab; name the columns in the first line"
         )
+    places, table = [names.index(name) for name in chosen], array("d")
+    rows = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
     try:
-        below = text.partition("\n")[2].partition("\n")[0].count(separator) + 1
-        if below > len(names) + 1:
-            raise ValueError(f"{below} cells in a line, expected {len(names)}")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about a file without samples
-            table = np.loadtxt(
-                io.StringIO(text),
-                delimiter=separator,
-                skiprows=1,
-                usecols=[names.index(name) for name in chosen],
-                comments=None,
-                quotechar='"',
-                ndmin=2,
-            )
-    except ValueError as error:
+        for row in rows:
+            if any(map(str.strip, row)):
+                if not max(places) < len(row) <= len(names) + 1:
+                    raise ValueError(f"{len(row)} cells, expected {len(names)}")
+                table.extend((rows.line_num + 1, *(float(row[place]) for place in places)))
+    except (ValueError, csv.Error) as error:
         raise RecordingError(
-            f"{path}: {shortened(str(error), 200)}; expected finite numbers such as -1.25 or 3e-4: "
-            "correct or remove the line, and separate columns by semicolons where decimals have "
-            "commas"
+            f"{path}: line {rows.line_num + 1}: {shortened(str(error), 200)}; expected finite "
+            "numbers such as -1.25 or 3e-4: correct or remove the line, and separate columns by "
+            "semicolons where decimals have commas"
         ) from None
-    if not len(table):
+    if not table:
         raise RecordingError(f"{path} holds no samples; record a swing of a few periods")
-    return chosen[0], chosen[1], table
+    return chosen[0], chosen[1], np.array(table).reshape(-1, 3)
 
 
 def _smallest_step(values: Array) -> float:

@@ -29,19 +29,17 @@ not reach it within the samples around a turn."""
 
 
 class FreeSwing(NamedTuple):
-    """The freely swinging part of a recording, with initial guesses for its fit."""
+    """The freely swinging part of a recording, with an initial guess for its fit."""
 
     part: slice
     """Its samples."""
     period: float
     """Period of the swing [s]."""
-    starts: list[Array]
-    """Initial guesses of w2, c, Coulomb friction, drag, angle and rate at the first sample, and
-    offset; shape (7,) each, the likeliest first."""
+    start: Array
+    """Initial guess of w2, c, Coulomb friction, drag, angle and rate at the first sample, offset
+    and scale, which is 1; shape (8,)."""
     release: float | None
     """First time of the part [s]; None where the start of the recording was given."""
-    touched: float | None
-    """Last time of the part [s], if something ends the swing there; None at the recording's end."""
 
 
 def find_free_swing(trajectory: Trajectory) -> FreeSwing:
@@ -57,13 +55,11 @@ def find_free_swing(trajectory: Trajectory) -> FreeSwing:
     def refusal(fault: str) -> RecordingError:
         return RecordingError(
             f"{trajectory.source} {fault}: {len(time)} samples in {lasts:.3g} s that vary by "
-            f"{spread:.3g} rad, or rad/s; release the pendulum from 40 to 60 deg, record ten "
-            f"periods with at least {MIN_SAMPLES_PER_PERIOD:g} samples in each, and give the unit "
-            "in the column's name"
+            f"{spread:.3g} rad, or rad/s; release the pendulum from 40 to 60 deg, with so little "
+            f"friction that it swings for ten periods, record {MIN_SAMPLES_PER_PERIOD:g} samples "
+            "or more in each, and give the unit in the column's name"
         )
 
-    if not is_rate and spread >= 2.0 * pi:
-        raise refusal("goes over the top")
     if len(time) < 2 * MIN_SAMPLES_PER_PERIOD:
         raise refusal("holds too few samples")
     turns = _turning_points(trajectory, spread)
@@ -89,26 +85,20 @@ def find_free_swing(trajectory: Trajectory) -> FreeSwing:
     middle = float(np.median(values[turns[1:]] + values[turns[:-1]])) / 2.0
     lead = float(values[turns[0]]) - middle
     decay = 2.0 * float(np.log(swings[0] / swings[-1])) / (end - begin)
-    starts: list[Array] = []
-    # The first swings alone are nearer to the initial state, all of them less noisy.
-    for count in (3, len(swings), 1):
-        spacing, size = np.diff(time[turns[: count + 1]]), 0.5 * float(np.median(swings[:count]))
-        w2 = _w2_from_period(2.0 * float(np.median(spacing)), size, is_rate)
-        if not PERIOD_RANGE[0] <= 2.0 * pi / np.sqrt(w2) <= PERIOD_RANGE[1]:
-            raise refusal(f"has a period of {period:.3g} s, expected {PERIOD_RANGE} s")
-        root = float(np.sqrt(w2))
-        # A faster pendulum would go over the top, and the fit would begin with a rotation.
-        most = 1.98 * root if is_rate else 0.99 * pi
-        state = [0.0, 0.0]
-        state[is_rate] = min(max(lead, -most), most)
-        starts.append(np.array([w2, max(decay, 1e-3 * root), 0.0, 0.0, *state, middle]))
-    cut_short = time[-1] - end > 1.5 * half and swings[-1] > 0.2 * swings[0]
+    spacing, size = np.diff(time[turns[:4]]), 0.5 * float(np.median(swings[:3]))
+    w2 = _w2_from_period(2.0 * float(np.median(spacing)), size, is_rate)
+    if not PERIOD_RANGE[0] <= 2.0 * pi / np.sqrt(w2) <= PERIOD_RANGE[1]:
+        raise refusal(f"has a period of {period:.3g} s, expected {PERIOD_RANGE} s")
+    root = float(np.sqrt(w2))
+    # A faster pendulum would go over the top, and the fit would begin with a rotation.
+    most = 1.98 * root if is_rate else 0.99 * pi
+    state = [0.0, 0.0]
+    state[is_rate] = min(max(lead, -most), most)
     return FreeSwing(
         slice(turns[0], turns[-1] + 1),
         period,
-        starts,
+        np.array([w2, max(decay, 1e-3 * root), 0.0, 0.0, *state, middle, 1.0]),
         release=None if trajectory.released else begin,
-        touched=end if cut_short else None,
     )
 
 

@@ -11,10 +11,13 @@ recording holds theta plus a zero offset, or theta_dot of a gyro plus a bias.
 2. Fit the nonlinear equation by least squares over a growing horizon (`fit`).
 3. Compute intervals with a jackknife over periods. Residuals of real swings are autocorrelated;
    errors that assume independence are up to 39 times too small.
-4. Warn if the model does not explain the recording, with a remedy.
+4. If the model does not explain the recording, find one that does: with richer friction, or of a
+   swing of another size, whose period varies less or more with the amplitude than that of the
+   recorded angles. A wrong unit is such a case, and a spring, whose period does not vary.
 """
 
-from math import pi
+from collections.abc import Callable
+from math import degrees, pi, radians
 from typing import Final
 
 import numpy as np
@@ -23,7 +26,18 @@ from equipoise.arguments import checked
 from equipoise.artefacts import Estimate, StrPath
 from equipoise.errors import RecordingError
 from equipoise.identification import fit as fitting
-from equipoise.identification.fit import COULOMB, DRAG, W2, C, FittedUnknowns, SwingRecording
+from equipoise.identification.fit import (
+    COULOMB,
+    DRAG,
+    OFFSET,
+    SCALE,
+    THETA,
+    THETA_DOT,
+    W2,
+    Array,
+    C,
+    SwingRecording,
+)
 from equipoise.identification.least_squares import half_width
 from equipoise.identification.recording import Trajectory, read_swing
 from equipoise.identification.release import find_free_swing
@@ -35,6 +49,13 @@ MODELS: Final = list(fitting.FRICTIONS)
 WARNING_MISFIT: Final = 0.005
 """Share of the amplitude left unexplained above which a warning is given: a well-modelled pivot
 leaves 0.1 to 0.4 %."""
+FRICTION_ADVICE: Final = "try --friction {}"
+"""Advice of a friction model."""
+SMALL_SWING: Final = radians(10.0)
+"""Amplitude below which the period grows with the amplitude by less than 0.2 % [rad]."""
+MAX_MISSED: Final = 0.15
+"""Largest accepted residual in the period after the swing, as a share of the recording's standard
+deviation; a hand leaves more, and a swing that friction damps or stops less."""
 
 
 @checked
@@ -43,6 +64,7 @@ def identify(
     settings: IdentificationSettings | None = None,
     mass: Estimate | None = None,
     length: Estimate | None = None,
+    show: Callable[[str], None] = lambda _: None,
 ) -> Pendulum:
     """Identify a pendulum from a recorded free swing.
 
@@ -53,6 +75,7 @@ def identify(
         mass: Mass m of all rotating parts [kg], measured separately.
         length: Distance l from the axis to their centre of mass [m], measured separately. With
             both, the moment of inertia I and the friction b are computed in SI units.
+        show: Called with the progress in a few words.
 
     Returns:
         The pendulum, with 95 % intervals, and warnings about a poor fit.
@@ -64,17 +87,9 @@ def identify(
     settings = settings or IdentificationSettings()
     free = find_free_swing(trajectory)
     time, values = trajectory.time[free.part], trajectory.values[free.part]
-    is_rate, w2 = trajectory.theta is None, float(free.starts[0][W2])
+    is_rate, w2 = trajectory.theta is None, float(free.start[W2])
     recording = SwingRecording(time, values, is_rate, free.period, w2)
-    fit = fitting.fit_growing(recording, free.starts, settings.friction)
-    left = recording.misfit(fit.unknowns, trajectory.resolution) / float(np.std(values))
-    if left > fitting.MAX_UNEXPLAINED:
-        raise RecordingError(
-            f"{trajectory.source} is not one free swing with {settings.friction} friction: the "
-            f"pendulum's equation leaves {left:.0%} of the motion from {time[0]:.2f} s to "
-            f"{time[-1]:.2f} s unexplained, expected less than {fitting.MAX_UNEXPLAINED:.0%}; "
-            f"choose a free swing with --start and --end, or try --friction {MODELS[-1]}"
-        )
+    unknowns = fitting.fit_swing(recording, free.start, settings.friction, show)
     swing_fit = SwingFit(
         source=trajectory.source,
         sha256=trajectory.sha256,
@@ -83,24 +98,36 @@ def identify(
         release=free.release,
         samples=len(time),
         periods=float(np.ptp(time)) / free.period,
-        rms=recording.rms(fit.unknowns),
-        noise=recording.noise(fit.unknowns, trajectory.resolution),
-        offset=float(fit.unknowns[fitting.OFFSET]),
-        theta=float(fit.unknowns[fitting.THETA]),
-        theta_dot=float(fit.unknowns[fitting.THETA_DOT]),
+        rms=recording.rms(unknowns),
+        noise=recording.noise(unknowns, trajectory.resolution),
+        offset=float(unknowns[OFFSET]),
+        theta=float(unknowns[THETA]),
+        theta_dot=float(unknowns[THETA_DOT]),
         settings=settings,
     )
-    warnings = tuple(_warnings(recording, fit, swing_fit, free.touched))
+    advice = ""
+    if swing_fit.unexplained > WARNING_MISFIT:
+        advice = _advice(recording, unknowns, settings.friction, free.start, show)
+    left = recording.misfit(unknowns, trajectory.resolution) / float(np.std(values))
+    if left > fitting.MAX_UNEXPLAINED:
+        raise RecordingError(
+            f"{trajectory.source} is not one free swing with {settings.friction} friction: the "
+            f"pendulum's equation leaves {left:.0%} of the motion from {time[0]:.2f} s to "
+            f"{time[-1]:.2f} s unexplained, expected less than {fitting.MAX_UNEXPLAINED:.0%}; "
+            f"{advice or 'choose a free swing with --start and --end'}"
+        )
+    disturbance = _disturbance(trajectory, recording, unknowns, settings.friction)
+    warnings = tuple(_warnings(recording, unknowns, swing_fit, advice, disturbance))
     swing_fit = swing_fit.model_copy(update={"warnings": warnings})
     # A block is a period, or shorter in a window of few periods: the scatter of fewer blocks is
     # meaningless.
     blocks = max(round(swing_fit.periods), 8)
-    spread = fitting.covariance(recording, fit, blocks)
+    spread = fitting.covariance(recording, unknowns, settings.friction, blocks)
 
     def estimate(place: int, factor: float = 1.0) -> Estimate:
         of_model = place in (W2, *fitting.FRICTIONS[settings.friction])
         width = factor * half_width(spread[place, place], blocks)
-        value = factor * float(fit.unknowns[place])
+        value = factor * float(unknowns[place])
         source = "identified" if of_model else "assumed"
         return Estimate.around(value, width, source).not_negative()
 
@@ -118,10 +145,71 @@ def identify(
     return _weighed(pendulum, mass, length, blocks) if mass and length else pendulum
 
 
-def richer_friction(fit: SwingFit) -> Friction | None:
-    """Return the friction model to try after a poor fit; None after a good one, or the richest."""
-    richer = MODELS[MODELS.index(fit.settings.friction) + 1 :]
-    return richer[0] if richer and fit.unexplained > WARNING_MISFIT else None
+def advised_friction(fit: SwingFit) -> Friction | None:
+    """Return the friction model that a warning of the fit advises; None if there is none."""
+    warnings = " ".join(fit.warnings)
+    return next((model for model in MODELS if FRICTION_ADVICE.format(model) in warnings), None)
+
+
+def _advice(
+    recording: SwingRecording,
+    unknowns: Array,
+    friction: Friction,
+    start: Array,
+    show: Callable[[str], None],
+) -> str:
+    """Return the advice of the simplest model that leaves less than half of the misfit, or ""."""
+    enough, better = 0.5 * recording.misfit(unknowns), unknowns
+    for model in MODELS[MODELS.index(friction) + 1 :]:
+        show(f"trying {model} friction")
+        better = fitting.fit_bounded(recording, fitting.FRICTIONS[model], better, fitting.FINE)
+        if recording.misfit(better) < enough:
+            return FRICTION_ADVICE.format(model)
+    # A small swing is the start: its equation is linear.
+    scaled = recording._replace(any_scale=True, w2=(2.0 * pi / recording.period) ** 2)
+    start = start.copy()
+    start[THETA_DOT if recording.is_rate else THETA] = recording.values[0] - start[OFFSET]
+    start[[W2, SCALE]] = scaled.w2, SMALL_SWING / _amplitude(recording, start)
+    better = fitting.fit_swing(scaled, start, MODELS[-1], show)
+    if not recording.misfit(better) < enough:
+        return ""
+    if _amplitude(recording, better) < SMALL_SWING:
+        return (
+            "its period does not depend on the amplitude: a spring or a cable moves it, or the "
+            "values are too large for their unit; let the pendulum swing freely"
+        )
+    scale = float(better[SCALE])
+    factor = f"{1.0 / scale:.3g} times smaller" if scale < 1.0 else f"{scale:.3g} times larger"
+    return (
+        f"its period is that of a swing {factor} than recorded: check the unit (1 rad is 57.3 deg) "
+        "and --counts-per-rev"
+    )
+
+
+def _disturbance(
+    trajectory: Trajectory, recording: SwingRecording, unknowns: Array, friction: Friction
+) -> str:
+    """Return what ends the swing where no friction does; empty if nothing else."""
+    time, end = trajectory.time, float(recording.time[-1])
+    first, last = np.searchsorted(time, [end, end + recording.period])
+    after = slice(first, last + 1)
+    # A longer gap may hide a turning point.
+    if np.max(np.diff(time[after]), initial=0.0) > 0.25 * recording.period:
+        return "samples are missing"
+    longer = recording._replace(time=np.append(recording.time[0], time[after]))
+    for model in MODELS[MODELS.index(friction) :]:
+        unknowns = fitting.fit_bounded(recording, fitting.FRICTIONS[model], unknowns, fitting.FINE)
+        missed = trajectory.values[after] - longer.predict(unknowns)[1:]
+        if np.mean(missed**2) < MAX_MISSED**2 * np.var(recording.values):
+            return ""
+    return "something touched the pendulum"
+
+
+def _amplitude(recording: SwingRecording, unknowns: Array) -> float:
+    """Return the amplitude at the first turning point [rad]; that of a small swing for a rate."""
+    radius = recording.period / (2.0 * pi) if recording.is_rate else 1.0
+    place = THETA_DOT if recording.is_rate else THETA
+    return abs(float(unknowns[place] * unknowns[SCALE])) * radius
 
 
 def _weighed(pendulum: Pendulum, mass: Estimate, length: Estimate, blocks: int) -> Pendulum:
@@ -141,41 +229,36 @@ def _weighed(pendulum: Pendulum, mass: Estimate, length: Estimate, blocks: int) 
 
 
 def _warnings(
-    recording: SwingRecording, fit: FittedUnknowns, swing_fit: SwingFit, touched: float | None
+    recording: SwingRecording, unknowns: Array, swing_fit: SwingFit, advice: str, disturbance: str
 ) -> list[str]:
     friction, warnings = swing_fit.settings.friction, list[str]()
-    if touched is not None:
+    if disturbance:
         warnings.append(
-            f"something touched the pendulum at about {touched:.2f} s, or samples are missing: the "
-            "recording is used up to there; choose another window with --start and --end"
+            f"{disturbance} after {swing_fit.window[1]:.2f} s: the recording is used up to there; "
+            "choose another window with --start and --end"
         )
     if swing_fit.unexplained > WARNING_MISFIT:
-        richer = richer_friction(swing_fit)
         warnings.append(
             f"{friction} friction leaves {swing_fit.unexplained:.1%} of the amplitude unexplained, "
             "and its numbers hold only near the amplitudes of this window; "
-            f"{f'try --friction {richer}, ' if richer else ''}look for play, vibration or a moving "
-            "pivot, or choose another window"
+            + (advice or "look for play, vibration or a moving pivot, or choose another window")
         )
     names = {C: "viscous", COULOMB: "Coulomb", DRAG: "quadratic"}
     warnings += [
         f"{names[place]} friction is kept at zero: the recording shows none beside the others"
-        for place in fit.bound
+        for place in fitting.at_bound(unknowns, friction)
     ]
     if swing_fit.periods < 3.0:
         warnings.append(
             f"the swing lasts {swing_fit.periods:.1f} periods only, and the intervals are rough; "
-            "record ten"
+            "record ten, with less friction if it stops sooner"
         )
     # On one rig w2 was 1.4 % higher at 3.6 deg than at 56 deg, and differed by 0.2 % from there to
     # 149 deg.
-    largest = np.rad2deg(
-        swing_fit.amplitude / (2.0 * pi / recording.period if recording.is_rate else 1.0)
-    )
-    if largest < 10.0:
+    if (largest := _amplitude(recording, unknowns)) < SMALL_SWING:
         warnings.append(
-            f"the swing stays within {largest:.2g} deg, where play and dry friction count most: "
-            "the intervals do not cover that w2 may be 1 or 2 % lower in larger swings; release "
-            "the pendulum from 40 to 60 deg"
+            f"the swing stays within {degrees(largest):.2g} deg, where play and dry friction count "
+            "most: the intervals do not cover that w2 may be 1 or 2 % lower in larger swings; "
+            "release the pendulum from 40 to 60 deg"
         )
     return warnings

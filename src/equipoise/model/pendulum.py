@@ -202,34 +202,34 @@ def swing(
 
 
 class SwingFit(Value):
-    """Fit of a free swing."""
+    """Fit of a free swing; `repr=False` keeps a field out of the summary on a terminal."""
 
-    source: Name
+    source: Name = Field(repr=False)
     """Name of the recording."""
-    sha256: Name
+    sha256: Name = Field(repr=False)
     """Digest of the recording."""
-    quantity: Literal["angle", "rate"]
+    quantity: Literal["angle", "rate"] = Field(repr=False)
     """Recorded quantity: theta [rad], or theta_dot [rad/s] of a gyro."""
     window: tuple[Number, Number]
     """First and last time of the fitted swing [s]."""
-    release: Number | None
+    release: Number | None = Field(repr=False)
     """Time of the release by a hand [s]; None if unknown: the recording swings freely from its
     first sample, its start was given, or something touched the pendulum."""
-    samples: Count
+    samples: Count = Field(repr=False)
     """Number of samples in the window."""
     periods: float = Field(gt=0.0, le=1e6)
     """Length of the window in periods of the swing; friction ends every swing within a million."""
-    rms: Number
+    rms: Number = Field(repr=False)
     """Root mean square of recording minus fit [rad], or [rad/s] for a rate."""
-    noise: Number
+    noise: Number = Field(repr=False)
     """White noise in the residual; same unit."""
-    offset: Number
+    offset: Number = Field(repr=False)
     """Recorded minus true: zero offset of the encoder [rad], or bias of the gyro [rad/s]."""
-    theta: Number
+    theta: Number = Field(repr=False)
     """Angle from hanging at the first time of the window [rad]."""
-    theta_dot: Number
+    theta_dot: Number = Field(repr=False)
     """Rate at the first time of the window [rad/s]."""
-    settings: IdentificationSettings
+    settings: IdentificationSettings = Field(repr=False)
     """Settings of the fit."""
     warnings: Annotated[tuple[Sentence, ...], Field(max_length=100)] = ()
     """Warnings about a poor fit, with remedies."""
@@ -265,12 +265,12 @@ class Pendulum(Artefact):
     """Coulomb friction over inertia [1/s^2]."""
     drag: Estimate
     """Quadratic drag over inertia [1/rad]."""
-    covariance: Annotated[tuple[Variances, ...], Field(min_length=4, max_length=4)]
+    covariance: Annotated[tuple[Variances, ...], Field(min_length=4, max_length=4, repr=False)]
     """Covariance of w2, c, coulomb and drag in their units; zero for a parameter that was not
     fitted."""
     friction_model: Friction
     """Friction model of the fit."""
-    g: float = Field(default=GRAVITY, ge=0.1, le=100.0)
+    g: float = Field(default=GRAVITY, ge=0.1, le=100.0, repr=False)
     """Acceleration of gravity [m/s^2]."""
     mass: Estimate | None = None
     """Mass m of all rotating parts, measured separately [kg]."""
