@@ -21,7 +21,7 @@ def explain(output: Output, run: Path) -> None:
 
     Examines release, pushes, delay, the encoder's zero, commands and safety
     rules: causes with their evidence, the most likely first, and advice. Of a
-    run that survived, or that the operator ended: motion, limits, limit cycle.
+    run that survived, or that the operator ended: motion and limits.
     A truncated log is read as far as it is readable.
     """
     from equipoise.logs.run_log import RunLog
@@ -57,10 +57,8 @@ def explain(output: Output, run: Path) -> None:
 
 
 def _standing(run: "RunLog") -> dict[str, Any]:
-    """Return how a run balanced: values that safety rules compare, their limits, limit cycle."""
+    """Return how a run balanced: values that safety rules compare, and their limits."""
     import numpy as np
-
-    from equipoise.rig.limit_cycle import limit_cycle
 
     def extent(values: "npt.NDArray[np.float64]", limit: float | None) -> dict[str, Any]:
         rms, largest = np.sqrt(np.mean(values**2)), np.abs(values).max()
@@ -72,20 +70,13 @@ def _standing(run: "RunLog") -> dict[str, Any]:
     limits = np.array([joint.velocity for joint in arm.joints])
     limits *= share if isinstance(share, float) else 1.0
     fastest = int(np.argmax(np.abs(dq).max(axis=0) / limits))
-    found: dict[str, Any] = {
+    return {
         "x_mm": extent(1e3 * run.estimated_x, 1e3 * paper.X_LIMIT),
         "phi_deg": extent(np.degrees(run.estimated_phi), paper.PHI_LIMIT_DEG),
         "flange_speed_m_s": extent(run.estimated_x_dot, run.end and run.end.max_speed),
         "joint_speed_rad_s": {"joint": arm.joints[fastest].name}
         | extent(dq[:, fastest], float(limits[fastest])),
     }
-    if cycle := limit_cycle(run):
-        found |= {
-            "cycle_period_s": cycle.period,
-            "cycle_amplitude_mm": 1e3 * cycle.x,
-            "cycle_amplitude_deg": float(np.degrees(cycle.phi)),
-        }
-    return found
 
 
 class Film(Options):
