@@ -13,7 +13,6 @@ import os
 import select
 import socket
 import stat
-from collections import deque
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, Final, NoReturn
@@ -23,7 +22,7 @@ import numpy as np
 from equipoise.errors import LinkError, import_optional
 from equipoise.rig.config import Load
 from equipoise.rig.interfaces import Array, Clock, Request, checked_setpoint
-from equipoise.robots.franka.velocity import GAIN, LAG, PERIOD, limited, velocity_limits
+from equipoise.robots.franka.velocity import GAIN, PERIOD, limited, velocity_limits
 
 JOINTS: Final = 7
 """Number of joints of the arm."""
@@ -34,7 +33,7 @@ POLL_PERIOD: Final = 1e-4
 DRIFT: Final = 1e-4
 """Maximum difference of the two clocks' rates [-]; quartz has 1e-5."""
 AT_REST: Final = 1e-3
-"""Velocity below which a motion may end [rad/s]."""
+"""Velocity, and change of it in a cycle, below which a motion may end [rad/s]."""
 STOPPING: Final = 1.0
 """Time in which the joints come to rest [s]; from their highest velocity they need 0.6."""
 MOVES: Final = 0.01
@@ -68,10 +67,12 @@ CAUSES: Final = {
     "position_limits": "a joint came to its position limit; move home away from it",
     "velocity": "a joint came to its velocity limit; lower speed_share in rig.toml",
     "self_collision": "the arm came near itself; choose another home",
-    "tau_J_range": "the load exceeds the arm; check its load in Desk",
+    "tau_j_range": "the load exceeds the arm; check its load in Desk",
     "power_limit": "the arm needs more power than it has; check its load in Desk",
+    "user stop": MODES["UserStopped"],
+    "safety function": MODES["UserStopped"],
 }
-"""Cause and remedy by a part of the name of a controller's error."""
+"""Cause and remedy by a part of the name of a controller's error, or of what the library says."""
 
 
 class FrankaRobot:
@@ -103,7 +104,8 @@ class FrankaRobot:
         self._state: Any = None
         self._same = 0
         self._desired = np.zeros(JOINTS)
-        self._path = deque[Array](maxlen=LAG + 1)
+        self._before: Array | None = None
+        self._shift = np.zeros(JOINTS)
         self._velocity = self._acceleration = np.zeros(JOINTS)
 
     def connect(self) -> None:
@@ -154,8 +156,7 @@ class FrankaRobot:
         self._fresh()
         self._streams, self._same = True, 0
         self._velocity = self._acceleration = np.zeros(JOINTS)
-        self._path.clear()
-        self._state = None
+        self._before = self._state = None
 
     def request(self, until: float) -> Request | None:
         """Block until the next state of the controller, or until a time [s].
@@ -185,6 +186,11 @@ class FrankaRobot:
             self._desired = np.array(state.q_d)
         else:
             self._elapsed, velocity = time - self._time, np.array(state.dq_d)
+            if not (self._elapsed > 0.0 and np.isfinite(velocity).all()):
+                self._fail(
+                    f"reports velocities of {velocity.tolist()} rad/s, {self._elapsed:g} s after "
+                    "those before, expected finite numbers and a later time; restart the controller"
+                )
             moves = np.abs(velocity).max() > MOVES
             self._same = self._same + 1 if moves and state.q == self._state.q else 0
             if self._same >= MOST_SAME:
@@ -207,12 +213,11 @@ class FrankaRobot:
             InputError: The point is not seven finite numbers.
         """
         there = checked_setpoint(q, JOINTS)
-        measured = np.array(self._state.q)
-        before = self._path[-1] if self._path else there
-        self._path.append(there)
-        error = before - self._desired if self._position else self._path[0] - measured
-        v = (there - before) / self._elapsed + GAIN * error
-        self._command(v, measured)
+        if self._before is None:
+            self._before, self._shift = there, self._desired - there
+        error = self._before + self._shift - self._desired
+        self._command((there - self._before) / self._elapsed + GAIN * error)
+        self._before = there
 
     def stop(self) -> None:
         """Bring the joints to rest, and end the motion; without a servo, do nothing.
@@ -223,16 +228,15 @@ class FrankaRobot:
         self._link()
         if not self._streams:
             return
-        end = self._clock.now() + STOPPING
-        while True:
-            if (request := self.request(self._clock.now() + SILENCE)) is None:
+        end, rests = self._clock.now() + STOPPING, False
+        while not rests:
+            if self.request(self._clock.now() + SILENCE) is None:
                 self._fail(f"sent nothing for {SILENCE:g} s")
             if self._clock.now() > end:
                 self._fail(f"does not rest within {STOPPING:g} s; press the emergency stop")
-            if np.abs(self._velocity).max() < AT_REST:
-                break
-            self._command(np.zeros(JOINTS), np.array(request.q))
-        self._command(np.zeros(JOINTS), np.array(request.q), finished=True)
+            changes = self._velocity, PERIOD * self._acceleration
+            rests = bool(np.abs(changes).max() < AT_REST)
+            self._command(np.zeros(JOINTS), finished=rests)
         self._streams, self._control = False, None
 
     def close(self) -> None:
@@ -244,9 +248,9 @@ class FrankaRobot:
                 commands.shutdown(socket.SHUT_RDWR)
         self._control = self._robot = None
 
-    def _command(self, v: Array, q: Array, *, finished: bool = False) -> None:
-        bounds = velocity_limits(q)
-        v = np.zeros(JOINTS) if finished else limited(v, self._velocity, self._acceleration, bounds)
+    def _command(self, v: Array, *, finished: bool = False) -> None:
+        bounds = velocity_limits(self._desired)
+        v = limited(v, self._velocity, self._acceleration, bounds)
         command = (
             self._library.JointPositions((self._desired + PERIOD * v).tolist())
             if self._position
@@ -304,7 +308,7 @@ class FrankaRobot:
             remedy = (
                 RECOVER if errors else "check its power and its cable, and activate FCI in Desk"
             )
-            self._fail(f"reports {said!r}; {_cause(errors, remedy)}", error)
+            self._fail(f"reports {said!r}; {_cause(errors or said, remedy)}", error)
 
     def _fail(self, why: str, error: Exception | None = None) -> NoReturn:
         """Give up the link for good."""
@@ -314,6 +318,7 @@ class FrankaRobot:
 
 def _cause(errors: str, otherwise: str = RECOVER) -> str:
     """Return the cause and remedy of the controller's errors."""
+    errors = errors.lower()
     return next((cause for name, cause in CAUSES.items() if name in errors), otherwise)
 
 
