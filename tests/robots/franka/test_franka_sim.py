@@ -71,6 +71,6 @@ def test_no_command_is_rejected_and_the_pendulum_stays_up(run, seed):
     assert end.outcome is Outcome.LASTED, end.reason
 
 
-def test_without_the_limits_of_the_driver_a_command_is_rejected(run, monkeypatch):
-    monkeypatch.setattr(driver, "limited", lambda v, *_: v)
+def test_a_command_beyond_the_limits_is_rejected(run, monkeypatch):
+    monkeypatch.setattr(driver, "limited", lambda v, *_: v + 0.008)  # at once: 8000 rad/s^3
     assert "acceleration_discontinuity" in run(0).reason

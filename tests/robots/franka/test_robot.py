@@ -2,7 +2,6 @@
 
 import re
 import time
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -55,20 +54,14 @@ def bench():
 
 
 class TestFranka(RobotConformance):
-    options: ClassVar = {}
-
     def make(self):
-        self.bench = Bench(**self.options)
+        self.bench = Bench()
         rig, robot = self.bench.rig, self.bench.robot
         return RobotUnderTest(robot, robot, rig.plug, lambda: rig.q)
 
     def teardown_method(self):
         super().teardown_method()
         self.bench.rig.close()
-
-
-class TestPositions(TestFranka):
-    options: ClassVar = {"position": True}
 
 
 def at(moment, act):
@@ -105,9 +98,7 @@ def test_a_jump_of_the_path_is_smoothed_and_without_the_limits_it_is_rejected(be
         stream(bench.robot, jump)
 
 
-@pytest.mark.parametrize("position", [False, True])
-def test_joints_that_are_measured_wrongly_do_not_move_the_arm(position):
-    bench = Bench(position=position)
+def test_joints_that_are_measured_wrongly_do_not_move_the_arm(bench):
     bench.robot.connect()
     before = bench.rig.q
 
@@ -117,8 +108,6 @@ def test_joints_that_are_measured_wrongly_do_not_move_the_arm(position):
 
     stream(bench.robot, run_off)
     assert np.abs(bench.rig.q - before).max() < 0.002
-    bench.robot.close()
-    bench.rig.close()
 
 
 def test_a_command_that_arrives_between_two_cycles_is_not_lost(bench):

@@ -159,9 +159,9 @@ def raises(said):
     [
         (
             replaced(dq_d=(np.nan,) * 7),
-            r"velocities of \[nan, .* finite .*; restart the controller",
+            r"reports \[nan, .* finite .*; restart the controller",
         ),
-        (replaced(time=SimpleNamespace(to_sec=lambda: 0.1)), "0 s after .* later time; restart"),
+        (replaced(time=SimpleNamespace(to_sec=lambda: 1.0)), ", 0 s after .* later time; restart"),
         (raises("Move command aborted: User Stop pressed!"), "!'; a user stop is active; release"),
         (raises("UDP receive: Timeout"), "check its power and its cable"),
         (raises('Move command aborted: motion aborted by reflex! ["power_limit"]'), "more power"),

@@ -3,8 +3,8 @@
 `franky-sim` serves libfranka's network protocol in front of an FR3 in MuJoCo. It accepts any
 command; this module adds the controller's checks of lost packets, velocities, accelerations and
 jerks, its reflex and its user stop, the external torques, and the pendulum with hand and button.
-In velocity mode its servo damps alone; here it also holds the integral of the velocities, with its
-stiffness of the position mode, as a controller in joint impedance does.
+In velocity mode its servo damps alone; here it also holds the integral of the velocities, with the
+stiffness of its position mode, as a controller in joint impedance does.
 
 Not modelled: the Franka Hand stays on the flange, the position-dependent velocity limits,
 self-collision, and collision thresholds.
@@ -63,8 +63,6 @@ ERRORS: Final = {
     "communication_constraints_violation": 25,
 }
 """Numbers of the controller's errors."""
-MODES: Final = {"kJointVelocity": False, "kJointPosition": True}
-"""Whether a mode of motion streams positions."""
 
 
 class Controller(FrankaRobotServer):
@@ -82,7 +80,6 @@ class Controller(FrankaRobotServer):
         self._errors = [False] * 41
         self._changed = False
         self._command: Array | None = None
-        self._positions = False
         self._offset = np.zeros(7)
         self._lost, self._q, self._dq, self._ddq = 0, np.zeros(7), np.zeros(7), np.zeros(7)
 
@@ -122,10 +119,10 @@ class Controller(FrankaRobotServer):
             self.cleanup()  # refuses a client
 
     def start_motion(self, controller: Any, generator: Any, motion: int) -> None:
-        """Begin a motion at rest, in velocity or position mode, unless the arm is stopped."""
-        if self._mode != RobotMode.kIdle or generator.name not in MODES:
+        """Begin a motion at rest, in velocity mode, unless the arm is stopped."""
+        if self._mode != RobotMode.kIdle or generator.name != "kJointVelocity":
             raise ValueError("no such motion is possible")
-        self._positions, self._q = MODES[generator.name], np.array(self.robot.state.q_d)
+        self._q = np.array(self.robot.state.q_d)
         self._lost, self._dq, self._ddq = 0, np.zeros(7), np.zeros(7)
         self._changed, self._command = True, None
         super().start_motion(controller, generator, motion)
@@ -142,8 +139,8 @@ class Controller(FrankaRobotServer):
         if self.current_motion_id and (error := self._move(command)):
             self.stop(error)
         if self.current_motion_id:
-            damping = 0.0 if self._positions else np.divide(self.robot.kv, self.robot.kp)
-            self.robot.joint_position_control(self._q + damping * self._dq)
+            lead = np.divide(self.robot.kv, self.robot.kp) * self._dq  # it damps the difference
+            self.robot.joint_position_control(self._q + lead)
         else:
             super()._post_process_commands()
 
@@ -175,8 +172,7 @@ class Controller(FrankaRobotServer):
         command = UDPCommand.from_bytes(command_data)
         if not self.current_motion_id or command.message_id < self._sent:
             return  # it is late, and counts as lost
-        dq = (np.array(command.q_c) - self._q) / PERIOD
-        self._command = dq if self._positions else np.array(command.dq_c)
+        self._command = np.array(command.dq_c)
         if command.motion_generation_finished:  # the client waits, and rest follows
             if error := self._move(self._command) or self._move(np.zeros(7)):
                 self.stop(error)

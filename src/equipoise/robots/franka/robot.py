@@ -1,9 +1,9 @@
 """Driver of a Franka Research 3, a `PacedRobot`, on the vendor's `pylibfranka`.
 
-The controller sends its state every millisecond, and expects a velocity or, in position mode, the
-integral of the same velocities. A motion stops by itself after 20 packets without an answer, after
-a reflex, and after a command beyond the limits (`equipoise.robots.franka.velocity`). Any such end
-is final: nothing here recovers from an error, the operator does.
+The controller sends its state every millisecond, and expects a velocity. A motion stops by itself
+after 20 packets without an answer, after a reflex, and after a command beyond the limits
+(`equipoise.robots.franka.velocity`). Any such end is final: nothing here recovers from an error,
+the operator does.
 
 `pylibfranka` waits up to a second for a packet, and holds Python's lock meanwhile. The driver calls
 it only once a packet has arrived, at the socket that `pylibfranka` has opened.
@@ -80,19 +80,15 @@ class FrankaRobot:
 
     joints = JOINTS
 
-    def __init__(
-        self, host: str, clock: Clock, *, position: bool = False, load: Load | None = None
-    ) -> None:
+    def __init__(self, host: str, clock: Clock, *, load: Load | None = None) -> None:
         """Create the driver; nothing is opened before `connect`.
 
         Args:
             host: Name or number of the controller.
             clock: Clock of the rig.
-            position: Whether positions are streamed, not velocities. In `franky-sim` the joints
-                then lag 100 ms, with which the shipped policy fails its self-test.
             load: Load on the flange; None leaves that of Desk in force.
         """
-        self._host, self._clock, self._position, self._load = host, clock, position, load
+        self._host, self._clock, self._load = host, clock, load
         self._library: Any = None
         self._robot: Any = None
         self._control: Any = None
@@ -105,7 +101,6 @@ class FrankaRobot:
         self._same = 0
         self._desired = np.zeros(JOINTS)
         self._before: Array | None = None
-        self._shift = np.zeros(JOINTS)
         self._velocity = self._acceleration = np.zeros(JOINTS)
 
     def connect(self) -> None:
@@ -170,26 +165,20 @@ class FrankaRobot:
         if self._control is None:
             if self._next(until) is None:
                 return None
-            mode, robot = self._library.ControllerMode.JointImpedance, self._robot
+            mode = self._library.ControllerMode.JointImpedance
             with self._final_errors():
-                self._control = (
-                    robot.start_joint_position_control(mode)
-                    if self._position
-                    else robot.start_joint_velocity_control(mode)
-                )
+                self._control = self._robot.start_joint_velocity_control(mode)
         if not self._arrived(until):
             return None
         with self._final_errors():
             state, _ = self._control.readOnce()
         now, time = self._clock.now(), float(state.time.to_sec())
-        if self._state is None:
-            self._desired = np.array(state.q_d)
-        else:
+        if self._state is not None:
             self._elapsed, velocity = time - self._time, np.array(state.dq_d)
             if not (self._elapsed > 0.0 and np.isfinite(velocity).all()):
                 self._fail(
-                    f"reports velocities of {velocity.tolist()} rad/s, {self._elapsed:g} s after "
-                    "those before, expected finite numbers and a later time; restart the controller"
+                    f"reports {velocity.round(3).tolist()} rad/s, {self._elapsed:g} s after its "
+                    "last state, expected finite numbers and a later time; restart the controller"
                 )
             moves = np.abs(velocity).max() > MOVES
             self._same = self._same + 1 if moves and state.q == self._state.q else 0
@@ -213,9 +202,9 @@ class FrankaRobot:
             InputError: The point is not seven finite numbers.
         """
         there = checked_setpoint(q, JOINTS)
-        if self._before is None:
-            self._before, self._shift = there, self._desired - there
-        error = self._before + self._shift - self._desired
+        if self._before is None:  # the path begins where the controller holds the joints
+            self._before = self._desired = there
+        error = self._before - self._desired
         self._command((there - self._before) / self._elapsed + GAIN * error)
         self._before = there
 
@@ -251,11 +240,7 @@ class FrankaRobot:
     def _command(self, v: Array, *, finished: bool = False) -> None:
         bounds = velocity_limits(self._desired)
         v = limited(v, self._velocity, self._acceleration, bounds)
-        command = (
-            self._library.JointPositions((self._desired + PERIOD * v).tolist())
-            if self._position
-            else self._library.JointVelocities(v.tolist())
-        )
+        command = self._library.JointVelocities(v.tolist())
         command.motion_finished = finished
         with self._final_errors():
             self._control.writeOnce(command)
