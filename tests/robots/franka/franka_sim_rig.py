@@ -2,8 +2,8 @@
 
 `franka-sim` needs NumPy 1 and MuJoCo 3, so this module is imported only in the process of the rig,
 which finds those first. Server and checks are those of `franka-sim`, with all that it can enforce;
-so is the joint servo, which holds the integral of the velocities as a real controller does. The arm
-is the model of `franky-sim`, since its own is a download from GitHub.
+the joint servo also holds the integral of the velocities, as in `franky`. The arm is the model of
+`franky-sim`, since its own is a download from GitHub.
 """
 
 import threading
@@ -27,6 +27,7 @@ from equipoise.worlds.twin.physics import rod_inertia
 
 ASSETS = Path(franky_sim.__file__).parent / "assets"
 franky.LINK = "fr3_link7"
+mujoco_franka_sim.ARM_VELOCITY_KV = np.array(franky.DAMPING)
 # Cycles follow virtual time, not the milliseconds of this machine.
 state_stream.time = SimpleNamespace(
     time=time.time, perf_counter=time.perf_counter, sleep=lambda _: None

@@ -52,6 +52,9 @@ LINK: Final = "robot0_fr3_link7"
 """Name of the last link."""
 CLOSE: Final = 1e-3
 """Maximum difference of the flange's places by both models [m]."""
+DAMPING: Final = (450.0, 450.0, 350.0, 350.0, 50.0, 50.0, 50.0)
+"""Damping of the joints [N m s/rad]. `franky-sim` has 200 in the last three, which at 1 kHz makes
+joint 7 oscillate between its torque limits."""
 LOST: Final = 20
 """Number of packets without a command that end a motion."""
 ERRORS: Final = {
@@ -239,7 +242,7 @@ class FrankyRig(Bench):
         simulator.init()
         if len(arm.joints) != JOINTS:
             raise _not_an_fr3(arm)
-        self.robot = simulator.add_robot(initial_q=arm.with_held(q))
+        self.robot = simulator.add_robot(initial_q=arm.with_held(q), kv=DAMPING)
         """The robot of `franky-sim`."""
         _add_pendulum(simulator.worldbody, arm, pendulum, settings)
         self.controller = Controller(self.robot, hosts)
