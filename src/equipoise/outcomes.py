@@ -54,7 +54,7 @@ class Outcome(StrEnum):
     LINK = "link overdue"
     """The robot does not answer in time: software may be unable to stop it."""
     NOT_FOLLOWING = "robot not following"
-    """The arm stands still while it should move: something else has stopped it."""
+    """A joint stands still while it should move: something else has stopped the arm."""
     TORQUE = "contact"
     """External torque: something touches the arm."""
     FOLLOWING = "following error"
@@ -157,8 +157,8 @@ SENTENCES: Final = {
     Outcome.COUNT: "{name} has {value:g} numbers, expected {limit:g}, one per joint",
     Outcome.LINK: "the robot has not answered for {value_ms:.0f} ms, expected at most "
     "{limit_ms:.0f} ms; software may be unable to stop it: use the emergency stop",
-    Outcome.NOT_FOLLOWING: "the arm stands still where a joint should have moved by {value:.3f} "
-    "rad: emergency stop, enabling switch, protective stop or another mode",
+    Outcome.NOT_FOLLOWING: "joint {joint:g} stands still where it should have moved by {value:.3f} "
+    "rad: emergency stop, enabling switch, protective stop, another mode or its encoder",
     Outcome.TORQUE: "the external torque at joint {joint:g} is {value:.1f} N m from that at rest, "
     "expected at most {limit:.1f} N m: something touches the arm",
     Outcome.FOLLOWING: "joint {joint:g} is {value:.3f} rad from where it is expected for "
@@ -204,6 +204,13 @@ SENTENCES: Final = {
 `_ms` stands for thousandths (ms or mm) of a value, `_deg` for degrees."""
 
 
+class _Number(float):
+    """Number of a sentence, short whatever its size."""
+
+    def __format__(self, decimals: str) -> str:
+        return super().__format__(decimals if abs(self) < 1e6 else ".3g")
+
+
 def describe(end: End) -> str:
     """Return an end as a sentence for people; its name where it has no evidence.
 
@@ -212,7 +219,8 @@ def describe(end: End) -> str:
     values = dict(end.evidence)
     numbers = {name: value for name, value in values.items() if not isinstance(value, str)}
     for name, value in numbers.items():
-        values |= {f"{name}_ms": 1e3 * value, f"{name}_deg": degrees(value)}
+        units = {name: value, f"{name}_ms": 1e3 * value, f"{name}_deg": degrees(value)}
+        values |= {unit: _Number(number) for unit, number in units.items()}
     try:
         return SENTENCES.get(end.outcome, "{text}").format_map(values)
     except (LookupError, ValueError):

@@ -43,8 +43,8 @@ def executed(job):
 class Course:
     """A pilot and what it is told, a tick of 10 ms at a time."""
 
-    def __init__(self, q=ARM.home, identify=None):
-        request = replace(REQUEST, identify=identify)
+    def __init__(self, q=ARM.home, identify=None, request=REQUEST):
+        request = replace(request, identify=identify)
         self.pilot = RunController(request, q, counts_per_rev=COUNTS)
         self.guard = self.pilot.response.safety
         self.tick_number, self.now = 0, 0.0
@@ -137,9 +137,9 @@ class Course:
         return "" if self.pilot.end is None else describe(self.pilot.end)
 
 
-def balancing():
+def balancing(make=Course):
     """A course whose pendulum was let go; then it comes upright again and stands there."""
-    course = Course().until(Phase.LIFTING)
+    course = make().until(Phase.LIFTING)
     lifted = course.now
 
     def lifting(time):

@@ -63,7 +63,7 @@ class JointPlausibility:
             most = BRAKING_FACTOR * limits.acceleration[i]
             # Written so that NaN is implausible.
             if not unexplained_step(times, steps, noise, rate, most) <= 0.0:
-                self._doubt = f"joint {i + 1} was measured {steps[1]:+.3f} rad further at once"
+                self._doubt = f"joint {i + 1} was measured {steps[1]:+.3g} rad further at once"
                 return
 
     def doubt(self, q: Sequence[float], commanded: Array) -> str:
@@ -81,5 +81,5 @@ class JointPlausibility:
         away = np.maximum(low - np.array(q), np.array(q) - high)
         i = int(np.argmax(away))
         if not away[i] <= FOLLOWING_LIMIT:
-            return f"joint {i + 1} is {away[i]:.3f} rad from all of its last setpoints"
+            return f"joint {i + 1} is {away[i]:.3g} rad from all of its last setpoints"
         return ""

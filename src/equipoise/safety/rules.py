@@ -88,8 +88,8 @@ FOLLOWING_TIME: Final = 0.05
 STILL_ANGLE: Final = 5e-4
 """Maximum change of the measured angle of a joint at rest [rad]: ten times its noise."""
 EXPECTED_MOTION: Final = 0.01
-"""Expected motion of a joint after which an arm at rest does not follow [rad]: emergency stop,
-enabling switch, protective stop or another mode."""
+"""Expected motion of a joint after which it does not follow if it is still measured at rest [rad]:
+emergency stop, enabling switch, protective stop, another mode, or an encoder that stands still."""
 SINGULAR_SHARE: Final = 0.1
 """Minimum |det J| as a share of its value at home [-]: twice the share at which CLIK begins to
 damp."""
@@ -385,12 +385,12 @@ class MonitorState(NamedTuple):
     """Number of ticks since the last one with measured joints."""
     error_time: float = 0.0
     """Duration of a following error beyond its limit [s]."""
-    rest: Numbers | None = None
-    """Measured joints at the arm's last motion [rad]."""
-    expected: Numbers | None = None
-    """Expected joints at that time [rad]."""
-    expected_motion: float = 0.0
-    """Maximum expected motion of a joint since then [rad]."""
+    rest: Numbers = ()
+    """Angle of each measured joint at its last motion [rad]; empty before the first measurement."""
+    expected: Numbers = ()
+    """Angle at which each joint was expected at that time [rad]."""
+    expected_motion: Numbers = ()
+    """Maximum expected motion of each joint since then [rad]."""
 
 
 def update_monitor(
@@ -411,11 +411,13 @@ def update_monitor(
     # An error before and after ticks without a measurement lasts during them, too.
     elapsed = (before.unmeasured + 1) * params.h if before.error_time > 0.0 else params.h
     error_time = next_error_time(before.error_time, error, elapsed)
-    rest, then = before.rest, before.expected
-    if rest is None or then is None or largest_difference(measured, rest)[0] > STILL_ANGLE:
-        return MonitorState(missed, 0, error_time, measured, expected)
-    expected_motion = max(before.expected_motion, largest_difference(expected, then)[0])
-    return MonitorState(missed, 0, error_time, rest, then, expected_motion)
+    rest, then = list(before.rest or measured), list(before.expected or expected)
+    motion = list(before.expected_motion or (0.0,) * len(measured))
+    for i, angle in enumerate(measured):
+        if abs(angle - rest[i]) > STILL_ANGLE:
+            rest[i], then[i], motion[i] = angle, expected[i], 0.0
+        motion[i] = max(motion[i], abs(expected[i] - then[i]))
+    return MonitorState(missed, 0, error_time, tuple(rest), tuple(then), tuple(motion))
 
 
 def check(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> End | None:
@@ -439,8 +441,9 @@ def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs
                 yield End(Outcome.NUMBER, {"name": name, "got": str(number)})
     if inputs.overdue > MAX_STALL:
         yield _violation(Outcome.LINK, inputs.overdue, MAX_STALL)
-    if monitor.expected_motion > EXPECTED_MOTION:
-        yield _violation(Outcome.NOT_FOLLOWING, monitor.expected_motion, EXPECTED_MOTION)
+    if (motion := max(monitor.expected_motion, default=0.0)) > EXPECTED_MOTION:
+        joint = monitor.expected_motion.index(motion) + 1
+        yield _violation(Outcome.NOT_FOLLOWING, motion, EXPECTED_MOTION, joint=joint)
     if inputs.torque is not None and (joint := overloaded_joint(inputs.torque, params.torque)):
         yield _violation(
             Outcome.TORQUE, inputs.torque[joint - 1], params.torque[joint - 1], joint=joint

@@ -1,8 +1,9 @@
 """A controller of other authors that checks commands, `franka-sim`, with a pendulum, in lockstep.
 
 `franka-sim` needs NumPy 1 and MuJoCo 3, so this module is imported only in the process of the rig,
-which finds those first. Server, checks and joint servo are those of `franka-sim`, with all that it
-can enforce; the arm is the model of `franky-sim`, since its own is a download from GitHub.
+which finds those first. Server and checks are those of `franka-sim`, with all that it can enforce;
+the joint servo also holds the integral of the velocities, as in `franky`. The arm is the model of
+`franky-sim`, since its own is a download from GitHub.
 """
 
 import threading
@@ -16,6 +17,7 @@ import franky_sim
 import mujoco
 import numpy as np
 from franka_sim import mujoco_franka_sim
+from franka_sim.control_modes import ControlMode
 from franka_sim.franka_sim_server import FrankaSimServer
 from franka_sim.server import state_stream
 
@@ -25,6 +27,7 @@ from equipoise.worlds.twin.physics import rod_inertia
 
 ASSETS = Path(franky_sim.__file__).parent / "assets"
 franky.LINK = "fr3_link7"
+mujoco_franka_sim.ARM_VELOCITY_KV = np.array(franky.DAMPING)
 # Cycles follow virtual time, not the milliseconds of this machine.
 state_stream.time = SimpleNamespace(
     time=time.time, perf_counter=time.perf_counter, sleep=lambda _: None
@@ -77,6 +80,13 @@ class Mechanics(mujoco_franka_sim.MujocoFrankaSim):
                 pass
         elif moves:
             self.step()
+
+    def arm_control_torque(self):
+        torque = super().arm_control_torque()
+        if self.control_mode == ControlMode.VELOCITY:
+            desired = np.array(self.server.robot_state.state["q_d"])
+            torque += mujoco_franka_sim.ARM_POSITION_KP * (desired - self.data.qpos[: self.phi])
+        return torque
 
     def _apply_control(self):
         super()._apply_control()

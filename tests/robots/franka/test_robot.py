@@ -1,7 +1,7 @@
 """The driver on the vendor's library, against the controller of `franky-sim` in lockstep."""
 
 import re
-from typing import ClassVar
+import time
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
 from equipoise.robots.franka import robot as driver
 from equipoise.robots.franka.arm import fr3
-from equipoise.robots.franka.lockstep import Lockstep
+from equipoise.robots.franka.lockstep import POLL, Lockstep
 from equipoise.robots.franka.robot import FrankaRobot
 from equipoise.testing import RobotConformance, RobotUnderTest
 
@@ -54,20 +54,14 @@ def bench():
 
 
 class TestFranka(RobotConformance):
-    options: ClassVar = {}
-
     def make(self):
-        self.bench = Bench(**self.options)
+        self.bench = Bench()
         rig, robot = self.bench.rig, self.bench.robot
         return RobotUnderTest(robot, robot, rig.plug, lambda: rig.q)
 
     def teardown_method(self):
         super().teardown_method()
         self.bench.rig.close()
-
-
-class TestPositions(TestFranka):
-    options: ClassVar = {"position": True}
 
 
 def at(moment, act):
@@ -104,10 +98,43 @@ def test_a_jump_of_the_path_is_smoothed_and_without_the_limits_it_is_rejected(be
         stream(bench.robot, jump)
 
 
+def test_joints_that_are_measured_wrongly_do_not_move_the_arm(bench):
+    bench.robot.connect()
+    before = bench.rig.q
+
+    def run_off(time):
+        bench.rig.mismeasure(0.6 * time * np.eye(7)[0])
+        return 0.0
+
+    stream(bench.robot, run_off)
+    assert np.abs(bench.rig.q - before).max() < 0.002
+
+
+def test_a_command_that_arrives_between_two_cycles_is_not_lost(bench):
+    robot = bench.robot
+    robot.connect()
+    robot.start()
+    for _ in range(40):  # 20 lost ones would end the motion
+        robot.wait_until(robot.now() + 0.001)
+        time.sleep(5.0 * POLL)
+    robot.stop()
+
+
+def test_the_last_command_keeps_the_limits_and_one_that_does_not_is_rejected(bench, monkeypatch):
+    bench.robot.connect()
+    stream(bench.robot, lambda time: 0.1 * time)
+    bench.robot.stop()
+    stream(bench.robot, lambda time: 0.1 * time)
+    monkeypatch.setattr(driver, "AT_REST", np.inf)
+    monkeypatch.setattr(driver, "limited", lambda v, *_: v)
+    with pytest.raises(LinkError, match="discontinuity"):
+        bench.robot.stop()
+
+
 FAULTS = {
     "20 lost packets": (lambda rig, now: rig.advance(now + 0.03), "packets were late or lost"),
     "reflex": (lambda rig, now: rig.stop("joint_reflex"), "look for a contact"),
-    "user stop": (lambda rig, now: rig.stop(), "user stop|preempted"),
+    "user stop": (lambda rig, now: rig.stop(), "preempted.*; a user stop is active; release it"),
     "a controller that dies": (lambda rig, now: rig.reset_state(), "requested nothing"),
     "a cable that is pulled": (lambda rig, now: rig.plug(False), "requested nothing"),
     "joints that stand still": (lambda rig, now: rig.freeze(times=True), "the same joints"),

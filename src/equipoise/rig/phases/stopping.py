@@ -81,7 +81,7 @@ class Stopping(RunPhase):
         """Begin the way back towards the measured posture, or say why the target holds."""
         measured = self.run.joints.q
         away, joint = rules.largest_difference(measured, motion.q)
-        place = f"Joint {joint} is measured {away:.3f} rad from its target"
+        place = f"Joint {joint} is measured {away:.3g} rad from its target"
         reason = self._hold_reason()
         if doubt := self.run.joints.plausibility.doubt(measured, self._before_stop):
             reason = f"the measurement is not plausible ({doubt})"

@@ -3,6 +3,8 @@
 `franky-sim` serves libfranka's network protocol in front of an FR3 in MuJoCo. It accepts any
 command; this module adds the controller's checks of lost packets, velocities, accelerations and
 jerks, its reflex and its user stop, the external torques, and the pendulum with hand and button.
+In velocity mode its servo damps alone; here it also holds the integral of the velocities, with the
+stiffness of its position mode, as a controller in joint impedance does.
 
 Not modelled: the Franka Hand stays on the flange, the position-dependent velocity limits,
 self-collision, and collision thresholds.
@@ -50,6 +52,9 @@ LINK: Final = "robot0_fr3_link7"
 """Name of the last link."""
 CLOSE: Final = 1e-3
 """Maximum difference of the flange's places by both models [m]."""
+DAMPING: Final = (450.0, 450.0, 350.0, 350.0, 50.0, 50.0, 50.0)
+"""Damping of the joints [N m s/rad]. `franky-sim` has 200 in the last three, which at 1 kHz makes
+joint 7 oscillate between its torque limits."""
 LOST: Final = 20
 """Number of packets without a command that end a motion."""
 ERRORS: Final = {
@@ -61,8 +66,6 @@ ERRORS: Final = {
     "communication_constraints_violation": 25,
 }
 """Numbers of the controller's errors."""
-MODES: Final = {"kJointVelocity": False, "kJointPosition": True}
-"""Whether a mode of motion streams positions."""
 
 
 class Controller(FrankaRobotServer):
@@ -79,8 +82,8 @@ class Controller(FrankaRobotServer):
         self._mode = RobotMode.kIdle
         self._errors = [False] * 41
         self._changed = False
-        self._command: Any = None
-        self._positions = False
+        self._command: Array | None = None
+        self._offset = np.zeros(7)
         self._lost, self._q, self._dq, self._ddq = 0, np.zeros(7), np.zeros(7), np.zeros(7)
 
     def stop(self, error: str = "") -> None:
@@ -108,6 +111,10 @@ class Controller(FrankaRobotServer):
         """Repeat the state of now from now on, with new times or with that of now."""
         self._frozen, self._frozen_time = self._get_state_bytes(), not times
 
+    def mismeasure(self, offset: Array) -> None:
+        """Add an offset to the measured joints from now on [rad], shape (7,)."""
+        self._offset = offset
+
     def plug(self, connected: bool) -> None:
         """Pull the cable, or put it back."""
         self.connected = connected
@@ -115,12 +122,12 @@ class Controller(FrankaRobotServer):
             self.cleanup()  # refuses a client
 
     def start_motion(self, controller: Any, generator: Any, motion: int) -> None:
-        """Begin a motion at rest, in velocity or position mode, unless the arm is stopped."""
-        if self._mode != RobotMode.kIdle or generator.name not in MODES:
+        """Begin a motion at rest, in velocity mode, unless the arm is stopped."""
+        if self._mode != RobotMode.kIdle or generator.name != "kJointVelocity":
             raise ValueError("no such motion is possible")
-        self._positions, self._q = MODES[generator.name], np.array(self.robot.state.q_d)
+        self._q = np.array(self.robot.state.q_d)
         self._lost, self._dq, self._ddq = 0, np.zeros(7), np.zeros(7)
-        self._changed = True
+        self._changed, self._command = True, None
         super().start_motion(controller, generator, motion)
 
     def stop_motion(self, send_preemption_signal: bool = True) -> None:
@@ -130,14 +137,13 @@ class Controller(FrankaRobotServer):
 
     def process_commands(self) -> None:
         """Process the commands of a cycle, and move on."""
-        self._command = None
         self._receive()
-        if self.current_motion_id and (error := self._move()):
+        command, self._command = self._command, None
+        if self.current_motion_id and (error := self._move(command)):
             self.stop(error)
-        if self.current_motion_id and self._positions:
-            self.robot.joint_position_control(self._q)
-        elif self.current_motion_id:
-            self.robot.joint_velocity_control(self._dq)
+        if self.current_motion_id:
+            lead = np.divide(self.robot.kv, self.robot.kp) * self._dq  # it damps the difference
+            self.robot.joint_position_control(self._q + lead)
         else:
             super()._post_process_commands()
 
@@ -167,22 +173,25 @@ class Controller(FrankaRobotServer):
 
     def _handle_udp_command(self, command_data: bytes) -> None:
         command = UDPCommand.from_bytes(command_data)
-        if command.motion_generation_finished:
-            super()._handle_udp_command(command_data)
-        elif command.message_id >= self._sent:  # else it is late, and counts as lost
-            dq = (np.array(command.q_c) - self._q) / PERIOD
-            self._command = dq if self._positions else np.array(command.dq_c)
+        if not self.current_motion_id or command.message_id < self._sent:
+            return  # it is late, and counts as lost
+        self._command = np.array(command.dq_c)
+        if command.motion_generation_finished:  # the client waits, and rest follows
+            if error := self._move(self._command) or self._move(np.zeros(7)):
+                self.stop(error)
+            else:
+                super()._handle_udp_command(command_data)
 
-    def _move(self) -> str:
+    def _move(self, command: Array | None) -> str:
         """Advance the commanded motion by a cycle; return the error, empty if it keeps the limits.
 
-        Without a command the acceleration remains.
+        Args:
+            command: Commanded velocity [rad/s]; without one the acceleration remains.
         """
-        new = self._command is not None
-        self._lost = 0 if new else self._lost + 1
+        self._lost = self._lost + 1 if command is None else 0
         if self._lost == LOST:
             return "communication_constraints_violation"
-        dq = self._command if new else self._dq + PERIOD * self._ddq
+        dq = self._dq + PERIOD * self._ddq if command is None else command
         ddq = (dq - self._dq) / PERIOD
         limits = {
             "joint_motion_generator_velocity_limits_violation": dq / VELOCITY,
@@ -200,11 +209,10 @@ class Controller(FrankaRobotServer):
     def _get_state_bytes(self) -> bytes:
         if self._frozen:
             return self._frozen
-        changes: dict[str, Any] = {"tau_ext_hat_filtered": self.external}
+        measured = np.add(self.robot_state.q, self._offset)
+        changes: dict[str, Any] = {"q": tuple(measured), "tau_ext_hat_filtered": self.external}
         if self.current_motion_id:
-            changes["dq_d"] = tuple(self._dq)
-        if self.current_motion_id and self._positions:
-            changes["q_d"] = tuple(self._q)
+            changes |= {"q_d": tuple(self._q), "dq_d": tuple(self._dq)}
         if self._mode != RobotMode.kIdle:
             errors = tuple(self._errors)
             changes |= {"robot_mode": self._mode, "errors": errors, "reflex_reason": errors}
@@ -234,7 +242,7 @@ class FrankyRig(Bench):
         simulator.init()
         if len(arm.joints) != JOINTS:
             raise _not_an_fr3(arm)
-        self.robot = simulator.add_robot(initial_q=arm.with_held(q))
+        self.robot = simulator.add_robot(initial_q=arm.with_held(q), kv=DAMPING)
         """The robot of `franky-sim`."""
         _add_pendulum(simulator.worldbody, arm, pendulum, settings)
         self.controller = Controller(self.robot, hosts)

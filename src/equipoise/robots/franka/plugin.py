@@ -11,28 +11,25 @@ from equipoise.rig.plugins import Bodies, Emulated, Hardware, RobotPlugin, Sessi
 from equipoise.robots.franka.robot import FrankaRobot
 
 
-def host_and_mode(address: str) -> tuple[str, bool]:
-    """Return the host of an address, and whether positions are streamed.
+def host_of(address: str) -> str:
+    """Return the host of an address.
 
     Raises:
         InputError: The address is invalid.
     """
     with suppress(ValueError):  # an open bracket, an invalid port
         parts = urlsplit(address)
-        known = parts.query in ("", "mode=velocity", "mode=position")
-        if parts.hostname and parts.port is None and not parts.path.strip("/") and known:
-            return parts.hostname, parts.query == "mode=position"
+        if parts.hostname and parts.port is None and not (parts.path.strip("/") or parts.query):
+            return parts.hostname
     raise InputError(
-        f"{address!r} is no address of an FR3; expected franka://HOST or "
-        "franka://HOST?mode=position, with the name or number of its controller such as "
-        "172.16.0.2, without a port"
+        f"{address!r} is no address of an FR3; expected franka://HOST, with the name or number of "
+        "its controller such as 172.16.0.2, without a port"
     )
 
 
 def open_robot(address: str, session: Session) -> FrankaRobot:
     """Return the driver for an address; nothing is opened before it is connected."""
-    host, position = host_and_mode(address)
-    return FrankaRobot(host, session.clock, position=position, load=session.load)
+    return FrankaRobot(host_of(address), session.clock, load=session.load)
 
 
 def bench(bodies: Bodies) -> Any:

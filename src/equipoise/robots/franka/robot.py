@@ -1,9 +1,9 @@
 """Driver of a Franka Research 3, a `PacedRobot`, on the vendor's `pylibfranka`.
 
-The controller sends its state every millisecond, and expects a velocity or, in position mode, the
-integral of the same velocities. A motion stops by itself after 20 packets without an answer, after
-a reflex, and after a command beyond the limits (`equipoise.robots.franka.velocity`). Any such end
-is final: nothing here recovers from an error, the operator does.
+The controller sends its state every millisecond, and expects a velocity. A motion stops by itself
+after 20 packets without an answer, after a reflex, and after a command beyond the limits
+(`equipoise.robots.franka.velocity`). Any such end is final: nothing here recovers from an error,
+the operator does.
 
 `pylibfranka` waits up to a second for a packet, and holds Python's lock meanwhile. The driver calls
 it only once a packet has arrived, at the socket that `pylibfranka` has opened.
@@ -13,7 +13,6 @@ import os
 import select
 import socket
 import stat
-from collections import deque
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, Final, NoReturn
@@ -23,7 +22,7 @@ import numpy as np
 from equipoise.errors import LinkError, import_optional
 from equipoise.rig.config import Load
 from equipoise.rig.interfaces import Array, Clock, Request, checked_setpoint
-from equipoise.robots.franka.velocity import GAIN, LAG, PERIOD, limited, velocity_limits
+from equipoise.robots.franka.velocity import GAIN, PERIOD, limited, velocity_limits
 
 JOINTS: Final = 7
 """Number of joints of the arm."""
@@ -34,7 +33,7 @@ POLL_PERIOD: Final = 1e-4
 DRIFT: Final = 1e-4
 """Maximum difference of the two clocks' rates [-]; quartz has 1e-5."""
 AT_REST: Final = 1e-3
-"""Velocity below which a motion may end [rad/s]."""
+"""Velocity, and change of it in a cycle, below which a motion may end [rad/s]."""
 STOPPING: Final = 1.0
 """Time in which the joints come to rest [s]; from their highest velocity they need 0.6."""
 MOVES: Final = 0.01
@@ -68,10 +67,12 @@ CAUSES: Final = {
     "position_limits": "a joint came to its position limit; move home away from it",
     "velocity": "a joint came to its velocity limit; lower speed_share in rig.toml",
     "self_collision": "the arm came near itself; choose another home",
-    "tau_J_range": "the load exceeds the arm; check its load in Desk",
+    "tau_j_range": "the load exceeds the arm; check its load in Desk",
     "power_limit": "the arm needs more power than it has; check its load in Desk",
+    "user stop": MODES["UserStopped"],
+    "safety function": MODES["UserStopped"],
 }
-"""Cause and remedy by a part of the name of a controller's error."""
+"""Cause and remedy by a part of the name of a controller's error, or of what the library says."""
 
 
 class FrankaRobot:
@@ -79,19 +80,15 @@ class FrankaRobot:
 
     joints = JOINTS
 
-    def __init__(
-        self, host: str, clock: Clock, *, position: bool = False, load: Load | None = None
-    ) -> None:
+    def __init__(self, host: str, clock: Clock, *, load: Load | None = None) -> None:
         """Create the driver; nothing is opened before `connect`.
 
         Args:
             host: Name or number of the controller.
             clock: Clock of the rig.
-            position: Whether positions are streamed, not velocities. In `franky-sim` the joints
-                then lag 100 ms, with which the shipped policy fails its self-test.
             load: Load on the flange; None leaves that of Desk in force.
         """
-        self._host, self._clock, self._position, self._load = host, clock, position, load
+        self._host, self._clock, self._load = host, clock, load
         self._library: Any = None
         self._robot: Any = None
         self._control: Any = None
@@ -103,7 +100,7 @@ class FrankaRobot:
         self._state: Any = None
         self._same = 0
         self._desired = np.zeros(JOINTS)
-        self._path = deque[Array](maxlen=LAG + 1)
+        self._before: Array | None = None
         self._velocity = self._acceleration = np.zeros(JOINTS)
 
     def connect(self) -> None:
@@ -154,8 +151,7 @@ class FrankaRobot:
         self._fresh()
         self._streams, self._same = True, 0
         self._velocity = self._acceleration = np.zeros(JOINTS)
-        self._path.clear()
-        self._state = None
+        self._before = self._state = None
 
     def request(self, until: float) -> Request | None:
         """Block until the next state of the controller, or until a time [s].
@@ -169,22 +165,21 @@ class FrankaRobot:
         if self._control is None:
             if self._next(until) is None:
                 return None
-            mode, robot = self._library.ControllerMode.JointImpedance, self._robot
+            mode = self._library.ControllerMode.JointImpedance
             with self._final_errors():
-                self._control = (
-                    robot.start_joint_position_control(mode)
-                    if self._position
-                    else robot.start_joint_velocity_control(mode)
-                )
+                self._control = self._robot.start_joint_velocity_control(mode)
         if not self._arrived(until):
             return None
         with self._final_errors():
             state, _ = self._control.readOnce()
         now, time = self._clock.now(), float(state.time.to_sec())
-        if self._state is None:
-            self._desired = np.array(state.q_d)
-        else:
+        if self._state is not None:
             self._elapsed, velocity = time - self._time, np.array(state.dq_d)
+            if not (self._elapsed > 0.0 and np.isfinite(velocity).all()):
+                self._fail(
+                    f"reports {velocity.round(3).tolist()} rad/s, {self._elapsed:g} s after its "
+                    "last state, expected finite numbers and a later time; restart the controller"
+                )
             moves = np.abs(velocity).max() > MOVES
             self._same = self._same + 1 if moves and state.q == self._state.q else 0
             if self._same >= MOST_SAME:
@@ -207,12 +202,11 @@ class FrankaRobot:
             InputError: The point is not seven finite numbers.
         """
         there = checked_setpoint(q, JOINTS)
-        measured = np.array(self._state.q)
-        before = self._path[-1] if self._path else there
-        self._path.append(there)
-        error = before - self._desired if self._position else self._path[0] - measured
-        v = (there - before) / self._elapsed + GAIN * error
-        self._command(v, measured)
+        if self._before is None:  # the path begins where the controller holds the joints
+            self._before = self._desired = there
+        error = self._before - self._desired
+        self._command((there - self._before) / self._elapsed + GAIN * error)
+        self._before = there
 
     def stop(self) -> None:
         """Bring the joints to rest, and end the motion; without a servo, do nothing.
@@ -223,16 +217,15 @@ class FrankaRobot:
         self._link()
         if not self._streams:
             return
-        end = self._clock.now() + STOPPING
-        while True:
-            if (request := self.request(self._clock.now() + SILENCE)) is None:
+        end, rests = self._clock.now() + STOPPING, False
+        while not rests:
+            if self.request(self._clock.now() + SILENCE) is None:
                 self._fail(f"sent nothing for {SILENCE:g} s")
             if self._clock.now() > end:
                 self._fail(f"does not rest within {STOPPING:g} s; press the emergency stop")
-            if np.abs(self._velocity).max() < AT_REST:
-                break
-            self._command(np.zeros(JOINTS), np.array(request.q))
-        self._command(np.zeros(JOINTS), np.array(request.q), finished=True)
+            changes = self._velocity, PERIOD * self._acceleration
+            rests = bool(np.abs(changes).max() < AT_REST)
+            self._command(np.zeros(JOINTS), finished=rests)
         self._streams, self._control = False, None
 
     def close(self) -> None:
@@ -244,14 +237,10 @@ class FrankaRobot:
                 commands.shutdown(socket.SHUT_RDWR)
         self._control = self._robot = None
 
-    def _command(self, v: Array, q: Array, *, finished: bool = False) -> None:
-        bounds = velocity_limits(q)
-        v = np.zeros(JOINTS) if finished else limited(v, self._velocity, self._acceleration, bounds)
-        command = (
-            self._library.JointPositions((self._desired + PERIOD * v).tolist())
-            if self._position
-            else self._library.JointVelocities(v.tolist())
-        )
+    def _command(self, v: Array, *, finished: bool = False) -> None:
+        bounds = velocity_limits(self._desired)
+        v = limited(v, self._velocity, self._acceleration, bounds)
+        command = self._library.JointVelocities(v.tolist())
         command.motion_finished = finished
         with self._final_errors():
             self._control.writeOnce(command)
@@ -304,7 +293,7 @@ class FrankaRobot:
             remedy = (
                 RECOVER if errors else "check its power and its cable, and activate FCI in Desk"
             )
-            self._fail(f"reports {said!r}; {_cause(errors, remedy)}", error)
+            self._fail(f"reports {said!r}; {_cause(errors or said, remedy)}", error)
 
     def _fail(self, why: str, error: Exception | None = None) -> NoReturn:
         """Give up the link for good."""
@@ -314,6 +303,7 @@ class FrankaRobot:
 
 def _cause(errors: str, otherwise: str = RECOVER) -> str:
     """Return the cause and remedy of the controller's errors."""
+    errors = errors.lower()
     return next((cause for name, cause in CAUSES.items() if name in errors), otherwise)
 
 
