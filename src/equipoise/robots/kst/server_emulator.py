@@ -64,6 +64,7 @@ class KstServer:
         self.deserted = False
         """Whether the client left without an `end`; no other is ever served."""
         self._body, self._target = body, [0.0] * joints
+        self._own_reading = body.measured  # of the servo, which no fault of a reply reaches
         self._lines = codec.KstLineSplitter()
         self._reads = True
         self._segments: list[bytes] = []
@@ -180,7 +181,7 @@ class KstServer:
                 return
             self._runs = True
             self._body.servo(True)
-            self._target[:] = [float(q) for q in self._body.measured()]
+            self._target[:] = [float(q) for q in self._own_reading()]
             self._body.target(tuple(self._target))
         if self._requested:
             return
