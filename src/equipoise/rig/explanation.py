@@ -93,7 +93,7 @@ ADVICE: Final[dict[Outcome | RootCause, str]] = {
         "check the mounting of base and flange, and the actuator in use",
     ),
     **dict.fromkeys(
-        (Outcome.TICK, RootCause.PAUSE),
+        (Outcome.TICK, Outcome.STALLS, RootCause.PAUSE),
         "find with `equipoise rig doctor` what delays this machine",
     ),
     **dict.fromkeys(
