@@ -44,7 +44,7 @@ ROOT = Path(__file__).resolve().parent.parent
 MODULES = {
     "rules": "safety/rules",
     "trial": "safety/trial",
-    "dropouts": "safety/dropouts",
+    "repeats": "safety/repeats",
     "plausibility": "safety/plausibility",
     "stop": "safety/stop",
     "release": "rig/release",

@@ -56,19 +56,20 @@ def test_the_faults_named_are_those_that_are_injected():
 def test_each_number_of_the_page_is_that_of_the_code():
     from equipoise.rig import run_controller
     from equipoise.rig.phases import preparation, readings
-    from equipoise.safety import dropouts, plausibility, rules, stop
+    from equipoise.safety import plausibility, repeats, rules, stop
     from tests.faults.verdicts import MAX_NOTICE
 
     assert f"within {1e3 * MAX_NOTICE:.0f} ms" in PAGE
     assert f"up to {1e3 * rules.MAX_STALL:g} ms is bridged" in PAGE
-    assert f"not answered for {1e3 * run_controller.MAX_UNANSWERED:g} ms" in PAGE
+    assert f"not answered for {1e3 * readings.MAX_ROUND_TRIP:g} ms" in PAGE
     assert f"({rules.STOP_DECELERATION:g} m/s² at the flange" in PAGE
     assert f"{100 * rules.TORQUE_SHARE:.0f} % of the joint's torque" in PAGE
     assert f"a following error of {rules.FOLLOWING_LIMIT:g} rad" in PAGE
     share = 100 * run_controller.UNCERTAIN_TORQUE_FACTOR * rules.TORQUE_SHARE
     assert f"on the way there {share:.0f} % beyond what the start shows" in PAGE
-    assert (dropouts.MAX_DROPOUTS, dropouts.DROPOUT_WINDOW) == (3, 1.0)
+    assert (repeats.MAX_REPEATS, repeats.REPEAT_WINDOW) == (3, 1.0)
     assert "a third gap within a second" in PAGE
+    assert "the third stall within a second" in PAGE
     assert preparation.HOMING_SHARE == 0.1
     assert "a tenth of the joints' speed" in PAGE
     assert stop.RETURN_SHARE == preparation.HOMING_SHARE
@@ -76,5 +77,5 @@ def test_each_number_of_the_page_is_that_of_the_code():
     assert "five replies in order" in PAGE
     assert f"within {rules.FOLLOWING_LIMIT:g} rad of the setpoints of the last 0.3 s" in PAGE
     assert readings.HISTORY == 64
-    assert f"above {1e3 * readings.MAX_TIMED_REPLY:g} ms do not count" in PAGE.replace("\n", " ")
+    assert f"above {1e3 * readings.MAX_ROUND_TRIP:g} ms do not count" in PAGE.replace("\n", " ")
     assert f"are {1e3 * rules.MAX_MEASUREMENT_AGE:g} ms old" in PAGE

@@ -48,6 +48,11 @@ def test_a_file_wins_over_a_recipe_over_the_defaults_and_a_single_setting_over_a
     assert resolve("paper", toml(tmp_path, "")) == resolve("paper")
 
 
+@pytest.mark.parametrize("value", ["true", '"1"', "[0.9]"])
+def test_neither_true_nor_a_text_is_a_number(value):
+    assert "learning.gamma: Input should be a valid number" in refusal(f"learning.gamma={value}")
+
+
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_a_recipe_names_settings_that_exist(recipe):
     assert set(RECIPES[recipe]) <= set(NAMES)

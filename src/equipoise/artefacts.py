@@ -47,6 +47,15 @@ class Value(BaseModel):
         frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
     )
 
+    @classmethod
+    def read(cls, tree: Any) -> Self:
+        """Return the value of a file's contents; neither true nor a text is a number there.
+
+        Raises:
+            ValidationError: A field is unknown or has an invalid value.
+        """
+        return cls.model_validate_json(json.dumps(tree, default=str), strict=True)
+
 
 Name = Annotated[str, Field(max_length=1024)]
 """Name, digest or address; no file system allows longer file names."""
@@ -185,7 +194,7 @@ class Artefact(Value):
                 "give a file of that kind"
             )
         try:
-            return cls.model_validate_json(json.dumps(document["body"]), strict=True)
+            return cls.read(document["body"])
         except ValidationError as error:
             raise ArtefactError(
                 f"{path} is not a valid {cls.FORMAT!r} file: {first_fault(error)}; upgrade "

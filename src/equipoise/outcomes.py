@@ -60,7 +60,7 @@ class Outcome(StrEnum):
     FOLLOWING = "following error"
     """The arm is not where it should be."""
     FIRST = "first setpoint"
-    """The first setpoint is away from the measured posture."""
+    """The first setpoint, or another reading at the start, is away from the measured posture."""
     POSITION = "joint position"
     """A setpoint is too near to a position limit, or could not be stopped before it."""
     JUMP = "jump"
@@ -101,6 +101,8 @@ class Outcome(StrEnum):
     """It ended before the arm moved, as requested."""
     SELF_TEST = "self-test"
     """The pendulum did not match its model, before it was lifted."""
+    STALLS = "repeated stalls"
+    """The loop or the robot's link stalled too often while the arm moved."""
     UNIDENTIFIED = "arm not identified"
     """The excitation before the lift identified no arm that the policy was trained for."""
     POLICY = "policy failed"
@@ -163,8 +165,8 @@ SENTENCES: Final = {
     "expected at most {limit:.1f} N m: something touches the arm",
     Outcome.FOLLOWING: "joint {joint:g} is {value:.3f} rad from where it is expected for "
     "{lasted_ms:.0f} ms, expected at most {limit:g} rad",
-    Outcome.FIRST: "the first setpoint of joint {joint:g} is {value:.4f} rad from where it is "
-    "measured, expected at most {limit:g} rad",
+    Outcome.FIRST: "joint {joint:g} is measured {value:.4f} rad from the posture at the start, "
+    "expected at most {limit:g} rad: a reply or the first setpoint is wrong, or the arm moves",
     Outcome.POSITION: "the setpoint of joint {joint:g} leads to {value:.4f} rad, expected "
     "{lower:.4f} to {upper:.4f} rad: its limits less the margin of the rig",
     Outcome.JUMP: "the setpoint of joint {joint:g} jumps by {value:.4f} rad, expected at most "
@@ -180,9 +182,8 @@ SENTENCES: Final = {
     Outcome.SPEED: "the flange moves at {value:.3f} m/s, expected less than {limit:.3g} m/s",
     Outcome.DRIFT: "the flange is {value_ms:.1f} mm off its line, expected at most {limit_ms:g} mm",
     Outcome.TILT: "the flange is tilted by {value_deg:.2f} deg, expected at most {limit_deg:g} deg",
-    Outcome.TICK: "the loop was {value_ms:.1f} ms late, {missed:g} ticks in a row, expected at "
-    "most {limit_ms:g} ms and fewer than {limit_missed:g}; `equipoise rig doctor` looks for the "
-    "cause",
+    Outcome.TICK: "the loop was {value_ms:.1f} ms late, expected at most {limit_ms:g} ms; "
+    "`equipoise rig doctor` looks for the cause",
     Outcome.MEASUREMENT_STALE: "the joints were last measured {value_ms:.0f} ms ago, expected at "
     "most {limit_ms:g} ms: the robot's link is too slow; look at its cable and its network",
     Outcome.ENCODER_STALE: "the newest encoder sample is {value_ms:.1f} ms old, expected at most "
@@ -195,6 +196,8 @@ SENTENCES: Final = {
     "expected at most {limit_deg:g} deg; look at its coupling",
     Outcome.ANGLE: "the pendulum leans by {value_deg:.1f} deg, expected less than {limit_deg:g} "
     "deg",
+    Outcome.STALLS: "loop or link stalled {value:g} times within {duration:g} s while the arm "
+    "moved, at last {name}; expected fewer; `equipoise rig doctor` looks for the cause",
     Outcome.OPERATOR: "stopped by the operator ({typed})",
     Outcome.DRY_RUN: "all steps before the motion passed; nothing has moved",
     Outcome.UNIDENTIFIED: "the arm is not identified: {text}",

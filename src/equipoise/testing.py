@@ -13,8 +13,9 @@ The tests of this package use the same classes. They go through the interfaces a
 hold for hardware as well: the first joint moves by 0.05 rad, at up to 0.19 rad/s.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Container, Iterable
 from contextlib import ExitStack, suppress
+from itertools import count
 from math import nan, pi
 from typing import Any, Final, NamedTuple
 
@@ -36,8 +37,10 @@ CLOSE: Final = 2e-3
 STILL: Final = 5e-4
 """Noise of a measured joint, and motion of an arm at rest, at most [rad]."""
 MAX_AGE: Final = 0.02
-"""Maximum age of measured joints when their setpoint is sent [s]: as long as the round trip after
-which a run no longer uses them."""
+"""Maximum age of measured joints when their setpoint is sent [s]: a little more than the round trip
+after which a run no longer uses them."""
+MISREAD: Final = 0.1
+"""Error of the first joint in a wrong reply [rad]."""
 SILENCE: Final = 2.0
 """Maximum time until a driver reports a silent link [s]."""
 
@@ -75,6 +78,26 @@ class RobotUnderTest(NamedTuple):
     true_joints: Callable[[], Array] | None = None
     """Returns the joints from another source than the driver [rad], shape (joints,); None without
     one, as on most hardware."""
+    misread: Callable[[Container[int]], object] | None = None
+    """Makes readings of the joints wrong, by their numbers from now on, from one (`misreads`); None
+    skips the tests with wrong replies."""
+
+
+def misreads(body: Any) -> Callable[[Container[int]], None]:
+    """Return `RobotUnderTest.misread` of an emulated arm, whose `measured()` it replaces."""
+    measured, number = body.measured, count(1)
+    wrong: Container[int] = ()
+
+    def read() -> tuple[float, ...]:
+        q = measured()
+        return (q[0] + MISREAD, *q[1:]) if next(number) in wrong else q
+
+    def misread(numbers: Container[int]) -> None:
+        nonlocal wrong, number
+        wrong, number = numbers, count(1)
+
+    body.measured = read
+    return misread
 
 
 def emulated_robot(scheme: str) -> RobotUnderTest:
@@ -99,7 +122,8 @@ def emulated_robot(scheme: str) -> RobotUnderTest:
 
     rig.clock.wait_until(3.0)  # the pendulum has pulled the arm down
     joints = rig.bench.joints
-    return RobotUnderTest(rig.robot, rig.clock, plug, lambda: bodies.qpos[:joints].copy())
+    misread = misreads(rig.bench.body)
+    return RobotUnderTest(rig.robot, rig.clock, plug, lambda: bodies.qpos[:joints].copy(), misread)
 
 
 class RobotConformance:
@@ -116,7 +140,7 @@ class RobotConformance:
 
     def prepare(self) -> Robot:
         """Make the robot of a test."""
-        self.robot, self.clock, self.plug, self.true_joints = self.make()
+        self.robot, self.clock, self.plug, self.true_joints, self.misread = self.make()
         self.context = ExitStack()
         self.context.enter_context(ended_stalls(self.clock, self.clock, self.robot))
         self.context.callback(self.robot.close)
@@ -248,11 +272,36 @@ class RobotConformance:
         robot, n = self.robot, self.robot.joints
         for i in range(n):
             expect_error(InputError, robot.send, np.where(np.arange(n) == i, nan, 0.0))
-        for count in (0, n - 1, n + 1):
-            expect_error(InputError, robot.send, [0.0] * count)
+        for length in (0, n - 1, n + 1):
+            expect_error(InputError, robot.send, [0.0] * length)
         self.wait(0.1)
         assert robot.replies() == [], "a refused setpoint has a reply"
         _same_joints(self.follow([home] * 10)[-1], home)
+
+    def test_a_single_wrong_reply_at_the_start_does_not_move_the_arm(self) -> None:
+        for number in range(1, 4):
+            self.prepare().connect()
+            self.not_misled({number}, self.robot.start)
+            self.teardown_method()
+
+    def test_wrong_replies_do_not_move_an_arm_that_is_held(self) -> None:
+        home = self.begin()
+        self.follow([home] * 10)
+        self.not_misled(range(1, 10**6), self.robot.send, home)
+
+    def not_misled(self, wrong: Container[int], act: Callable[..., Any], *setpoint: Array) -> None:
+        """Start, or send a setpoint [rad]; the arm must not move because of wrong replies."""
+        if self.misread is None or self.true_joints is None:
+            return
+        before, moved = self.true_joints(), 0.0
+        self.misread(wrong)
+        with suppress(LinkError):  # to refuse is right
+            act(*setpoint)
+            for _ in range(200):
+                self.wait(0.001)
+                moved = max(moved, float(np.abs(self.true_joints() - before).max()))
+        # A servo that starts lets the arm sag.
+        assert moved <= 5.0 * CLOSE, f"wrong replies moved the arm by {moved:.2g} rad"
 
     def test_close_may_be_called_again_and_nothing_works_after_it(self) -> None:
         home = self.begin()

@@ -136,6 +136,8 @@ ENCODER = (
     Fault("zero error while balancing", FELL | _ends("lasted"), _slip_slowly),
     Fault("stale samples", _ends("stale encoder"), _change("sensor.link", delay=0.1),
           within=0.09, says="old"),
+    Fault("late samples at the release", FELL | _ends("lasted", "encoder lost"),
+          _change("sensor.link", delay=0.047), Trigger("armed")),
     Fault("stall of the encoder", _ends("lasted"), lambda harness: hold_back(harness, "sensor")),
     Fault("malformed lines", _ends("encoder gap"), _change("board", malformed=0.02), within=0.5,
           says="missing"),
@@ -162,8 +164,10 @@ def _stall(*times: float) -> Inject:
 TIME = (
     Fault("late tick", _ends("late tick"), _stall(0.09), within=0.11),
     Fault("stall of the loop", _ends("lasted"), _stall(0.06), says="loop stalled"),
+    Fault("repeated stalls", _ends("repeated stalls"),
+          _stall(*(3 * (0.03, *(9 * (0.0,))))), within=0.3, says="at last the loop"),
     Fault("one late tick", _ends("lasted"), _stall(0.008)),
-    Fault("late ticks", _ends("late tick"), _stall(*(3 * (0.012, 0.0, 0.0))), within=0.08),
+    Fault("late ticks", _ends("repeated stalls"), _stall(*(3 * (0.012, 0.0, 0.0))), within=0.08),
 )
 # fmt: on
 
@@ -184,6 +188,18 @@ def _back_up(harness: FaultHarness) -> None:
     there = harness.robot.link.other
     before, there.delay = there.delay, 0.09
     harness.after(0.1, lambda: setattr(there, "delay", before))
+
+
+def stall_shortly(harness: FaultHarness) -> None:
+    """Let round trips take 25 ms for 15 ms, every 80 ms."""
+    link = harness.robot.link
+    ends, usual = (link, link.other), link.delay
+
+    def delay(since: float) -> None:
+        for end in ends:
+            end.delay = max(usual, 0.0125) if since % 0.08 < 0.015 else usual
+
+    harness.each(delay)
 
 
 def _touch(force: float) -> Inject:
@@ -319,6 +335,8 @@ ROBOT = (
     Fault("command backlog", _ends("link overdue"), _back_up, within=0.1, says="has not answered"),
     Fault("stall of the link", _ends("lasted"), lambda harness: hold_back(harness, "robot"),
           says="link stalled"),
+    Fault("short stalls of the link", _ends("repeated stalls"), stall_shortly, within=0.2,
+          says="at last the robot's link"),
     Fault("nak", _ends("link lost"), _change("robot.emulator", refuses=True),
           stoppable=False, within=0.03),
     Fault("reconnect in mid-run", _ends("link lost"), _drop, stoppable=False, within=0.02,
@@ -360,7 +378,7 @@ ROBOT = (
     *(Fault(f"joints run off: {phase}", MOVED_AWAY, run_off(0, 10.0, 1.5), trigger,
             _with(identify=identify), within=0.08, says="not plausible", words_after_stop=False)
       for phase, (trigger, identify) in MOVES.items()),
-    *(Fault(f"slow link: {phase}", _ends("stale joints", "arm not identified"),
+    *(Fault(f"slow link: {phase}", _ends("stale joints", "repeated stalls", "arm not identified"),
             _stop_behind_slow_link, trigger, _with(identify=identify), within=0.135, says="link")
       for phase, (trigger, identify) in MOVES.items()),
 )

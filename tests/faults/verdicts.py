@@ -142,15 +142,14 @@ def check_run(harness, outcome):
     sent = setpoints_of(harness.robot_tap.sent)
     problems = check_limits(arm, sent)
     if outcome.outcome is Outcome.ERROR:
-        moved = [f"{len(sent)} setpoints were sent"] if len(sent) > 1 else []
+        moved = [f"{len(sent)} setpoints were sent"] if sent else []
         return [*problems, *moved, *_at_rest(harness)]
     problems += _on_track(harness) + _log_problems(harness)
     stop = stop_time(harness)
     if stop == inf:
         return [*problems, "the operator received no message of the stop"]
     if outcome.stoppable:
-        # The first setpoint, which starts the servo, holds the arm where it is.
-        problems += check_stop(arm, sent, stop) if len(sent) > 1 else []
+        problems += check_stop(arm, sent, stop) if sent else []
     elif not any(map(_warns, messages)):
         problems.append("no message says that software cannot stop the robot")
     if any(one.name in CONTINUING for one in messages if one.time > stop + 1e-9):

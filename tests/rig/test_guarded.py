@@ -29,13 +29,14 @@ class Tape:
     joints = 7
 
     def __init__(self, q=HOME):
-        self.q, self.sent = np.array(q, float), []
+        self.q, self.sent, self.moves = np.array(q, float), [], 0.0
 
     def measured(self):
         return self.q
 
     def start(self):
-        pass
+        self.q = self.q + self.moves
+        return self.q
 
     def send(self, q):
         self.sent.append(tuple(q))
@@ -118,6 +119,21 @@ def test_nothing_leaves_before_a_first_setpoint_where_the_arm_is(away):
     # It is for good: not even where the arm is may anything be sent now.
     with pytest.raises(LinkError, match="begin a new run"):
         robot.start()
+
+
+@pytest.mark.parametrize("moves", [2.0 * FIRST_LIMIT, -9.0, 1e6, nan])
+def test_a_start_whose_two_readings_differ_sends_nothing(moves):
+    tape = Tape()
+    tape.moves = moves * np.eye(7)[4]
+    robot = GuardedRobot(tape, limits_of(ARM), PERIOD)
+    with pytest.raises(LinkError, match="nothing was sent"):
+        robot.start()
+    assert tape.sent == []
+
+
+def test_a_start_outside_the_limits_sends_nothing():
+    with pytest.raises(LinkError, match=r"nothing was sent: the setpoint of joint 2 leads to"):
+        guarded((HOME[0], UPPER[1] + 0.01, *HOME[2:]))
 
 
 def test_each_start_asks_where_the_arm_is_now():

@@ -136,6 +136,23 @@ def test_a_caller_that_is_too_fast_ends_the_stream_for_good():
         stream.start()
 
 
+@pytest.mark.parametrize("wrong", [0.1, -9.0, np.nan])
+def test_a_start_that_the_first_request_contradicts_answers_nothing(wrong):
+    for lies in ("measured", "request"):
+        robot, clock = paced_robot(1)
+        stream = PacedStream(robot, clock, T)
+        if lies == "measured":
+            robot.measured = lambda: HOME + wrong
+        stream.start()
+        if lies == "request":
+            robot.waiting.append(Request(0.0, tuple(HOME + wrong), None))
+        with pytest.raises(LinkError, match="from its posture at the start"):
+            stream.wait_until(0.02)
+        assert robot.answers == []
+        with pytest.raises(LinkError, match="from its posture at the start"):
+            stream.send(HOME)
+
+
 def test_a_robot_that_gives_up_or_falls_silent_is_a_link_that_is_lost():
     robot, clock = paced_robot(1)
     stream = PacedStream(robot, clock, T)

@@ -15,7 +15,7 @@ from equipoise.errors import LinkError
 from equipoise.rig import plugins, signals
 from equipoise.rig.interfaces import checked_setpoint
 from equipoise.robots.kst.robot import KstRobot
-from equipoise.testing import RobotConformance, RobotUnderTest, emulated_robot
+from equipoise.testing import RobotConformance, RobotUnderTest, emulated_robot, misreads
 from tests.guest.guest import robot as guest
 from tests.robots.kst.follower import Bench
 
@@ -28,7 +28,8 @@ class TestKst(RobotConformance):
             bench.client.cut = bench.end.cut = not connected
 
         robot = KstRobot(lambda: bench.client, bench.clock)
-        return RobotUnderTest(robot, bench.clock, plug, lambda: np.array(bench.body.q))
+        true_joints = lambda: np.array(bench.body.q)  # noqa: E731
+        return RobotUnderTest(robot, bench.clock, plug, true_joints, misreads(bench.body))
 
 
 class TestKstOverASlowLink(TestKst):
@@ -98,6 +99,17 @@ class Commanded(guest.GuestRobot):
         return request and request._replace(q=self.last or request.q)
 
 
+def sends_back(driver):
+    guest.GuestRobot.start(driver)
+    driver._send(guest.SETPOINT, driver._measured)
+
+
+def pulls(driver, q):
+    """Correct the setpoint by what a request says, where that is far away."""
+    error = np.array(q) - driver._requests[0].q
+    guest.GuestRobot.answer(driver, q + np.where(np.abs(error) > 0.05, error, 0.0))
+
+
 def accepts(driver, q):
     driver._requests.popleft()
 
@@ -136,6 +148,8 @@ BROKEN = {
     "blocks in receive": (driver(request=blocks), "the driver blocks"),
     "times stand still": (changed(reply=lambda one: one._replace(time=0.0)), "0 replies"),
     "no setpoint is sent": (driver(answer=accepts), "6 requests had no answer"),
+    "a single reply is sent back": (driver(start=sends_back), "wrong replies moved the arm"),
+    "corrected by wrong joints": (driver(answer=pulls), "wrong replies moved the arm"),
     "one joint too few": (changed(lambda q: q[:6]), "7 joints"),
 }
 """Broken drivers, and words of the message that names the fault."""
@@ -157,6 +171,18 @@ def test_a_setpoint_that_waits_for_the_next_one_is_noticed(monkeypatch):
 
     monkeypatch.setattr(KstRobot, "send", held)
     assert re.match(r"joint \d is at .* rad, expected", complaint(TestKst))
+
+
+def test_a_start_that_sends_back_what_a_single_reply_says_is_noticed(monkeypatch):
+    start = KstRobot.start
+
+    def sends_back(robot):
+        robot.send(start(robot))
+
+    monkeypatch.setattr(KstRobot, "start", sends_back)
+    suite = TestKst()
+    with pytest.raises(AssertionError, match=r"wrong replies moved the arm by 0\.1 rad"):
+        suite.test_a_single_wrong_reply_at_the_start_does_not_move_the_arm()
 
 
 def test_a_driver_that_sleeps_where_it_should_wait_is_told_so(monkeypatch):

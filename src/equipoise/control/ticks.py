@@ -36,7 +36,7 @@ class Reply(NamedTuple):
     """Time at which the reply was read [s]. The joints count as measured half-way between."""
     q: tuple[float, ...] | None
     """Measured joints [rad], shape (joints,); None in a reply without them. The safety rules use
-    those of round trips up to 20 ms, and stop the run without any for 120 ms."""
+    those of round trips up to 17.5 ms, and stop the run without any for 120 ms."""
     torque: tuple[float, ...] | None
     """External torques [N m], shape (joints,); None in a reply without them. The safety rules need
     them a few times a second, not in each reply."""

@@ -268,6 +268,6 @@ def read_world(name: str) -> World:
         )
     differences = read_toml(file, "the numbers of a world")
     try:
-        return World(name, TwinSettings.model_validate(differences))
+        return World(name, TwinSettings.read(differences))
     except ValidationError as error:
         raise SettingsError(f"world {file}: {first_fault(error)}") from None

@@ -14,9 +14,9 @@ refused::
 from functools import cached_property
 from math import degrees, radians
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, field_validator
 
 from equipoise.artefacts import Name, Value, first_fault
 from equipoise.errors import ArmError, SettingsError
@@ -27,7 +27,8 @@ from equipoise.safety.rules import POSITION_MARGIN, TORQUE_SHARE
 from equipoise.settings import read_toml
 
 Degrees = Annotated[float, Field(ge=-3600.0, le=3600.0)]
-Millimetres = Annotated[float, Field(ge=-1e3, le=1e3)]
+Millimetres = Annotated[float, Field(ge=-400.0, le=400.0)]
+"""Place on a flange: a holder reaches 400 mm at most."""
 
 
 class Load(NamedTuple):
@@ -48,7 +49,7 @@ class RigSettings(Value):
     """Joint of a URDF that is held at its angle in `home_deg`, or at zero; counted from one."""
     tip: Name | None = None
     """Link of a URDF that is the flange; by default its only end."""
-    acceleration_deg: float | None = Field(default=None, gt=0.0, le=1e5)
+    acceleration_deg: float | None = Field(default=None, ge=10.0, le=1e4)
     """Acceleration limit of every joint of a URDF [deg/s^2], which a URDF does not contain."""
     robot: Name | None = None
     """Default of --robot, e.g. kst://172.31.1.147:30001."""
@@ -60,7 +61,7 @@ class RigSettings(Value):
     pivot_mm: tuple[Millimetres, Millimetres, Millimetres] | None = None
     """Pivot of the pendulum in the flange frame [mm]; by default the arm's own. On an iiwa, x is
     minus the distance from the axis of A7, and z the height of a media flange: 0, 35 or 61."""
-    load_kg: float | None = Field(default=None, gt=0.0, le=20.0)
+    load_kg: float | None = Field(default=None, ge=0.01, le=20.0)
     """Mass of pendulum and holder [kg], which `franka://` sets before a motion; by default that of
     Desk stays in force. On a KUKA it is a tool in Sunrise.Workbench."""
     load_mm: tuple[Millimetres, Millimetres, Millimetres] | None = None
@@ -71,11 +72,18 @@ class RigSettings(Value):
     """1 if counts grow with theta, the pendulum's angle from hanging, else -1."""
     position_margin_deg: float = Field(default=degrees(POSITION_MARGIN), ge=1.0, le=30.0)
     """Minimum distance of setpoints from the joints' position limits [deg]."""
-    speed_share: float = Field(default=1.0, gt=0.0, le=1.0)
+    speed_share: float = Field(default=1.0, ge=0.01, le=1.0)
     """Maximum share of the joints' velocity limits [-]; a run stops before exceeding it."""
-    torque_share: float = Field(default=TORQUE_SHARE, gt=0.0, le=1.0)
+    torque_share: float = Field(default=TORQUE_SHARE, ge=0.01, le=1.0)
     """Maximum change of an external torque from its value at home, as a share of the joint's torque
     limit [-]; a run stops beyond it."""
+
+    @field_validator("encoder_sign", mode="before")
+    @classmethod
+    def _is_a_number(cls, sign: Any) -> Any:
+        if isinstance(sign, bool):  # true equals 1
+            raise ValueError(f"expected 1 or -1, got {sign}")
+        return sign
 
     @property
     def load(self) -> Load | None:
@@ -120,7 +128,7 @@ def read_rig(path: Path | None) -> RigSettings:
     if isinstance(arm, str) and Path(arm).suffix.lower() in SUFFIXES:
         tree["arm"] = str(path.parent / arm)
     try:
-        rig = RigSettings.model_validate(tree)
+        rig = RigSettings.read(tree)
         _ = rig.described_arm
     except ValidationError as error:
         raise SettingsError(f"the rig {path}: {first_fault(error)}") from None

@@ -97,7 +97,7 @@ ADVICE: Final[dict[Outcome | RootCause, str]] = {
         "check the mounting of base and flange, and the actuator in use",
     ),
     **dict.fromkeys(
-        (Outcome.TICK, RootCause.PAUSE, RootCause.BUSY),
+        (Outcome.TICK, Outcome.STALLS, RootCause.PAUSE, RootCause.BUSY),
         "end other programs; find with `equipoise rig doctor` what delays this machine",
     ),
     **dict.fromkeys(

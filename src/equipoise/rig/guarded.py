@@ -29,7 +29,7 @@ class GuardedRobot:
         self.robot = robot
         """The robot, for all but its start and its setpoints."""
         self.started_at: tuple[float, ...] = ()
-        """Measured joints at the start of the servo [rad], equal to the first setpoint."""
+        """Measured joints after the start of the servo [rad], equal to the first setpoint."""
         self.last: tuple[float, ...] | None = None
         """Last setpoint sent [rad]; None before the first."""
         self._before: tuple[float, ...] = ()
@@ -45,16 +45,18 @@ class GuardedRobot:
         return self._ramp is None or self._sent * self._period >= self._ramp.duration
 
     def start(self) -> None:
-        """Start the servo; the first setpoint has to equal the joints measured now.
+        """Start the servo; the first setpoint has to equal the joints measured after that.
 
         Raises:
-            LinkError: A reply is late or invalid, or this guard has stopped.
+            LinkError: A reply is late or invalid, this guard has stopped, or the joints before and
+                after the start differ or are outside the limits: a reply is wrong, or the arm
+                moves.
         """
         if self.held_back is not None:
             raise LinkError(f"the guard has stopped ({describe(self.held_back)}); begin a new run")
-        self.started_at = tuple(self.robot.measured().tolist())
-        self.last = None
-        self.robot.start()
+        before = self.robot.measured().tolist()
+        self.last, self.started_at = None, tuple(self.robot.start().tolist())
+        self._refuse(check_first(self._limits, self.started_at, before))
 
     def send(
         self,
@@ -80,9 +82,7 @@ class GuardedRobot:
             setpoint, last = tuple(map(float, q)), self.last
             if last is None:
                 last = setpoint
-                if broken := check_first(self._limits, setpoint, self.started_at):
-                    self.held_back = broken
-                    raise LinkError(f"nothing was sent: {describe(broken)}")
+                self._refuse(check_first(self._limits, setpoint, self.started_at))
             else:
                 if from_rest:
                     self._before = last
@@ -108,6 +108,12 @@ class GuardedRobot:
             while not self.at_rest:
                 yield self._upcoming
             yield self._upcoming  # repeated, so that the arm no longer moves
+
+    def _refuse(self, broken: End | None) -> None:
+        """Refuse to send anything where a rule is broken before the first setpoint."""
+        if broken is not None:
+            self.held_back = broken
+            raise LinkError(f"nothing was sent: {describe(broken)}")
 
     def _begin_ramp(self, last: tuple[float, ...]) -> None:
         dq = [(b - a) / self._period for a, b in zip(self._before, last, strict=True)]

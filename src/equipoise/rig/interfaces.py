@@ -69,13 +69,6 @@ class ServoedArm(Protocol):
         """
         ...
 
-    def start(self) -> None:
-        """Start the servo, which holds the arm at its position. Blocks until it runs.
-
-        Raises:
-            LinkError: The reply is late or invalid.
-        """
-
     def stop(self) -> None:
         """Stop the servo, the arm at rest. Blocks.
 
@@ -93,6 +86,19 @@ class Robot(ServoedArm, Protocol):
 
     After `start` it obeys them; while none comes it goes to the last one, and rests there.
     """
+
+    def start(self) -> Array:
+        """Start the servo, which holds the arm at its position. Blocks until it runs.
+
+        It sends no setpoint that a single reply says: that reply may be wrong.
+
+        Returns:
+            The joints measured after that [rad], shape (joints,).
+
+        Raises:
+            LinkError: The reply is late or invalid.
+        """
+        ...
 
     def send(self, q: Sequence[float] | Array) -> None:
         """Send a setpoint of all joints.
@@ -122,6 +128,13 @@ class PacedRobot(ServoedArm, Protocol):
     request is answered with a point of a smooth path through the setpoints. The
     requests begin with `start`.
     """
+
+    def start(self) -> None:
+        """Start the servo, which holds the arm at its position. Blocks until it runs.
+
+        Raises:
+            LinkError: The reply is late or invalid.
+        """
 
     def request(self, until: float) -> Request | None:
         """Block until the robot requests a setpoint, or until a time [s].

@@ -19,7 +19,9 @@ Requests are answered while the loop waits for its clock: the stream is the cloc
 from collections import deque
 from collections.abc import Sequence
 from math import inf
-from typing import Final
+from typing import Final, NoReturn
+
+import numpy as np
 
 from equipoise.errors import LinkError
 from equipoise.rig.clocks import DrainingClock
@@ -31,6 +33,7 @@ from equipoise.rig.interfaces import (
     Reply,
     checked_setpoint,
 )
+from equipoise.safety.rules import FIRST_LIMIT
 
 MARGIN: Final = 0.001
 """Lateness of a setpoint that does not change the path [s]; a tick computes for 0.3 ms."""
@@ -90,9 +93,16 @@ class PacedStream:
         """Answer the robot's requests until a time [s].
 
         Raises:
-            LinkError: The link is down, or the robot has stopped.
+            LinkError: The link is down, or the robot has stopped, or it was not at rest where it
+                was measured at the start.
         """
         while self._streams and (request := self._robot.request(time)) is not None:
+            away = np.abs(np.subtract(request.q, self._knots[2])).max()
+            if self._begin == -inf and not away <= FIRST_LIMIT:  # NaN fails, too
+                self._fail(
+                    f"the robot was measured {away:.2g} rad from its posture at the start, "
+                    f"expected at most {FIRST_LIMIT:g} rad: a reply is wrong, or the arm moves"
+                )
             self._robot.answer(self._at(request.time))
             received = self._asked = self._clock.now()
             while self._sent and self._sent[0] <= request.time:
@@ -120,8 +130,12 @@ class PacedStream:
             raise LinkError(self._failure)
         return self._robot.measured()
 
-    def start(self) -> None:
+    def start(self) -> Array:
         """Start the servo, which holds the arm at its position.
+
+        Returns:
+            The joints where it is held [rad], shape (joints,). The requests have to agree until the
+            first setpoint: a single reply may be wrong.
 
         Raises:
             LinkError: The reply is late or invalid.
@@ -133,6 +147,7 @@ class PacedStream:
             queue.clear()
         self._begin, self._held, self._asked = -inf, True, self._clock.now()
         self._set_streams(True)
+        return held
 
     def send(self, q: Sequence[float] | Array) -> None:
         """Add a setpoint of all joints to the path.
@@ -150,15 +165,12 @@ class PacedStream:
             raise LinkError(self._failure or "the robot has no servo running; call start first")
         now = self._clock.now()
         if now - self._asked > SILENCE:
-            self._failure = f"the robot has requested nothing for {1e3 * SILENCE:g} ms"
-        elif len(self._ahead) >= MAX_AHEAD:
-            self._failure = (
+            self._fail(f"the robot has requested nothing for {1e3 * SILENCE:g} ms")
+        if len(self._ahead) >= MAX_AHEAD:
+            self._fail(
                 f"{MAX_AHEAD} setpoints wait for the robot, expected one each "
                 f"{1e3 * self._period:g} ms; the caller is too fast"
             )
-        if self._failure:
-            self._set_streams(False)
-            raise LinkError(self._failure)
         self._advance(now)
         since = now - self._begin
         if self._held and since >= self._period:  # the path stands still, and begins anew
@@ -191,6 +203,12 @@ class PacedStream:
         """Disconnect."""
         self._set_streams(False)
         self._robot.close()
+
+    def _fail(self, why: str) -> NoReturn:
+        """Give up the stream for good; the robot stops without answers."""
+        self._failure = why
+        self._set_streams(False)
+        raise LinkError(why)
 
     def _set_streams(self, streams: bool) -> None:
         self._streams = streams

@@ -20,18 +20,16 @@ from equipoise.control.ticks import OK, TickInputs, TickOutput, TickRecord, miss
 from equipoise.outcomes import End, Outcome, Phase, describe
 from equipoise.rig.phases.context import RunContext
 from equipoise.rig.phases.preparation import Homing
+from equipoise.rig.phases.readings import MAX_ROUND_TRIP
 from equipoise.rig.phases.stopping import Stopping
 from equipoise.rig.request import RunRequest
 from equipoise.safety import rules
+from equipoise.safety.repeats import MAX_REPEATS, REPEAT_WINDOW, RepeatMonitor
 from equipoise.safety.rules import SafetyInputs
 
 UNCERTAIN_TORQUE_FACTOR: Final = 2.0
 """Factor on the torque limits until the torques at home are known [-]: the reference is then that
 at the start of the servo, where the load on the flange pulls differently."""
-MAX_UNANSWERED: Final = 0.020
-"""Time without a reply after which no setpoint is sent until the replies have come [s], while the
-arm moves: a link that stands still delivers all setpoints at once, and the arm then goes to the
-last one at its highest speed. A round trip takes 1 to 4 ms."""
 PHASES: Final = tuple(Phase)
 """Phases by the index that logs use."""
 
@@ -46,7 +44,7 @@ class RunController(RunContext):
         self.phase.enter()
         self._monitor = rules.MonitorState()
         self._pose: FlangePose | None = None
-        self._overdue, self._warned = 0.0, False
+        self._stalls, self._overdue, self._link_stalled = RepeatMonitor(), 0.0, False
 
     @property
     def lasted(self) -> float:
@@ -65,7 +63,7 @@ class RunController(RunContext):
         h = self.h
         missed = missed_ticks(inputs.lateness, h)
         late = max(inputs.lateness - missed * h, 0.0)
-        if inputs.paused(h):
+        if paused := inputs.paused(h):
             warning = "The control loop stalled; `equipoise rig doctor` looks for the cause."
             self.begin_anew(missed, inputs.unsent, warning)
         self._take_measurements(inputs)
@@ -75,8 +73,15 @@ class RunController(RunContext):
             self.stop(fault)
         self._check_rules(now, inputs.lateness)
         self.record = TickRecord(estimated_phi=self.encoder.phi())
-        stalls = self._overdue > MAX_UNANSWERED and self.phase.moves
-        setpoints = self.phase.wait(now) if stalls else self.phase.tick(now)
+        silent, before = self._overdue > MAX_ROUND_TRIP, self._link_stalled
+        self._link_stalled = silent or self.joints.late
+        stalls = paused or (self._link_stalled and not before)
+        if stalls and self.phase.moves and self._stalls.add(now):
+            name = "the loop" if paused else "the robot's link"
+            counted = {"value": MAX_REPEATS, "duration": REPEAT_WINDOW}
+            self.stop(End(Outcome.STALLS, {"name": name, **counted}))
+        waits = silent and self.phase.moves
+        setpoints = self.phase.wait(now) if waits else self.phase.tick(now)
         stops = self.phase is self.stopping
         for place, setpoint in enumerate(setpoints):
             sent = now - late + place * 0.5 * h
@@ -120,7 +125,6 @@ class RunController(RunContext):
             # The robot controller knows the arm's weight, but not the load on its flange.
             uncertain = tuple(UNCERTAIN_TORQUE_FACTOR * torque for torque in params.torque)
             params = params._replace(torque=uncertain)
-        warned, bridged = self._warned, self.encoder.dropouts.bridged
         inputs = self._safety_inputs(now, lateness)
         self._monitor = rules.update_monitor(params, self._monitor, inputs)
         # The observer receives no forbidden measurement; the rules then check its estimate, too.
@@ -134,10 +138,8 @@ class RunController(RunContext):
             self.stop(violation)
         others = (each for each in broken if each.outcome not in rules.FROM_MEASURED)
         self.forbidden = next(map(describe, others), "")
-        if not broken and bridged and not warned:
-            self._warned = True
-            lost = "An encoder sample was lost on its way. Look at its cable later."
-            self.notify("warning", lost)
+        if not broken and self.encoder.bridged:
+            self.warn_once("An encoder sample was lost on its way. Look at its cable later.")
 
     def _safety_inputs(self, now: float, lateness: float) -> SafetyInputs:
         """Return the inputs of the safety rules, with the estimate of the tick before."""

@@ -75,8 +75,6 @@ beyond the encoder's resolution and gravity; time stamps are wrong by up to 0.3 
 MAX_PENDULUM_ACCELERATION: Final = 150.0
 """Maximum plausible acceleration of a pendulum [rad/s^2]: gravity 70, its pivot 15, a hand the
 rest."""
-MAX_MISSED_TICKS: Final = 3
-"""Number of successive ticks, each late by a tick or more, that stops the run."""
 TORQUE_SHARE: Final = 0.10
 """Maximum change of an external torque from that at rest, as a share of the joint's limit [-]: 32 N
 m at A1 of an iiwa 14, a push of some 60 N at the flange."""
@@ -379,8 +377,6 @@ class SafetyInputs(NamedTuple):
 class MonitorState(NamedTuple):
     """State of the checks that span several ticks."""
 
-    missed: int = 0
-    """Number of successive ticks late by a tick or more."""
     unmeasured: int = 0
     """Number of ticks since the last one with measured joints."""
     error_time: float = 0.0
@@ -403,10 +399,9 @@ def update_monitor(
         before: The state at the tick before.
         inputs: State of the run now, checked for invalid numbers by `check` in the same tick.
     """
-    missed = before.missed + 1 if inputs.lateness >= params.h else 0
     measured, expected = inputs.measured, inputs.expected
     if measured is None or expected is None:
-        return before._replace(missed=missed, unmeasured=before.unmeasured + 1)
+        return before._replace(unmeasured=before.unmeasured + 1)
     error, _ = largest_difference(measured, expected)
     # An error before and after ticks without a measurement lasts during them, too.
     elapsed = (before.unmeasured + 1) * params.h if before.error_time > 0.0 else params.h
@@ -417,7 +412,7 @@ def update_monitor(
         if abs(angle - rest[i]) > STILL_ANGLE:
             rest[i], then[i], motion[i] = angle, expected[i], 0.0
         motion[i] = max(motion[i], abs(expected[i] - then[i]))
-    return MonitorState(missed, 0, error_time, tuple(rest), tuple(then), tuple(motion))
+    return MonitorState(0, error_time, tuple(rest), tuple(then), tuple(motion))
 
 
 def check(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> End | None:
@@ -460,9 +455,8 @@ def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs
         if code != NO_VIOLATION:
             reach = stopping_reach(x, x_dot, params.reaction, params.u_max)
             yield _violation(SAFETY_RULES[code], value, limit, x=x, x_dot=x_dot, reach=reach)
-    if inputs.lateness > MAX_STALL or monitor.missed >= MAX_MISSED_TICKS:
-        missed = {"missed": monitor.missed, "limit_missed": MAX_MISSED_TICKS}
-        yield _violation(Outcome.TICK, inputs.lateness, MAX_STALL, **missed)
+    if inputs.lateness > MAX_STALL:
+        yield _violation(Outcome.TICK, inputs.lateness, MAX_STALL)
     if inputs.measured_age > MAX_MEASUREMENT_AGE:
         yield _violation(Outcome.MEASUREMENT_STALE, inputs.measured_age, MAX_MEASUREMENT_AGE)
     if inputs.encoder_age > MAX_STALL:

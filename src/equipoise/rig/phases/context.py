@@ -154,11 +154,17 @@ class RunContext:
         """Time at which it ended [s]."""
         self.identified: Actuator | None = None
         """Actuator that the excitation has identified."""
-        self._stalled = set[str]()
+        self._warnings = set[str]()
 
     def notify(self, name: str, text: str) -> None:
         """Send a message to the operator and to the log."""
         self.events.append(OperatorMessage(name, text))
+
+    def warn_once(self, text: str) -> None:
+        """Send a warning, the first time only."""
+        if text not in self._warnings:
+            self._warnings.add(text)
+            self.notify("warning", text)
 
     def ask(self, name: str, text: str, answers: tuple[str, ...]) -> None:
         """Ask the operator."""
@@ -207,9 +213,8 @@ class RunContext:
         moved, at_rest = any(self.dq), (0.0,) * len(self.q)
         self.q, self.dq = self.sent.begin_anew(unsent), at_rest
         self.phase.begin_anew(missed, unsent > 0)
-        if moved and warning not in self._stalled:
-            self._stalled.add(warning)
-            self.notify("warning", warning)
+        if moved:
+            self.warn_once(warning)
 
     def assume(self, response: ArmResponse) -> None:
         """Assume a response of the arm from now on; the arm rests at home."""

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
-from math import cosh, inf, nan, pi, sinh, sqrt
+from math import inf, nan, pi, sqrt
 from typing import Any, Final
 
 import numpy as np
@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from equipoise.control.ticks import Reply, Sample
 from equipoise.safety import rules
-from equipoise.safety.dropouts import DropoutMonitor
 from equipoise.safety.plausibility import JointPlausibility
+from equipoise.safety.repeats import RepeatMonitor
 from equipoise.safety.rules import Limits
 
 Array = npt.NDArray[np.float64]
@@ -20,10 +20,12 @@ HISTORY: Final = 64
 """Number of samples and of setpoints in memory: 64 ms at 1 kHz, for the fit at the release."""
 SENDING_TIME: Final = 0.001
 """Tolerance of the time at which a setpoint is sent [s]."""
-MAX_TIMED_REPLY: Final = 0.020
-"""Maximum round trip of a reply whose joints count as measured [s]: in a longer one the time of
-their measurement is too uncertain. A link to a robot takes 9 ms at most. With longer round trips
-only, the age of the measurement stops the run (`Outcome.MEASUREMENT_STALE`)."""
+MAX_ROUND_TRIP: Final = 0.0175
+"""Round trip of a reply beyond which the robot's link stalls [s]: three and a half periods, because
+a driver reads replies once per setpoint. A sound link takes 9 ms at most. A moving arm is sent
+nothing until the replies have come: a link that stands still delivers all setpoints at once, and
+the arm then goes to the last one at its highest speed. The joints of such a reply do not count,
+because the time of their measurement is too uncertain."""
 FALL_WINDOW: Final = 0.04
 """Window for estimating the state at release [s]."""
 
@@ -85,8 +87,8 @@ class EncoderReadings:
         """The last samples, the oldest first."""
         self.zero: float | None = None
         """Count of the hanging pendulum; None before the reference."""
-        self.dropouts = DropoutMonitor()
-        """Monitor of lost samples."""
+        self.dropouts, self.bridged = RepeatMonitor(), False
+        """Monitor of lost samples, and whether one was bridged."""
         self._missing, self._illegal, self._jump = 0, False, 0.0
 
     def add(self, sample: Sample) -> None:
@@ -94,7 +96,10 @@ class EncoderReadings:
         samples = self.samples
         samples.append(sample)
         if sample.missing and self.zero is not None:
-            self._missing += self.dropouts.serious(sample.time, sample.missing)
+            # Counts are absolute: a single missing sample hides a millisecond and nothing else.
+            serious = self.dropouts.add(sample.time) or sample.missing > 1
+            self._missing += sample.missing if serious else 0
+            self.bridged = self.bridged or not serious
         self._illegal = self._illegal or sample.illegal
         if len(samples) > 2:
             last = [samples[i] for i in (-3, -2, -1)]
@@ -133,17 +138,12 @@ class EncoderReadings:
 
         A free fall near upright is a cosh(w t) + b sinh(w t) / w; a and b by least squares.
         """
-        w = sqrt(w2)
-        cc = cs = ss = cy = sy = 0.0
-        for sample in reversed(self.samples):
-            t = sample.time - now
-            if t < -FALL_WINDOW:
-                break
-            c, s, phi = cosh(w * t), sinh(w * t) / w, self._angle(sample.counts)
-            cc, cs, ss = cc + c * c, cs + c * s, ss + s * s
-            cy, sy = cy + c * phi, sy + s * phi
-        determinant = cc * ss - cs * cs
-        return (ss * cy - cs * sy) / determinant, (cc * sy - cs * cy) / determinant
+        w, since = sqrt(w2), self.samples[-1].time - FALL_WINDOW  # samples may come late
+        falls = [one for one in self.samples if one.time >= since]
+        t = w * (np.array([one.time for one in falls]) - now)
+        phi = [self._angle(one.counts) for one in falls]
+        (a, b), *_ = np.linalg.lstsq(np.column_stack((np.cosh(t), np.sinh(t) / w)), phi)
+        return float(a), float(b)
 
     def _angle(self, counts: float) -> float:
         return (2.0 * pi - (counts - (self.zero or 0.0)) * self._resolution) % (2.0 * pi) - pi
@@ -160,8 +160,8 @@ class ArmReadings:
         """Time from which the age of the measurement counts [s]."""
         self.answered = -inf
         """Time at which the newest setpoint with a reply was sent [s]."""
-        self.fresh = False
-        """Whether joints were measured since the tick before."""
+        self.fresh, self.late = False, False
+        """Whether joints were measured, and whether a reply was late, since the tick before."""
         self.plausibility = JointPlausibility(limits)
         """Monitor of the joints' plausibility."""
         self.torque_at_home: Array | None = None
@@ -172,12 +172,13 @@ class ArmReadings:
 
     def begin_tick(self) -> None:
         """Forget what is new."""
-        self.fresh, self._torque = False, None
+        self.fresh, self.late, self._torque = False, False, None
 
     def add(self, reply: Reply, rests_at_home: bool) -> bool:
         """Add the newest reply; return whether its joints count as measured."""
         self.answered = reply.sent
-        counts = reply.q is not None and reply.received - reply.sent <= MAX_TIMED_REPLY
+        late = reply.received - reply.sent > MAX_ROUND_TRIP
+        self.late, counts = self.late or late, reply.q is not None and not late
         if reply.q is not None and counts:
             self.q, self.fresh = tuple(reply.q), True
             self.time = self.known_since = 0.5 * (reply.sent + reply.received)

@@ -45,8 +45,8 @@ class Stopping(RunPhase):
         return (flange.pose(q).x - flange.pose(before).x) / h
 
     def begin_anew(self, missed: int, unsent: bool) -> None:
-        """Hold the arm where it rests."""
-        if self._motion is not None:
+        """Hold the arm where it rests; a hold that has begun goes on, so that the run ends."""
+        if self._motion is not None and not self._motion.at_rest:
             self._motion.rest(self.run.q)
 
     def tick(self, now: float) -> Setpoints:

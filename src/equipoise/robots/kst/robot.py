@@ -142,8 +142,11 @@ class KstRobot:
         self._at_rest("measure")
         return np.array(self._numbers(codec.GET_JOINTS))
 
-    def start(self) -> None:
-        """Start the servo, which holds the arm at its position.
+    def start(self) -> Array:
+        """Start the servo, which holds the arm at its position without a setpoint.
+
+        Returns:
+            The joints measured then [rad], shape (7,).
 
         Raises:
             LinkError: A reply is late or invalid.
@@ -153,9 +156,9 @@ class KstRobot:
         self._done(codec.START_SERVO)
         self._wait(AFTER_START)
         measured = self._numbers(codec.GET_JOINTS)
-        held = self._numbers(codec.setpoint(measured, joints=self.joints))
         self._streams, self._sent = True, 0
-        self._last = (self._clock.now(), held)
+        self._last = (self._clock.now(), measured)
+        return np.array(measured)
 
     def send(self, q: Sequence[float] | Array) -> None:
         """Send a setpoint of all joints; each tenth requests torques instead of joints.

@@ -80,6 +80,7 @@ class KstServer:
         self.busy = False
         """Whether a servo or a motion runs or is starting."""
         self._body, self._target = body, [0.0] * len(body.arm.joints)
+        self._own_reading = body.measured  # of the servo, which no fault of a reply reaches
         self._lines = KstLineSplitter()
         self._reads = True
         self._segments: list[bytes] = []
@@ -196,7 +197,7 @@ class KstServer:
         yield from self._sleep(SERVO_START)
         self._runs = True
         self._body.servo(True)
-        self._target[:] = self._body.measured()
+        self._target[:] = self._own_reading()
         self._body.target(tuple(self._target))
         while self._requested:
             yield
