@@ -110,7 +110,7 @@ class Course:
         self.texts += [event.text for event in output.events]
         if output.job is not None:
             tests = self.pilot.phase.kind is Phase.SELF_TEST
-            self.result = (SOUND, []) if tests else executed(output.job)
+            self.result = SOUND if tests else executed(output.job)
             if tests and self.verdicts:
                 self.result = SOUND._replace(verdict=self.verdicts.pop()), []
         for event in output.events:
