@@ -99,9 +99,16 @@ class Commanded(guest.GuestRobot):
         return request and request._replace(q=self.last or request.q)
 
 
-def sends_back(driver):
-    guest.GuestRobot.start(driver)
-    driver._send(guest.SETPOINT, driver._measured)
+class Relative(guest.GuestRobot):
+    """Answers with the way from what a single reply said at the start."""
+
+    def start(self):
+        super().start()
+        self.begin, self.first = np.array(self._measured), None
+
+    def answer(self, q):
+        self.first = q if self.first is None else self.first
+        super().answer(self.begin + np.array(q) - self.first)
 
 
 def pulls(driver, q):
@@ -140,7 +147,7 @@ BROKEN = {
     "degrees both ways": (changed(np.degrees, setpoint=np.radians), "in degrees"),
     "wrong order": (changed(flipped), "in another order"),
     "wrong order both ways": (changed(flipped, setpoint=flipped), "in another order"),
-    "NaN in a reply": (changed(reply=lambda one: one._replace(q=(nan,) * 7)), "not finite"),
+    "NaN in a reply": (changed(reply=lambda one: one._replace(q=(nan,) * 7)), "measured nan rad"),
     "works after close": (driver(close=lambda self: None), "after close"),
     "loses a sign": (changed(np.abs), "of the wrong sign"),
     "commanded joints": (Commanded, "commanded instead"),
@@ -148,7 +155,7 @@ BROKEN = {
     "blocks in receive": (driver(request=blocks), "the driver blocks"),
     "times stand still": (changed(reply=lambda one: one._replace(time=0.0)), "0 replies"),
     "no setpoint is sent": (driver(answer=accepts), "6 requests had no answer"),
-    "a single reply is sent back": (driver(start=sends_back), "wrong replies moved the arm"),
+    "a single reply at the start": (Relative, "wrong replies moved the arm"),
     "corrected by wrong joints": (driver(answer=pulls), "wrong replies moved the arm"),
     "one joint too few": (changed(lambda q: q[:6]), "7 joints"),
 }
