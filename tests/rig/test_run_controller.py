@@ -112,7 +112,7 @@ class Course:
             tests = self.pilot.phase.kind is Phase.SELF_TEST
             self.result = SOUND if tests else executed(output.job)
             if tests and self.verdicts:
-                self.result = SOUND._replace(verdict=self.verdicts.pop()), []
+                self.result = SOUND._replace(verdict=self.verdicts.pop())
         for event in output.events:
             if event.answers:
                 self.answers = [event.answers[0]]

@@ -27,7 +27,7 @@ from equipoise.robots.franka import robot as driver
 from equipoise.robots.franka.arm import fr3
 from equipoise.robots.franka.lockstep import POLL, Lockstep
 from equipoise.robots.franka.robot import FrankaRobot
-from equipoise.testing import RobotConformance, RobotUnderTest
+from equipoise.testing import MISREAD, RobotConformance, RobotUnderTest
 
 pytestmark = pytest.mark.compiled_only
 
@@ -57,7 +57,11 @@ class TestFranka(RobotConformance):
     def make(self):
         self.bench = Bench()
         rig, robot = self.bench.rig, self.bench.robot
-        return RobotUnderTest(robot, robot, rig.plug, lambda: rig.q)
+
+        def misread(numbers):  # all from now on: the controller has a process of its own
+            rig.mismeasure(MISREAD * np.eye(7)[0])
+
+        return RobotUnderTest(robot, robot, rig.plug, lambda: rig.q, misread)
 
     def teardown_method(self):
         super().teardown_method()
