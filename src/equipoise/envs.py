@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from equipoise import paper
 from equipoise.arguments import checked
+from equipoise.arrays import Array
 from equipoise.artefacts import Count, Seed, StrPath, Value, first_fault, quoted
 from equipoise.control.controller import Observation
 from equipoise.control.grid import TRUNCATED
@@ -25,7 +26,6 @@ from equipoise.learning import rewards
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, read_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.resolve import read_arm
-from equipoise.model.elementary import Array
 from equipoise.model.pendulum import Pendulum, read_pendulum
 from equipoise.model.random import ENVIRONMENT, TEST
 from equipoise.model.worlds import MODEL, World

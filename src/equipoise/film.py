@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.artefacts import write_whole
 from equipoise.errors import InputError, OutsideError, import_optional
 from equipoise.logs.motion import Motion
@@ -25,7 +26,6 @@ from equipoise.model.arms.scene import Sizes, scene
 from equipoise.model.physics_engine import mujoco
 from equipoise.paper import X_LIMIT
 
-Floats = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.uint8]
 """Red, green and blue of every pixel, rows from the top, shape (height, width, 3)."""
 
@@ -68,13 +68,13 @@ class RigScene(NamedTuple):
 
     model: Any
     """A `mujoco.MjModel`; its positions are all joints of the arm, then phi."""
-    pivot: Floats
+    pivot: Array
     """Pivot of the pendulum at home, in the base frame [m], shape (3,)."""
-    posts: Floats
+    posts: Array
     """Upper ends of the posts at -X_LIMIT and X_LIMIT [m], shape (2, 3)."""
-    target: Floats
+    target: Array
     """Point at which the camera looks [m], shape (3,)."""
-    view: Floats
+    view: Array
     """Points that stay in view, from the target, to the right, upwards and ahead [m], (n, 3)."""
 
     def distance(self, aspect: float) -> float:
@@ -85,7 +85,7 @@ class RigScene(NamedTuple):
         return float(np.max(needed))
 
 
-def camera_axes() -> Floats:
+def camera_axes() -> Array:
     """Return the unit vectors to the right, upwards and ahead of the camera, shape (3, 3)."""
     azimuth, elevation = np.radians([AZIMUTH_DEG, ELEVATION_DEG])
     right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
@@ -173,7 +173,7 @@ class RigRenderer:
                 "a display, glfw"
             ) from None
 
-    def draw(self, q: Floats, phi: float, u: float = 0.0) -> Picture:
+    def draw(self, q: Array, phi: float, u: float = 0.0) -> Picture:
         """Return a picture of a posture.
 
         Args:
@@ -273,7 +273,7 @@ def write_film(
 
 
 def _frames(
-    run: RunLog, motion: Motion, times: Floats, suffix: str, report: Callable[[float], None]
+    run: RunLog, motion: Motion, times: Array, suffix: str, report: Callable[[float], None]
 ) -> Iterator[Any]:
     """Yield the pictures of a run at times [s], with two lines of numbers below, as PIL images."""
     from matplotlib import get_data_path

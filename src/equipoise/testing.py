@@ -21,6 +21,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from equipoise.arrays import Array
 from equipoise.control.grid import ANGLE, TRUNCATED
 from equipoise.control.minimum_jerk import Path
 from equipoise.errors import EquipoiseError, InputError, LinkError
@@ -28,7 +29,7 @@ from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig
-from equipoise.rig.interfaces import SETPOINT_PERIOD, Array, Clock, Reply, Robot
+from equipoise.rig.interfaces import SETPOINT_PERIOD, Clock, Reply, Robot
 from equipoise.rig.signals import ended_stalls
 from equipoise.worlds import ClosedLoop, Setup, Simulation, predicted
 

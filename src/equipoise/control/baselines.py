@@ -6,15 +6,13 @@ They use the pendulum's nominal parameters and the same observation as the table
 import math
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import expm, solve_discrete_are
 
 from equipoise import paper
+from equipoise.arrays import Array
 from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, PolicyKernel
 from equipoise.errors import InputError
 from equipoise.model.pendulum import PendulumParameters
-
-Array = npt.NDArray[np.float64]
 
 
 def baselines(pendulum: PendulumParameters, h: float) -> dict[str, PolicyKernel]:

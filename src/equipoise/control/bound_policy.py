@@ -19,11 +19,11 @@ from typing import Any, Final, Protocol, Self
 
 from equipoise import paper
 from equipoise.arguments import checked
+from equipoise.arrays import Array
 from equipoise.artefacts import DIGEST_PREFIX, StrPath
 from equipoise.control.baselines import baselines
 from equipoise.control.onnx_policy import OnnxPolicy
 from equipoise.control.policy import (
-    Array,
     BoundPolicy,
     KernelPolicy,
     TabularPolicy,

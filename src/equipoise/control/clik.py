@@ -20,13 +20,12 @@ from math import sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.jit import called, inlined, kernel
 from equipoise.model.arms.compiler import BIAS, JACOBIAN, POSITION, ROTATION, TWIST
 from equipoise.model.elementary import BATCH_SIZE, at, fma, put
 
-Array = npt.NDArray[np.float64]
 Point = tuple[float, float, float]
 Twist = tuple[float, float, float, float, float, float]
 

@@ -30,6 +30,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.control.clik import (
     GAMMA,
     REFERENCE_SIZE,
@@ -57,8 +58,6 @@ from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST,
 from equipoise.model.elementary import BATCH_SIZE, at, put, zeros
 from equipoise.model.pendulum import PendulumParameters, runge_kutta
 from equipoise.settings import Settings
-
-Array = npt.NDArray[np.float64]
 
 CORRECTION: Final = 0.1
 """Share of the difference between measured and modelled joints that is corrected per tick: a

@@ -9,8 +9,8 @@ from math import asin, ceil, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.control.clik import manipulability
 from equipoise.control.control_step import (
     HISTORY_TICKS,
@@ -30,8 +30,6 @@ from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST, KinematicsFunction
 from equipoise.model.elementary import BATCH_SIZE, at
 from equipoise.settings import BoxSettings
-
-Array = npt.NDArray[np.float64]
 
 
 class Observation(NamedTuple):

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from equipoise import paper
+from equipoise.arrays import Array
 from equipoise.artefacts import DIGEST_PREFIX, MAX_FILE_SIZE, StrPath, read_bytes
-from equipoise.control.policy import Array
 from equipoise.errors import InputError, import_optional
 
 

@@ -16,10 +16,10 @@ from math import floor, isfinite, nan
 from typing import Annotated, Any, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from equipoise import paper
+from equipoise.arrays import Array
 from equipoise.artefacts import DIGEST_PREFIX, Artefact, Count, Number, Seed, Share, Value
 from equipoise.control import grid
 from equipoise.control.grid import Grid, box_count, box_index
@@ -32,8 +32,6 @@ from equipoise.model.random import DEPLOYMENT, philox, uniform
 from equipoise.outcomes import Outcome
 from equipoise.settings import BoxSettings, Settings, describe_recipe
 from equipoise.user_code import guest_code
-
-Array = npt.NDArray[np.float64]
 
 TABLE, LINEAR, SNAPPED, RANDOM = range(4)
 """Kinds of `PolicyKernel`."""

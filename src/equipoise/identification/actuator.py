@@ -28,6 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.arguments import checked
+from equipoise.arrays import Array
 from equipoise.artefacts import DIGEST_PREFIX, Estimate, StrPath
 from equipoise.errors import RecordingError
 from equipoise.identification.least_squares import (
@@ -49,8 +50,6 @@ from equipoise.model.actuator import (
     track,
 )
 from equipoise.model.arms.arm import FREE_JOINTS
-
-Array = npt.NDArray[np.float64]
 
 DELAY, T_C, LAG, LOAD_BIAS = 0, 1, 2, 2 + FREE_JOINTS
 """Indices of the unknowns: the delay, t_c, a lag and a load bias of each joint."""

@@ -9,13 +9,11 @@ from math import inf, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.identification.least_squares import blocks_of_time, fit_unknowns, jackknife
 from equipoise.model.pendulum import STEPS_PER_PERIOD, PendulumParameters, swing
 from equipoise.settings import Friction
-
-Array = npt.NDArray[np.float64]
 
 W2, C, COULOMB, DRAG, THETA, THETA_DOT, OFFSET, SCALE = range(8)
 """Indices of the unknowns: four of the pendulum, its initial state, zero offset (or gyro bias), and

@@ -27,6 +27,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from equipoise.arguments import Duration, checked
+from equipoise.arrays import Array
 from equipoise.artefacts import (
     DIGEST_PREFIX,
     MEBIBYTE,
@@ -42,8 +43,6 @@ from equipoise.model.encoder import counts_from_theta, theta_from_counts
 from equipoise.model.pendulum import STEPS_PER_PERIOD, Pendulum, PendulumParameters, swing
 from equipoise.printable import printable
 from equipoise.settings import FINEST_ENCODER
-
-Array = npt.NDArray[np.float64]
 
 TIMES: Final = {"time_s": 1.0, "time_ms": 1e-3, "time_us": 1e-6}
 """Accepted columns of time stamps, with their units [s]; a file has one."""

@@ -16,8 +16,8 @@ from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.artefacts import Estimate
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError, RecordingError
@@ -29,8 +29,6 @@ from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.encoder import theta_from_counts
 from equipoise.model.pendulum import Pendulum
 from equipoise.settings import PlantSettings
-
-Array = npt.NDArray[np.float64]
 
 NORMAL: Final = 1.96
 """Half width of a 95 % interval in standard deviations [-]."""

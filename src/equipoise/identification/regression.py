@@ -20,14 +20,12 @@ derivative. All terms see the same window.
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.artefacts import Estimate, Value
 from equipoise.errors import RecordingError
 from equipoise.identification.least_squares import blocks_of_time, half_width, jackknife
 from equipoise.settings import GRAVITY
-
-Array = npt.NDArray[np.float64]
 
 WINDOW: Final = 0.3
 """Length of the smooth window [s]. Shorter windows pass the encoder's steps; longer windows lose

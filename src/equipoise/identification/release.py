@@ -13,10 +13,9 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.errors import RecordingError
 from equipoise.identification.recording import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 PERIOD_RANGE: Final = (0.05, 20.0)
 """Accepted range of the period of a small swing [s]: point pendulums of 0.6 mm and 100 m. Periods

@@ -21,8 +21,8 @@ from math import inf, nan, pi, radians, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.control.minimum_jerk import Path
 from equipoise.identification.least_squares import (
     blocks_of_time,
@@ -32,8 +32,6 @@ from equipoise.identification.least_squares import (
 )
 from equipoise.jit import kernel
 from equipoise.model.pendulum import PendulumParameters, step
-
-Array = npt.NDArray[np.float64]
 
 MOVE_DISTANCE: Final = 0.04
 """Distance of the flange's move [m]."""

@@ -23,6 +23,7 @@ from typing import Final
 import numpy as np
 
 from equipoise.arguments import checked
+from equipoise.arrays import Array
 from equipoise.artefacts import Estimate, StrPath
 from equipoise.errors import RecordingError
 from equipoise.identification import fit as fitting
@@ -34,7 +35,6 @@ from equipoise.identification.fit import (
     THETA,
     THETA_DOT,
     W2,
-    Array,
     C,
     SwingRecording,
 )

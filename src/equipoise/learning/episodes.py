@@ -17,6 +17,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from equipoise.arrays import Array, IntArray
 from equipoise.control.grid import TRUNCATED, Grid
 from equipoise.jit import called, inlined, kernel, struct_ref
 from equipoise.learning.learner import (
@@ -59,10 +60,6 @@ from equipoise.worlds.plant import (
     reset,
     step,
 )
-
-Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-
 
 # Entries of `TrainingState.totals`.
 BEGUN: Final = 0

@@ -18,14 +18,12 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from equipoise.arrays import Array, IntArray
 from equipoise.control.control_step import OBS_PHI, OBS_PHI_DOT, OBS_X, OBS_X_DOT
 from equipoise.control.controller import Observation
 from equipoise.control.grid import ACTIONS, TRUNCATED, mirrored_box
 from equipoise.jit import compilable, inlined
 from equipoise.model.elementary import BATCH_SIZE, at
-
-Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 class Tables(NamedTuple):

@@ -20,11 +20,11 @@ from math import log
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq
 from scipy.special import bdtrc, betaln, xlog1py, xlogy
 
 from equipoise import paper
+from equipoise.arrays import Array, IntArray
 from equipoise.control.grid import TRUNCATED, make_grid
 from equipoise.control.policy import Checkpoint, PolicyKernel, TargetTest, table_kernel
 from equipoise.model.random import SELECTION
@@ -33,8 +33,6 @@ from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.worlds.ideal import PlantSimulation
 from equipoise.worlds.interface import Setup
 
-Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Running = Callable[[int, int], None]
 """Callback for finished trials, and the number of trials that are expected."""
 

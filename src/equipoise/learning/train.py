@@ -10,10 +10,10 @@ from math import inf
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.arguments import Workers, checked
+from equipoise.arrays import Array
 from equipoise.artefacts import Count, Seed, StrPath
 from equipoise.control.grid import make_grid
 from equipoise.control.policy import (
@@ -57,8 +57,6 @@ from equipoise.worlds.ideal import PlantSimulation
 from equipoise.worlds.interface import predicted
 from equipoise.worlds.reachability import check_releases
 from equipoise.worlds.trials import Trial
-
-Array = npt.NDArray[np.float64]
 
 
 @checked

@@ -8,12 +8,10 @@ from math import isfinite, pi
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.errors import ArtefactError, InputError, RecordingError
 from equipoise.logs.run_log import RunLog
-
-Floats = npt.NDArray[np.float64]
 
 
 class Pose(NamedTuple):
@@ -21,7 +19,7 @@ class Pose(NamedTuple):
 
     time: float
     """Time [s]."""
-    q: Floats
+    q: Array
     """Measured joints [rad], in simulation the true ones, shape (joints,)."""
     x: float
     """Displacement of the flange [m]."""
@@ -38,17 +36,17 @@ class Pose(NamedTuple):
 class Motion(NamedTuple):
     """Motion of a run at its ticks."""
 
-    time: Floats
+    time: Array
     """Times of the ticks [s], increasing, shape (n,)."""
-    q: Floats
+    q: Array
     """Joints [rad], as of `Pose`, shape (n, joints)."""
-    x: Floats
+    x: Array
     """Displacement of the flange [m], shape (n,)."""
-    phi: Floats
+    phi: Array
     """Angle from upright [rad], continuous beyond a turn, shape (n,); NaN while unknown."""
-    u: Floats
+    u: Array
     """Commanded acceleration [m/s^2], shape (n,)."""
-    late: Floats
+    late: Array
     """Lateness [s], shape (n,); NaN in simulation."""
     phases: tuple[str, ...]
     """Phase of each tick; empty in simulation."""
@@ -136,7 +134,7 @@ def _origin(run: RunLog) -> float:
     return float(run.tables["tick"]["time"][0])
 
 
-def _measured_joints(run: RunLog, at: Floats, began: float) -> Floats:
+def _measured_joints(run: RunLog, at: Array, began: float) -> Array:
     """Return the joints of the replies, else the commanded ones, shape (n, joints)."""
     tick, reply = run.tables["tick"], run.tables["reply"]
     reply = reply[np.isfinite(reply["q"]).all(axis=1) & np.isfinite(reply["sent"])]
@@ -148,7 +146,7 @@ def _measured_joints(run: RunLog, at: Floats, began: float) -> Floats:
     return np.column_stack([np.interp(at, measured - began, joint) for joint in joints["q"].T])
 
 
-def _displacement(run: RunLog, q: Floats) -> Floats:
+def _displacement(run: RunLog, q: Array) -> Array:
     arm = run.conditions.arm
     home = arm.kinematics(arm.home_free).position[0]
     return np.array(
@@ -156,7 +154,7 @@ def _displacement(run: RunLog, q: Floats) -> Floats:
     )
 
 
-def _measured_phi(run: RunLog, at: Floats, began: float) -> Floats:
+def _measured_phi(run: RunLog, at: Array, began: float) -> Array:
     """Return the angle by the encoder; NaN without counts, or before a zero was found."""
     encoder, unknown = run.tables["encoder"], np.full(len(at), np.nan)
     try:
@@ -170,7 +168,7 @@ def _measured_phi(run: RunLog, at: Floats, began: float) -> Floats:
     return np.remainder(-2.0 * np.pi * turns, 2.0 * np.pi) - np.pi
 
 
-def _interpolated(time: float, times: Floats, rows: Floats) -> Floats:
+def _interpolated(time: float, times: Array, rows: Array) -> Array:
     """Return the row at a time, on straight lines between rows, shape (columns,)."""
     return np.array([np.interp(time, times, column) for column in rows.T])
 

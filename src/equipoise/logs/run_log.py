@@ -17,6 +17,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from equipoise.arrays import Array, IntArray
 from equipoise.artefacts import DIGEST_PREFIX, Provenance, StrPath, write_whole
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.logs.columns import TABLES, Rows, canonical, tables
@@ -25,9 +26,6 @@ from equipoise.logs.reader import read_log
 from equipoise.logs.recorder import LoggedEvent, read_events
 from equipoise.logs.writer import LogEncoder
 from equipoise.outcomes import End, Outcome, Phase
-
-Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 class _TickColumn:

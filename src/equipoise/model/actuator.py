@@ -24,10 +24,11 @@ from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
+from equipoise.arrays import Array
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, StrPath, Value
 from equipoise.jit import PACKAGE, called, inlined, kernel
 from equipoise.model.arms.arm import FREE_JOINTS
-from equipoise.model.elementary import BATCH_SIZE, Array, fma
+from equipoise.model.elementary import BATCH_SIZE, fma
 
 Kind = Literal["ideal", "lag", "unshaped", "kst"]
 

@@ -11,13 +11,10 @@ a block, independent of the other lanes.
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from numba import types
 
+from equipoise.arrays import Array
 from equipoise.jit import disabled, fma, inlined
-
-Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 BATCH_SIZE: Final = 16
 """Number of states in a block: fills the widest registers and hides the latency of a division."""

@@ -18,9 +18,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from equipoise.arguments import checked
+from equipoise.arrays import Array
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, StrPath, Value
 from equipoise.jit import PACKAGE, called, inlined, kernel
-from equipoise.model.elementary import Array, fma, sincos
+from equipoise.model.elementary import fma, sincos
 from equipoise.settings import GRAVITY, Friction, IdentificationSettings
 
 MIN_PERIOD: Final = 1e-5

@@ -10,8 +10,8 @@ from math import degrees, floor, inf
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.control.policy import TaskPolicy
 from equipoise.errors import EquipoiseError, InputError
 from equipoise.model.actuator import Actuator
@@ -19,8 +19,6 @@ from equipoise.model.arms.arm import Arm
 from equipoise.rig.config import RigSettings
 from equipoise.rig.interfaces import SETPOINT_PERIOD
 from equipoise.safety.rules import MAX_STALL
-
-Array = npt.NDArray[np.float64]
 
 STALL: Final = 0.020
 """Delay from which a loop, an encoder or a link counts as stalled [s]: two ticks. A robot that sets

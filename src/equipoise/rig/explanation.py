@@ -27,8 +27,8 @@ from math import degrees, exp, radians
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.identification.refine import ModelMotion, read_motion
 from equipoise.logs.run_log import RunLog
@@ -36,8 +36,6 @@ from equipoise.outcomes import Outcome, describe
 from equipoise.rig.checks import STALL, is_emulated
 from equipoise.rig.phases.context import RESTART_ACCELERATION
 from equipoise.worlds.reachability import diverging_angle, fall_rate, recoverable_angle
-
-Array = npt.NDArray[np.float64]
 
 GRID_STEP: Final = 0.005
 """Sampling period of the unexplained rate and of the delay [s]."""

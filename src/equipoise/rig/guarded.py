@@ -7,9 +7,10 @@ setpoint sent with its velocity. It never clips a setpoint.
 
 from collections.abc import Iterator, Sequence
 
+from equipoise.arrays import Array
 from equipoise.errors import LinkError
 from equipoise.outcomes import End, describe
-from equipoise.rig.interfaces import Array, Robot
+from equipoise.rig.interfaces import Robot
 from equipoise.safety.rules import Limits, check_first, check_setpoint
 from equipoise.safety.stop import Ramp, ramp
 

@@ -10,12 +10,10 @@ from contextlib import suppress
 from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.control.ticks import OperatorMessage, Reply, Sample
 from equipoise.errors import InputError
-
-Array = npt.NDArray[np.float64]
 
 SETPOINT_PERIOD: Final = 0.005
 """Time between two setpoints [s]: half a tick of 10 ms."""

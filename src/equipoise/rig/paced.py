@@ -23,11 +23,11 @@ from typing import Final, NoReturn
 
 import numpy as np
 
+from equipoise.arrays import Array
 from equipoise.errors import LinkError
 from equipoise.rig.clocks import DrainingClock
 from equipoise.rig.interfaces import (
     SETPOINT_PERIOD,
-    Array,
     Clock,
     PacedRobot,
     Reply,

@@ -19,13 +19,14 @@ from typing import Any, Final, Generic, Literal, NamedTuple, Protocol, TypeVar
 
 from pydantic import ValidationError
 
+from equipoise.arrays import Array
 from equipoise.artefacts import Share, Value, first_fault
 from equipoise.errors import InputError
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.config import Load
-from equipoise.rig.interfaces import AngleSensor, Array, Clock, PacedRobot, Robot, Transport
+from equipoise.rig.interfaces import AngleSensor, Clock, PacedRobot, Robot, Transport
 from equipoise.rig.simulated_rig import Bench, SimulatedRig
 from equipoise.user_code import guest_code
 

@@ -10,8 +10,8 @@ from time import perf_counter
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.control.controller import Controller, FlangeKinematics
 from equipoise.control.policy import shipped_policy, tick_policy
 from equipoise.errors import InputError, LinkError
@@ -38,8 +38,6 @@ from equipoise.rig.phases.balancing import POLICY_TIME_SHARE
 from equipoise.rig.realtime import prepare
 from equipoise.rig.request import RunRequest
 from equipoise.user_code import guest_code
-
-Array = npt.NDArray[np.float64]
 
 REALTIME: Final = Path("/sys/kernel/realtime")
 """File that exists on a kernel with PREEMPT_RT."""

@@ -6,8 +6,8 @@ from math import inf, radians
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.control.control_step import ControllerParams, horizon, make_controller_params
 from equipoise.control.policy import TaskPolicy, shipped_policy
 from equipoise.logs.conditions import RunConditions
@@ -17,8 +17,6 @@ from equipoise.rig.checks import actuator_fits
 from equipoise.rig.config import RigSettings
 from equipoise.safety.rules import SafetyParams, make_safety_params
 from equipoise.worlds.twin.excitation import excitation
-
-Array = npt.NDArray[np.float64]
 
 
 class ArmResponse(NamedTuple):

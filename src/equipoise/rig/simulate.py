@@ -12,10 +12,10 @@ the actuator (`equipoise.identification.actuator`).
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.arguments import Duration, checked
+from equipoise.arrays import Array
 from equipoise.artefacts import Seed, StrPath
 from equipoise.control.bound_policy import AnyPolicy, read_policy
 from equipoise.control.control_step import SETPOINTS_PER_TICK
@@ -39,8 +39,6 @@ from equipoise.model.worlds import (
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import Settings
 from equipoise.worlds import Recorder, run_trial, setup_of, simulate
-
-Array = npt.NDArray[np.float64]
 
 
 @checked

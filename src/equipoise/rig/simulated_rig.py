@@ -14,13 +14,14 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from equipoise.arrays import Array
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.worlds.twin.hand import Hand, HandParams, Side, draw_hand_params
 from equipoise.worlds.twin.physics import TICK, rod_centre, rod_inertia
 from equipoise.worlds.twin.simulated_arm import SimulatedArm
-from equipoise.worlds.twin.twin import Array, TrueState, Twin, advance
+from equipoise.worlds.twin.twin import TrueState, Twin, advance
 
 PRESS: Final = 0.1
 """Duration of a press of the button [s]."""

@@ -16,11 +16,9 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.safety.rules import FOLLOWING_LIMIT, STILL_ANGLE, Limits, unexplained_step
-
-Array = npt.NDArray[np.float64]
 
 MIN_REPLIES: Final = 5
 """Minimum number of replies with joints before a measured posture is used [-]."""

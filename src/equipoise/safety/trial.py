@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
+from equipoise.arrays import Array
 from equipoise.control.control_step import (
     EST_PHI,
     EST_PIVOT_V,
@@ -29,8 +30,6 @@ from equipoise.model.elementary import BATCH_SIZE, at
 from equipoise.model.worlds import TwinSettings
 from equipoise.safety import rules
 from equipoise.safety.rules import NO_VIOLATION, Limits, SafetyParams
-
-Array = npt.NDArray[np.float64]
 
 SETPOINT_HISTORY: Final = 64
 """Number of setpoints in memory: 0.32 s, more than delay and age of a reply together."""

@@ -11,6 +11,7 @@ from math import floor, inf, pi
 import numpy as np
 
 from equipoise import paper
+from equipoise.arrays import Array
 from equipoise.control.control_step import (
     SETPOINTS_PER_TICK,
     make_controller_params,
@@ -28,7 +29,7 @@ from equipoise.control.grid import (
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.user_code import guest_code
-from equipoise.worlds.interface import Array, ClosedLoop, Simulation
+from equipoise.worlds.interface import ClosedLoop, Simulation
 from equipoise.worlds.plant import SPEED_LIMIT_CAUSE, draw_noise, scaled
 from equipoise.worlds.trials import Trial
 

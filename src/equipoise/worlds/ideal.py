@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from equipoise.arrays import Array, IntArray
 from equipoise.control.control_step import OBS_PHI, OBS_PHI_DOT, OBS_X, OBS_X_DOT
 from equipoise.control.grid import TRUNCATED
 from equipoise.control.policy import RANDOM, TABLE, PolicyKernel, act, table_action
@@ -18,7 +19,7 @@ from equipoise.model.elementary import BATCH_SIZE, at
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import philox, uniform
 from equipoise.model.worlds import IDEAL, MODEL, World
-from equipoise.worlds.interface import Array, ClosedLoop, Setup, Simulation
+from equipoise.worlds.interface import ClosedLoop, Setup, Simulation
 from equipoise.worlds.plant import (
     TRACKED,
     BatchState,
@@ -34,7 +35,7 @@ from equipoise.worlds.plant import (
     scaled,
     step,
 )
-from equipoise.worlds.trials import IntArray, Trial, Trials
+from equipoise.worlds.trials import Trial, Trials
 
 Lanes: Any = struct_ref("Lanes", __name__, ("plant", "pendulum", "batch", "number", "tick", "key"))
 

@@ -14,13 +14,14 @@ from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 
+from equipoise.arrays import Array
 from equipoise.control.control_step import ControllerParams, ControllerState
 from equipoise.control.grid import TRUNCATED
 from equipoise.control.policy import KernelPolicy, Policy, PolicyKernel, TaskPolicy
 from equipoise.executors import completed
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
-from equipoise.model.elementary import BATCH_SIZE, Array
+from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.settings import Settings

@@ -21,6 +21,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from equipoise import paper
+from equipoise.arrays import Array, IntArray
 from equipoise.control.clik import pose_error
 from equipoise.control.control_step import (
     OBS_PHI,
@@ -63,7 +64,7 @@ from equipoise.model.actuator import (
 )
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, TWIST
-from equipoise.model.elementary import BATCH_SIZE, Array, IntArray, at, put, sincos, zeros
+from equipoise.model.elementary import BATCH_SIZE, at, put, sincos, zeros
 from equipoise.model.pendulum import PendulumParameters, runge_kutta
 from equipoise.model.pendulum import step as pendulum_step
 from equipoise.model.random import normal_radius, philox, turn, uniform

@@ -18,9 +18,9 @@ from typing import Any, Final
 import numpy as np
 
 from equipoise import paper
+from equipoise.arrays import Array
 from equipoise.errors import SettingsError
 from equipoise.model.actuator import Actuator
-from equipoise.model.elementary import Array
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import Settings
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from equipoise.model.elementary import Array, IntArray
+from equipoise.arrays import Array, IntArray
 from equipoise.settings import Settings
 from equipoise.worlds.plant import DomainRandomization
 

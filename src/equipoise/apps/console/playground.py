@@ -8,7 +8,6 @@ from math import degrees, exp, radians, sqrt
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise.artefacts import Estimate
 from equipoise.control.bound_policy import load_policy
@@ -22,8 +21,6 @@ from equipoise.paper import PHI_LIMIT_DEG, U_MAX, X_LIMIT
 from equipoise.settings import BoxSettings
 from equipoise.worlds import predicted, setup_of
 from equipoise.worlds.twin.world import TwinSimulation
-
-Floats = npt.NDArray[np.float64]
 
 FALL: Final = 2.0
 """Time that a fall is shown [s]."""

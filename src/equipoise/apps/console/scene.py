@@ -12,9 +12,9 @@ from math import degrees, isfinite, nan, pi
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise.apps.style import BLUE, GREEN, GREY, INK, PALE, PURPLE, VERMILION, typeset
+from equipoise.arrays import Array
 from equipoise.film import ARROW, ARROW_BELOW, ARROW_PER_U, FOV_DEG, build_scene, camera_axes
 from equipoise.model.arms.arm import Arm
 from equipoise.model.physics_engine import mujoco
@@ -24,7 +24,6 @@ from equipoise.printable import printable
 if TYPE_CHECKING:
     import viser
 
-Floats = npt.NDArray[np.float64]
 
 PERIOD: Final = 0.04
 """Time between two pictures [s]."""
@@ -92,10 +91,10 @@ class RigPage:
         camera = self._server.initial_camera  # also of a page that is open already
         camera.fov, camera.look_at = float(np.radians(FOV_DEG)), rig.target
         camera.position = rig.target - rig.distance(1.0) * camera_axes()[2]
-        self._q: Floats | None = None
+        self._q: Array | None = None
         self.show(None, nan)
 
-    def show(self, q: Sequence[float] | Floats | None, phi: float, u: float = 0.0) -> float:
+    def show(self, q: Sequence[float] | Array | None, phi: float, u: float = 0.0) -> float:
         """Show a posture and its readings; return the displacement of the flange [m].
 
         Args:
@@ -138,7 +137,7 @@ class RigPage:
         below = "".join(f"<div>{shown(line)}</div>" for line in lines if line)
         self._state.content = card("state", f'<div style="{head}">{shown(name)}</div>{below}')
 
-    def draw(self, time: Floats, rows: Floats) -> None:
+    def draw(self, time: Array, rows: Array) -> None:
         """Draw the plots.
 
         Args:

@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.artefacts import lock
 from equipoise.logs import shared
 from equipoise.logs.recorder import LoggedEvent, read_events
 from equipoise.outcomes import Phase
 from equipoise.rig.processes import HEARTBEAT_TIMEOUT
-
-Floats = npt.NDArray[np.float64]
 
 
 class RunWatch:
@@ -44,7 +43,7 @@ class RunWatch:
         """Time since the last tick [s]; 0 while the run does not tick."""
         self.phase: Phase | None = None
         """Phase; None before the first tick."""
-        self.q: Floats | None = None
+        self.q: Array | None = None
         """Measured joints [rad], shape (joints,); None while unknown or too old."""
         self.phi, self.u = nan, 0.0
         """Angle of the pendulum from upright [rad], NaN while unknown or too old, and

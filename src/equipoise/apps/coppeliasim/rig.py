@@ -16,16 +16,15 @@ from contextlib import contextmanager, suppress
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from equipoise.apps.coppeliasim.connection import FORGOTTEN, Connection
 from equipoise.apps.coppeliasim.scene import build_scene
+from equipoise.arrays import Array
 from equipoise.errors import InputError, OutsideError
 from equipoise.model.arms.arm import Arm
 from equipoise.rig.signals import SIGNALS, handled_signals
 
-Array = npt.NDArray[np.float64]
 Parameters = list[tuple[str, int, Any]]
 """Type, number and value of parameters of the simulation."""
 

@@ -13,9 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from equipoise.apps.coppeliasim.connection import Connection
+from equipoise.arrays import Array
 from equipoise.errors import OutsideError
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.chain import Floats, rotation_from_rpy, turned_to
+from equipoise.model.arms.chain import rotation_from_rpy, turned_to
 from equipoise.model.arms.scene import SHORTEST, SIZES, sizes_for
 
 ALIAS: Final = "equipoise"
@@ -74,7 +75,7 @@ def build_scene(sim: Connection, arm: Arm, root: int) -> Scene:
     return Scene(tuple(joints), flange, spindle)
 
 
-def _at(xyz: Sequence[float] | Floats, R: Floats | None = None) -> Floats:
+def _at(xyz: Sequence[float] | Array, R: Array | None = None) -> Array:
     """Return the transform of a place and a rotation, shape (4, 4)."""
     T = np.eye(4)
     T[:3, 3] = xyz
@@ -83,7 +84,7 @@ def _at(xyz: Sequence[float] | Floats, R: Floats | None = None) -> Floats:
     return T
 
 
-def _joint(sim: Connection, alias: str, T: Floats, axis: Sequence[float], parent: int) -> int:
+def _joint(sim: Connection, alias: str, T: Array, axis: Sequence[float], parent: int) -> int:
     """Create a revolute joint about an axis of the frame T; return its handle."""
     kind, mode = sim.constant("joint_revolute"), sim.constant("jointmode_kinematic")
     turn = _at((0.0, 0.0, 0.0), turned_to(np.array(axis)))
@@ -91,7 +92,7 @@ def _joint(sim: Connection, alias: str, T: Floats, axis: Sequence[float], parent
 
 
 def _shape(
-    sim: Connection, alias: str, kind: str, size: Sequence[float], T: Floats, parent: int
+    sim: Connection, alias: str, kind: str, size: Sequence[float], T: Array, parent: int
 ) -> int:
     """Create a static primitive shape at T; return its handle."""
     shape = sim.constant(f"primitiveshape_{kind}")
@@ -102,7 +103,7 @@ def _shape(
 
 
 def _add(
-    sim: Connection, kind: str, arguments: Sequence[object], alias: str, T: Floats, parent: int
+    sim: Connection, kind: str, arguments: Sequence[object], alias: str, T: Array, parent: int
 ) -> int:
     """Create an object below its parent, with which it is removed; return its handle."""
     handle = sim.call(f"create{kind}", *arguments)

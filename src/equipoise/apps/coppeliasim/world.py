@@ -16,13 +16,13 @@ from typing import ClassVar, Final
 import numpy as np
 
 from equipoise.apps.coppeliasim.rig import CoppeliaRig
+from equipoise.arrays import Array
 from equipoise.artefacts import quoted
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.errors import SettingsError
 from equipoise.model.pendulum import step as pendulum_step
 from equipoise.model.worlds import World
 from equipoise.worlds import ExternalLoop, Setup, Simulation
-from equipoise.worlds.interface import Array
 
 PORT: Final = 23000
 """Default port of CoppeliaSim's server of the ZeroMQ remote API."""

@@ -6,11 +6,11 @@ Every function returns a matplotlib figure; `equipoise.apps.style.save` writes i
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.apps import style
 from equipoise.apps.style import new_figure, plain, styled, typeset
+from equipoise.arrays import Array
 from equipoise.control.policy import TabularPolicy
 from equipoise.identification.recording import Trajectory, fitted_curve
 from equipoise.logs.motion import truth
@@ -22,7 +22,6 @@ from equipoise.worlds.evaluation import Evaluation, TrialResults
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = npt.NDArray[np.float64]
 
 TRIAL_LINES: Final[tuple[dict[str, Any], ...]] = (
     {"color": style.BLUE, "linewidth": 3.2},

@@ -15,10 +15,11 @@ import numba
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
+from equipoise.arrays import Array
 from equipoise.artefacts import Name, Value, first_fault, shortened, value_digest
 from equipoise.errors import ArmError
 from equipoise.jit import function_pointer
-from equipoise.model.arms.chain import FREE_JOINTS, Floats, Triple, links, wrist_centre
+from equipoise.model.arms.chain import FREE_JOINTS, Triple, links, wrist_centre
 from equipoise.model.arms.compiler import FRAME_SIZE, PARTS, KinematicsFunction, load
 from equipoise.model.elementary import BATCH_SIZE
 
@@ -78,13 +79,13 @@ class Inertial(_Described):
     """Inertia about the centre of mass: xx, xy, xz, yy, yz, zz [kg m^2]; zeros if unknown."""
 
     @classmethod
-    def of(cls, name: str, mass: float, com: Floats, inertia: Floats) -> Self:
+    def of(cls, name: str, mass: float, com: Array, inertia: Array) -> Self:
         """Return an inertial from a centre of mass [m] and a matrix [kg m^2], shape (3, 3)."""
         xx, xy, xz, _, yy, yz, _, _, zz = inertia.ravel().tolist()
         return cls(name=name, mass=mass, com=com.tolist(), inertia=(xx, xy, xz, yy, yz, zz))
 
     @property
-    def matrix(self) -> Floats:
+    def matrix(self) -> Array:
         """Inertia about the centre of mass [kg m^2], shape (3, 3)."""
         xx, xy, xz, yy, yz, zz = self.inertia
         return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -136,15 +137,15 @@ class Joint(_Described):
 class Kinematics(NamedTuple):
     """Motion of the flange in one state of the arm, in base axes."""
 
-    position: Floats
+    position: Array
     """Position in the base [m], shape (3,)."""
-    rotation: Floats
+    rotation: Array
     """Rotation from flange to base, shape (3, 3)."""
-    twist: Floats
+    twist: Array
     """J dq: linear [m/s] and angular [rad/s], shape (6,)."""
-    bias: Floats
+    bias: Array
     """J_dot dq: linear [m/s^2] and angular [rad/s^2], shape (6,)."""
-    jacobian: Floats
+    jacobian: Array
     """J, linear rows first, shape (6, 6)."""
 
 
@@ -156,16 +157,16 @@ class ArmKernel(NamedTuple):
     rows."""
     motion: KinematicsFunction
     """The same without J and J_dot dq."""
-    wrist: Floats
+    wrist: Array
     """Point in which the last three axes meet, in the flange frame [m], shape (3,); NaN without
     one."""
-    lower: Floats
+    lower: Array
     """Lower limits of the free joints [rad], shape (6,)."""
-    upper: Floats
+    upper: Array
     """Upper limits of the free joints [rad], shape (6,)."""
-    max_velocity: Floats
+    max_velocity: Array
     """Limits of their velocities [rad/s], shape (6,)."""
-    max_acceleration: Floats
+    max_acceleration: Array
     """Limits of their accelerations [rad/s^2], shape (6,)."""
 
 
@@ -237,7 +238,7 @@ class Arm(_Described):
         return self.without_held(self.joints)
 
     @property
-    def home_free(self) -> Floats:
+    def home_free(self) -> Array:
         """Posture at x = 0, free joints [rad], shape (6,)."""
         return np.array(self.without_held(self.home))
 
@@ -245,7 +246,7 @@ class Arm(_Described):
         """Return the entries of the free joints: all joints in, six out."""
         return tuple(entry for number, entry in enumerate(q, 1) if number != self.held_joint)
 
-    def with_held(self, q: Sequence[float] | Floats) -> Floats:
+    def with_held(self, q: Sequence[float] | Array) -> Array:
         """Return a posture of all joints [rad] from that of the six free ones [rad]."""
         full = [float(angle) for angle in q]
         if self.held_joint is not None:
@@ -253,7 +254,7 @@ class Arm(_Described):
         return np.array(full)
 
     def kinematics(
-        self, q: Sequence[float] | Floats, dq: Sequence[float] | Floats = (0.0,) * FREE_JOINTS
+        self, q: Sequence[float] | Array, dq: Sequence[float] | Array = (0.0,) * FREE_JOINTS
     ) -> Kinematics:
         """Return pose, twist, bias and Jacobian of the flange, from Python, uncompiled.
 

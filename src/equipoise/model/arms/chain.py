@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+
+from equipoise.arrays import Array
 
 if TYPE_CHECKING:
     from equipoise.model.arms.arm import Arm
 
-Floats = npt.NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 FREE_JOINTS: Final = 6
@@ -28,9 +28,9 @@ MEETING: Final = 1e-12
 class Link(NamedTuple):
     """A constant step of the chain, from one free joint's turned frame to the next frame."""
 
-    rotation: Floats
+    rotation: Array
     """Axes of the next frame in this one, shape (3, 3)."""
-    translation: Floats
+    translation: Array
     """Origin of the next frame in this one [m], shape (3,)."""
 
 
@@ -51,20 +51,20 @@ def links(arm: "Arm") -> tuple[Link, ...]:
     return (*chain, Link(_exact(rotation @ rotation_from_rpy(arm.flange_rpy)), offset))
 
 
-def rotation_about(axis: Floats, angle: float) -> Floats:
+def rotation_about(axis: Array, angle: float) -> Array:
     """Return the rotation by `angle` [rad] about `axis`, shape (3, 3)."""
     x, y, z = axis / np.linalg.norm(axis)
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return _exact(np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K)
 
 
-def rotation_from_rpy(rpy: Triple) -> Floats:
+def rotation_from_rpy(rpy: Triple) -> Array:
     """Return the rotation by roll, pitch and yaw [rad] about fixed axes, shape (3, 3)."""
     x, y, z = (rotation_about(axis, angle) for axis, angle in zip(np.eye(3), rpy, strict=True))
     return _exact(z @ y @ x)
 
 
-def rpy_from_rotation(R: Floats) -> Triple:
+def rpy_from_rotation(R: Array) -> Triple:
     """Return roll, pitch and yaw [rad] of a rotation.
 
     Roll is read after yaw is undone. The three together are then exact near a pitch of 90 degrees
@@ -77,12 +77,12 @@ def rpy_from_rotation(R: Floats) -> Triple:
     return float(roll), float(pitch), float(yaw)
 
 
-def _exact(R: Floats) -> Floats:
+def _exact(R: Array) -> Array:
     """Return `R` with entries close to -1, 0 or 1 rounded to that number."""
     return np.where(np.abs(R - np.round(R)) < ROUNDING, np.round(R) + 0.0, R)
 
 
-def turned_to(axis: Floats) -> Floats:
+def turned_to(axis: Array) -> Array:
     """Return the smallest rotation that takes z to `axis`."""
     x, y, z = axis / np.linalg.norm(axis)
     across = np.array([-y, x, 0.0])  # z cross axis
@@ -91,7 +91,7 @@ def turned_to(axis: Floats) -> Floats:
     return rotation_about(across if there else np.eye(3)[0], np.arctan2(np.hypot(x, y), z))
 
 
-def wrist_centre(steps: Sequence[Link]) -> Floats:
+def wrist_centre(steps: Sequence[Link]) -> Array:
     """Return the point in which the last three axes meet, in the flange frame; NaN without one.
 
     Axes that meet in one posture meet in all: the point lies on the fifth and on the sixth axis,

@@ -30,7 +30,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from equipoise.model.arms.chain import FREE_JOINTS, Floats, Link, links
+from equipoise.arrays import Array
+from equipoise.model.arms.chain import FREE_JOINTS, Link, links
 from equipoise.model.arms.symbols import Symbol, Tape, Vector
 from equipoise.model.elementary import BATCH_SIZE
 
@@ -65,7 +66,7 @@ r_i goes from joint i-1 to joint i; w is angular velocity, v velocity, w_dot and
 their rates at q_ddot = 0; reach_i goes from joint i to the flange; neg_ before a name is a minus.
 """
 
-from equipoise.model.arms.chain import Floats
+from equipoise.arrays import Array
 from equipoise.model.elementary import fma, sincos
 
 DIGEST = "{arm.digest}"
@@ -75,7 +76,7 @@ DIGEST = "{arm.digest}"
 '''
 
 FUNCTION: Final = '''
-def {name}(q: Floats, dq: Floats, frame: Floats, lanes: int) -> None:
+def {name}(q: Array, dq: Array, frame: Array, lanes: int) -> None:
     """Write {rows} of the flange to `frame`; see the generator."""
     for n in range(lanes):
 {body}'''
@@ -101,10 +102,10 @@ def trace(steps: Sequence[Link]) -> tuple[Tape, dict[str, dict[str, Symbol]]]:
     )
     dq = [tape.input(f"dq_{i}", f"dq[{_entry(i - 1)}]") for i in numbers]
 
-    def constant(vector: Floats) -> Vector:
+    def constant(vector: Array) -> Vector:
         return np.array([tape.number(entry) for entry in vector])
 
-    def along(axes: Sequence[Vector], vector: Floats) -> Vector:
+    def along(axes: Sequence[Vector], vector: Array) -> Vector:
         (x, y, z), (a, b, c) = axes, constant(vector)
         return x * a + y * b + z * c
 
@@ -211,5 +212,5 @@ def _place(i: int) -> str:
     return "to the flange" if i > FREE_JOINTS else f"to joint {i}"
 
 
-def _text(vector: Floats) -> str:
+def _text(vector: Array) -> str:
     return " ".join(f"{entry:.6g}" for entry in vector)

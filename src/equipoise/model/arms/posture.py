@@ -8,16 +8,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from equipoise.arrays import Array
 from equipoise.errors import ArmError
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
-from equipoise.model.arms.chain import Floats
 from equipoise.paper import X_LIMIT
 
 DAMPING = 1e-9
 """Term added to J J^T in a Newton step, which prevents a division by zero in a singular posture."""
 
 
-def along_x(arm: Arm, displacements: Sequence[float] | Floats) -> Floats:
+def along_x(arm: Arm, displacements: Sequence[float] | Array) -> Array:
     """Return the postures that carry the flange along base x from home, its orientation held.
 
     Damped Newton steps outwards from home, each posture the start of the next.
@@ -34,7 +34,7 @@ def along_x(arm: Arm, displacements: Sequence[float] | Floats) -> Floats:
     """
     home = arm.kinematics(arm.home_free)
     places = [float(x) for x in displacements]
-    postures: dict[float, Floats] = {}
+    postures: dict[float, Array] = {}
     for side in (1.0, -1.0):
         q = arm.home_free
         for x in sorted({x for x in places if x * side >= 0.0}, key=abs):
@@ -42,12 +42,12 @@ def along_x(arm: Arm, displacements: Sequence[float] | Floats) -> Floats:
     return np.array([postures[x] for x in places])
 
 
-def condition(arm: Arm, q: Floats) -> float:
+def condition(arm: Arm, q: Array) -> float:
     """Return the condition number of J (metres and radians) at the free joints `q` [rad]."""
     return float(np.linalg.cond(arm.kinematics(q).jacobian))
 
 
-def limit_margin(arm: Arm, q: Floats) -> float:
+def limit_margin(arm: Arm, q: Array) -> float:
     """Return the distance to the nearest limit of a joint [rad] at the free joints `q` [rad]."""
     joints = arm.free_joints
     return min(
@@ -90,7 +90,7 @@ def search_home(arm: Arm, *, lowest: float = 0.3, candidates: int = 2000) -> Arm
     return best[1]
 
 
-def _reach(arm: Arm, position: Floats, rotation: Floats, q: Floats) -> Floats:
+def _reach(arm: Arm, position: Array, rotation: Array, q: Array) -> Array:
     for _ in range(100):
         flange = arm.kinematics(q)
         turn = 0.5 * np.cross(flange.rotation, rotation, axis=0).sum(axis=1)

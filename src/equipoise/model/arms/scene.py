@@ -12,8 +12,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from equipoise.arrays import Array
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.chain import Floats, rotation_from_rpy
+from equipoise.model.arms.chain import rotation_from_rpy
 from equipoise.model.physics_engine import mujoco
 
 
@@ -82,11 +83,11 @@ def scene(arm: Arm, sizes: Sizes = SIZES) -> Any:
     def geom(body: Any, name: str, shape: Any, **place: Any) -> None:
         body.add_geom(name=name, type=shape, contype=0, conaffinity=0, **place)
 
-    def capsule(body: Any, name: str, start: Floats, end: Floats, radius: float) -> None:
+    def capsule(body: Any, name: str, start: Array, end: Array, radius: float) -> None:
         ends = np.concatenate([start, end])
         geom(body, name, mj.mjtGeom.mjGEOM_CAPSULE, fromto=ends, size=[radius, 0.0, 0.0])
 
-    def child(body: Any, name: str, xyz: Any, rotation: Floats) -> Any:
+    def child(body: Any, name: str, xyz: Any, rotation: Array) -> Any:
         quaternion = np.zeros(4)
         mj.mju_mat2Quat(quaternion, rotation.ravel())
         return body.add_body(name=name, pos=xyz, quat=quaternion)
@@ -124,9 +125,9 @@ def scene(arm: Arm, sizes: Sizes = SIZES) -> Any:
     return spec
 
 
-def _across(arm: Arm, steps: list[Floats], links: list[int]) -> list[bool]:
+def _across(arm: Arm, steps: list[Array], links: list[int]) -> list[bool]:
     """Return for each joint whether it turns across the links that it joins, not along one."""
-    rotation, axes, directions = np.eye(3), list[Floats](), list[Floats]()
+    rotation, axes, directions = np.eye(3), list[Array](), list[Array]()
     for joint, step in zip(arm.joints, steps, strict=False):
         directions.append(rotation @ step)
         rotation = rotation @ rotation_from_rpy(joint.rpy)

@@ -18,10 +18,11 @@ from typing import Any, Final
 import numpy as np
 
 from equipoise.arguments import checked
+from equipoise.arrays import Array
 from equipoise.artefacts import MEBIBYTE, StrPath, read_text, shortened
 from equipoise.errors import ArmError
 from equipoise.model.arms.arm import ROUNDING, Arm, Inertial, Joint, check_free
-from equipoise.model.arms.chain import Floats, Triple, rpy_from_rotation
+from equipoise.model.arms.chain import Triple, rpy_from_rotation
 from equipoise.model.arms.iiwa import ACCELERATION, PIVOT_OUTWARD
 from equipoise.model.arms.posture import search_home
 from equipoise.model.physics_engine import mujoco
@@ -204,13 +205,13 @@ def _placed(
     return joints, (_triple(site.pos), rpy_from_rotation(rotation_from_quaternion(site.quat)))
 
 
-def rotation_from_quaternion(quaternion: Floats) -> Floats:
+def rotation_from_quaternion(quaternion: Array) -> Array:
     """Return the rotation of a quaternion of MuJoCo, shape (3, 3)."""
     matrix = np.zeros(9)
     mujoco().mju_quat2Mat(matrix, quaternion)
     return matrix.reshape(3, 3)
 
 
-def _triple(vector: Floats) -> Triple:
+def _triple(vector: Array) -> Triple:
     x, y, z = vector.tolist()
     return x, y, z

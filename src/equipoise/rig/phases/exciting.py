@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from equipoise.arrays import Array
 from equipoise.errors import InputError
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS
@@ -13,7 +14,7 @@ from equipoise.printable import printable
 from equipoise.rig.checks import actuator_fits
 from equipoise.rig.phases.context import RunContext, RunPhase, Setpoints
 from equipoise.rig.phases.release import Lifting
-from equipoise.rig.request import Array, describe_fit
+from equipoise.rig.request import describe_fit
 
 
 class Exciting(RunPhase):

@@ -6,15 +6,13 @@ from math import inf, nan, pi, sqrt
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from equipoise.arrays import Array
 from equipoise.control.ticks import Reply, Sample
 from equipoise.safety import rules
 from equipoise.safety.plausibility import JointPlausibility
 from equipoise.safety.repeats import RepeatMonitor
 from equipoise.safety.rules import Limits
-
-Array = npt.NDArray[np.float64]
 
 HISTORY: Final = 64
 """Number of samples and of setpoints in memory: 64 ms at 1 kHz, for the fit at the release."""

@@ -25,13 +25,13 @@ from franky_sim.franka_robot_server import FrankaRobotServer
 from franky_sim.franka_server import BaseCommand
 from franky_sim.mujoco_simulator import MujocoSimulator
 
+from equipoise.arrays import Array
 from equipoise.errors import InputError, OutsideError
 from equipoise.model.arms.arm import Arm, Inertial
 from equipoise.model.arms.chain import rotation_from_rpy
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.physics_engine import mujoco
 from equipoise.model.worlds import TwinSettings
-from equipoise.rig.interfaces import Array
 from equipoise.rig.plugins import Bodies
 from equipoise.rig.simulated_rig import Bench, Mechanism
 from equipoise.robots.franka.robot import JOINTS

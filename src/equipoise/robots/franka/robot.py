@@ -19,9 +19,10 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 
+from equipoise.arrays import Array
 from equipoise.errors import LinkError, import_optional
 from equipoise.rig.config import Load
-from equipoise.rig.interfaces import Array, Clock, Request, checked_setpoint
+from equipoise.rig.interfaces import Clock, Request, checked_setpoint
 from equipoise.robots.franka.velocity import GAIN, PERIOD, limited, velocity_limits
 
 JOINTS: Final = 7

@@ -21,7 +21,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from equipoise.rig.interfaces import Array
+from equipoise.arrays import Array
 from equipoise.robots.franka.arm import ACCELERATION, URDF
 
 PERIOD: Final = 0.001

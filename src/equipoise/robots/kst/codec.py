@@ -22,8 +22,9 @@ from collections.abc import Sequence
 from decimal import Decimal
 from typing import Final, Literal
 
+from equipoise.arrays import Array
 from equipoise.errors import InputError, LinkError
-from equipoise.rig.interfaces import Array, checked_setpoint
+from equipoise.rig.interfaces import checked_setpoint
 
 PORT: Final = 30001
 """TCP port of the KST server."""

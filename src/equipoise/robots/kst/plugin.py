@@ -9,10 +9,10 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from equipoise import paper
+from equipoise.arrays import Array
 from equipoise.errors import InputError, LinkError
 from equipoise.model.actuator import speed_of_peak
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
-from equipoise.rig.interfaces import Array
 from equipoise.rig.plugins import Emulated, RobotPlugin, Session
 from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.rig.transports import memory_pipe

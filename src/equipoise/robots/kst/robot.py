@@ -24,8 +24,9 @@ from typing import Final, NoReturn
 
 import numpy as np
 
+from equipoise.arrays import Array
 from equipoise.errors import LinkError, OutsideError
-from equipoise.rig.interfaces import Array, Clock, Reply, Transport
+from equipoise.rig.interfaces import Clock, Reply, Transport
 from equipoise.rig.plugins import ignore
 from equipoise.rig.transports import SocketTransport
 from equipoise.robots.kst import codec

@@ -13,9 +13,9 @@ from typing import Final
 
 import numpy as np
 
+from equipoise.arrays import Array
 from equipoise.errors import ArmError
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.chain import Floats
 
 PERIOD: Final = 0.005
 """Time between two setpoints [s]: half a control step."""
@@ -30,7 +30,7 @@ SLOW: Final = np.array([6.4, 5.8, 5.2, 4.8, 4.0, 4.4])
 """Angular frequency of the slower sine [rad/s]; the pendulum's own, 8.4 rad/s, lies between."""
 
 
-def excitation(arm: Arm, duration: float = DURATION, period: float = PERIOD) -> Floats:
+def excitation(arm: Arm, duration: float = DURATION, period: float = PERIOD) -> Array:
     """Return setpoints around home that move every free joint, from rest to rest.
 
     Args:

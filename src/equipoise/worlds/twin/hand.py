@@ -15,9 +15,9 @@ from math import cos, pi, radians, sqrt
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from equipoise.arrays import Array
+
 Side = Literal["front", "back"]
 
 STIFFNESS: Final = 200.0

@@ -17,8 +17,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from equipoise.arrays import Array
 from equipoise.model.arms.arm import Arm, Inertial
-from equipoise.model.arms.chain import Floats, Triple
+from equipoise.model.arms.chain import Triple
 from equipoise.model.arms.scene import SIZES, scene
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.physics_engine import mujoco
@@ -138,7 +139,7 @@ def rod_inertial(w2: float, mass: float) -> Inertial:
     return Inertial.of("pendulum", mass, np.array([0.0, 0.0, l]), inertia)
 
 
-def bar_inertial(mass: float, end: Floats) -> Inertial:
+def bar_inertial(mass: float, end: Array) -> Inertial:
     """Return the inertial of a bar as thick as the bracket.
 
     Args:
@@ -175,7 +176,7 @@ def build_bare(arm: Arm) -> Any:
     return spec.compile()
 
 
-def mass_matrix(arm: Arm) -> Floats:
+def mass_matrix(arm: Arm) -> Array:
     """Return the mass matrix of the bare arm at home, without rotors [kg m^2], shape (n, n)."""
     mj = mujoco()
     model = build_bare(arm)

@@ -9,9 +9,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from equipoise.arrays import Array
 from equipoise.jit import inlined
 from equipoise.model.arms.arm import FREE_JOINTS
-from equipoise.model.elementary import Array
 from equipoise.model.encoder import counts_from_theta
 from equipoise.model.random import TWIN, normal_pair, philox, uniform
 from equipoise.model.worlds import TwinSettings

@@ -25,10 +25,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from equipoise.arrays import Array, IntArray
 from equipoise.jit import called, inlined
 from equipoise.model.actuator import AMPLITUDE, INTERVAL_WIDTH, Actuator, lag_share, shaped_step
 from equipoise.model.arms.arm import Arm
-from equipoise.model.elementary import Array, IntArray
 from equipoise.model.random import TWIN, philox, uniform
 from equipoise.model.worlds import Inner, TwinSettings, rotor_inertias
 from equipoise.worlds.twin.physics import TICK, mass_matrix

@@ -16,8 +16,8 @@ from typing import Final
 
 import numpy as np
 
+from equipoise.arrays import Array
 from equipoise.model.arms.arm import Arm
-from equipoise.model.elementary import Array
 from equipoise.model.physics_engine import mujoco
 from equipoise.model.worlds import TwinSettings
 from equipoise.worlds.twin.physics import build_bare

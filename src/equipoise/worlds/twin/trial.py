@@ -10,6 +10,7 @@ from math import pi
 from typing import Any, NamedTuple
 
 from equipoise import paper
+from equipoise.arrays import Array
 from equipoise.control.control_step import (
     OBS_PHI,
     OBS_PHI_DOT,
@@ -26,7 +27,7 @@ from equipoise.control.grid import ANGLE, JOINT_LIMIT, PHI_LIMIT, SAFETY_STOP, T
 from equipoise.control.policy import RANDOM, PolicyKernel, act
 from equipoise.jit import inlined, kernel, struct_ref
 from equipoise.model.arms.arm import FREE_JOINTS
-from equipoise.model.elementary import Array, at, put
+from equipoise.model.elementary import at, put
 from equipoise.model.random import TWIN, philox, uniform
 from equipoise.safety.rules import NO_VIOLATION
 from equipoise.safety.trial import (

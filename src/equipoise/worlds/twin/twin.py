@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from equipoise.arrays import Array, IntArray
 from equipoise.jit import called, inlined
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
-from equipoise.model.elementary import Array, IntArray
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import TWIN, normal_pair, philox
 from equipoise.model.worlds import TwinSettings

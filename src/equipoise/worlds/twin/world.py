@@ -5,12 +5,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from equipoise.arrays import Array
 from equipoise.control.control_step import make_controller_params, new_controller_state
 from equipoise.control.policy import PolicyKernel
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.worlds import World, pendulum_on, read_world
 from equipoise.safety.trial import new_trial_monitor, trial_safety
-from equipoise.worlds.interface import Array, ClosedLoop, Measurement, Setup, Simulation
+from equipoise.worlds.interface import ClosedLoop, Measurement, Setup, Simulation
 from equipoise.worlds.plant import scaled
 from equipoise.worlds.trials import Trial, Trials, draw_trials
 from equipoise.worlds.twin.servo_model import make_servo_params

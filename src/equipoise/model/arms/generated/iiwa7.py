@@ -9,7 +9,7 @@ r_i goes from joint i-1 to joint i; w is angular velocity, v velocity, w_dot and
 their rates at q_ddot = 0; reach_i goes from joint i to the flange; neg_ before a name is a minus.
 """
 
-from equipoise.model.arms.chain import Floats
+from equipoise.arrays import Array
 from equipoise.model.elementary import fma, sincos
 
 DIGEST = "sha256:dd8008275f3d4d2e4ffbfad64b3a73dc4ebee49973497e2ee09a4392260bbad4"
@@ -17,7 +17,7 @@ DIGEST = "sha256:dd8008275f3d4d2e4ffbfad64b3a73dc4ebee49973497e2ee09a4392260bbad
 
 
 
-def kinematics(q: Floats, dq: Floats, frame: Floats, lanes: int) -> None:
+def kinematics(q: Array, dq: Array, frame: Array, lanes: int) -> None:
     """Write the record of the flange to `frame`; see the generator."""
     for n in range(lanes):
         # The state
@@ -199,7 +199,7 @@ def kinematics(q: Floats, dq: Floats, frame: Floats, lanes: int) -> None:
         frame[944 + n] = z_6_z
 
 
-def motion(q: Floats, dq: Floats, frame: Floats, lanes: int) -> None:
+def motion(q: Array, dq: Array, frame: Array, lanes: int) -> None:
     """Write position, rotation and twist of the flange to `frame`; see the generator."""
     for n in range(lanes):
         # The state
