@@ -50,7 +50,7 @@ from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.reproduction.warm_up import TWIN, is_warm, warm_up
 from equipoise.rig.simulate import simulate_run
 from equipoise.settings import Settings, changed, resolve
-from equipoise.worlds.evaluation import evaluate
+from equipoise.worlds.evaluation import Evaluation, evaluate
 
 COMMAND: Final = "reproduce"
 """Command in the provenance of the files."""
@@ -170,37 +170,29 @@ def _measure(
         stage: Stages of the reproduction.
     """
     title, has_twin = prefix.replace("-", " "), _has_twin(policy.arm)
-    inputs, trials = {"policy": policy.digest}, policy.settings.evaluation.trials
-    with stage(f"{title}evaluate") as name:
-        with_baselines = simulation == MODEL
-        total = trials * (1 + len(BUILT_IN) * with_baselines)
-        evaluation = evaluate(
-            policy,
-            world=simulation,
-            seed=seed,
-            with_baselines=with_baselines,
-            workers=workers,
-            done=counted(name, total, stage.report),
-        )
-        evaluation.save(out / f"{prefix}{EVALUATION}", command=COMMAND, inputs=inputs)
-    on_twin = None
-    if has_twin:
-        with stage(f"{title}twin") as name:
-            few = min(TWIN_TRIALS, trials)
-            on_twin = evaluate(
+    trials, inputs = policy.settings.evaluation.trials, {"policy": policy.digest}
+    tests = [("evaluate", EVALUATION, simulation, trials)]
+    tests += [("twin", TWIN_EVALUATION, TWIN, min(TWIN_TRIALS, trials))] * has_twin
+    found: list[Evaluation] = []
+    for name, file, world, count in tests:
+        with stage(title + name):
+            with_baselines = world == MODEL
+            total = count * (1 + len(BUILT_IN) * with_baselines)
+            evaluation = evaluate(
                 policy,
-                changed(policy.settings, {"evaluation.trials": few}),
-                world=TWIN,
+                changed(policy.settings, {"evaluation.trials": count}),
+                world=world,
                 seed=seed,
-                with_baselines=False,
+                with_baselines=with_baselines,
                 workers=workers,
-                done=counted(name, few, stage.report),
+                done=counted(title + name, total, stage.report),
             )
-            on_twin.save(out / f"{prefix}{TWIN_EVALUATION}", command=COMMAND, inputs=inputs)
+            evaluation.save(out / f"{prefix}{file}", command=COMMAND, inputs=inputs)
+            found.append(evaluation)
     with stage(f"{title}deploy"):
         run = simulate_run(policy, world=TWIN if has_twin else simulation, seed=seed)
         run.save(out / f"{prefix}{RUN}", command=COMMAND, inputs=inputs)
-    return RecipeResults(policy, evaluation, on_twin, run)
+    return RecipeResults(policy, found[0], found[1] if has_twin else None, run)
 
 
 class Stages:
@@ -211,11 +203,11 @@ class Stages:
         self.report, self.durations = report, dict[str, float]()
 
     @contextmanager
-    def __call__(self, name: str) -> Generator[str]:
+    def __call__(self, name: str) -> Generator[None]:
         """Report and time a stage."""
         self.report(name, None, "")
         begin = time.perf_counter()
-        yield name
+        yield
         self.durations[name] = round(time.perf_counter() - begin, 2)
         self.report(name, 1.0, "")
 
