@@ -8,7 +8,7 @@ import pytest
 from equipoise.control.controller import Observation
 from equipoise.errors import InputError, SettingsError
 from equipoise.learning.choice import compile_learner, with_digests
-from equipoise.learning.learner import Transition, UpdateParams, new_tables
+from equipoise.learning.learner import Transition, UpdateParams, epsilon_greedy, new_tables
 from equipoise.learning.q_learning import learner as q_learning
 from equipoise.learning.rewards import REWARDS
 from equipoise.learning.train import train
@@ -45,7 +45,7 @@ def learned(learner, updates, seed=0):
     params = UpdateParams(1.0, 0.2, 0.0, False)
     rng = np.random.default_rng(seed)
     state = int(rng.integers(1, STATES + 1))
-    action = learner.select(tables, state, EPSILON, *rng.random(2))
+    action = epsilon_greedy(tables.Q, state, EPSILON, *rng.random(2))
     for _ in range(updates):
         after = corridor(state, action)
         failed, ended = after == 0, after == 0 or rng.random() < 0.05
@@ -53,7 +53,7 @@ def learned(learner, updates, seed=0):
         given = given._replace(failed=failed, ended=ended, chance=rng.random())
         learner.update(tables, given, params)
         state = int(rng.integers(1, STATES + 1)) if ended else after
-        action = learner.select(tables, state, EPSILON, *rng.random(2))
+        action = epsilon_greedy(tables.Q, state, EPSILON, *rng.random(2))
     return tables
 
 
@@ -136,7 +136,7 @@ def test_rewards_are_those_of_the_reference():
 
 GUEST = """
 import numba
-from equipoise.learning.learner import Learner, move_towards
+from equipoise.learning.learner import move_towards
 
 def failure(state, u, next_state, failed):
     return -1.0 if failed else 0.0
@@ -174,7 +174,6 @@ def late(tables, transition, params):
         raise ValueError("\\x1b[2J")
     tables.visits[transition.box, transition.action] += 1
 
-endless = Learner(update, select=lambda tables, box, epsilon, chance, choice: 8)
 number = 3
 """
 
@@ -250,9 +249,7 @@ def test_a_function_that_cannot_be_compiled_is_named_with_its_line(guest, name, 
 
 
 @pytest.mark.compiled_only
-@pytest.mark.parametrize(
-    ("name", "error"), [("late", "ValueError"), ("wild", "IndexError"), ("endless", "ValueError")]
-)
+@pytest.mark.parametrize(("name", "error"), [("late", "ValueError"), ("wild", "IndexError")])
 def test_an_error_of_compiled_code_ends_the_training(
     guest, small_policy, quick_settings, capfd, name, error
 ):

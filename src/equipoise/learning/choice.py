@@ -18,21 +18,16 @@ from typing import Any, Final
 
 import numba
 
-from equipoise.control.grid import ACTIONS
 from equipoise.errors import InputError, SettingsError
 from equipoise.jit import compilable, disabled, function_pointer
 from equipoise.learning.learner import (
     Learner,
     LearnerKernel,
-    Tables,
-    choose_signature,
-    choose_with,
     learn_signature,
     learn_with,
     reward_signature,
     rewards_of,
     rewards_signature,
-    select_signature,
     update_signature,
 )
 from equipoise.learning.q_learning import learner as q_learning
@@ -109,16 +104,12 @@ def compile_learner(settings: LearningSettings) -> LearnerKernel:
         _raised.clear()
         sys.unraisablehook = _keep
     with guest_code(settings.learner):
-        select = _callable(learner.select, select_signature())
-        if guest:
-            select = _checked(select)
         learn = learn_with(_callable(learner.update, update_signature()))
-        choose = function_pointer(choose_with(select), choose_signature(), cached=not guest)
         learn = function_pointer(learn, learn_signature(), cached=not guest)
     with guest_code(settings.reward):
         written = rewards_of(_callable(getattr(reward, "py_func", reward), reward_signature()))
         rewards = function_pointer(written, rewards_signature(), cached=not guest_reward)
-    return LearnerKernel(choose=choose, learn=learn, rewards=rewards)
+    return LearnerKernel(learn=learn, rewards=rewards)
 
 
 def raise_guest_error(settings: LearningSettings) -> None:
@@ -181,16 +172,3 @@ def _callable(function: Any, signature: Any) -> Any:
             f"({file}, line {[line, *places][-1]}); write it with numbers, tuples, the module math "
             "and NumPy's arrays, and mark functions that it calls with numba.njit"
         ) from None
-
-
-@functools.cache
-def _checked(select: Any) -> Any:
-    """Return a guest's `select` that raises an error instead of returning an impossible action."""
-
-    def checked(tables: Tables, box: int, epsilon: float, chance: float, choice: float) -> int:
-        action = select(tables, box, epsilon, chance, choice)
-        if not 0 <= action < ACTIONS:
-            raise ValueError("select must return the index of an action, 0 to 7")
-        return action
-
-    return compilable(checked)

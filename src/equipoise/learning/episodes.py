@@ -27,13 +27,12 @@ from equipoise.learning.learner import (
     TIMED_OUT,
     UNDECIDED,
     Decisions,
-    Draws,
     LearnerKernel,
     Results,
     Tables,
     UpdateParams,
+    epsilon_greedy,
     new_decisions,
-    new_draws,
     new_results,
     new_tables,
 )
@@ -216,25 +215,17 @@ def begin_episode(
 
 
 @inlined
-def decide(
-    config: TrainingConfig,
-    learner: LearnerKernel,
-    training: TrainingState,
-    draws: Draws,
-    key: IntArray,
-    lanes: int,
-) -> None:
+def decide(config: TrainingConfig, training: TrainingState, key: IntArray, lanes: int) -> None:
     """Choose the actions of undecided episodes, and write the accelerations of all."""
-    decisions, controller = training.decisions, training.batch.controller
-    tick, episode = training.tick, training.episode
+    Q, decisions, controller = training.tables.Q, training.decisions, training.batch.controller
+    box, action, epsilon = decisions.box, decisions.action, decisions.epsilon
+    tick, episode, u, actions = training.tick, training.episode, controller.u, config.actions
     for n in range(lanes):
-        w0, w1, w2, _ = philox(key[0], tick[n], episode[n], key[1], TRAINING_ACTION)
-        draws.explore[n] = uniform(w0, 0.0, 1.0)
-        draws.choice[n] = uniform(w1, 0.0, 1.0)
-        draws.chance[n] = uniform(w2, 0.0, 1.0)
-    learner.choose(training.tables, decisions, draws, lanes)
-    action, u, actions = decisions.action, controller.u, config.actions
-    for n in range(lanes):
+        if action[n] == UNDECIDED:
+            w0, w1, w2, _ = philox(key[0], tick[n], episode[n], key[1], TRAINING_ACTION)
+            explore, choice = uniform(w0, 0.0, 1.0), uniform(w1, 0.0, 1.0)
+            action[n] = epsilon_greedy(Q, box[n], epsilon[n], explore, choice)
+            decisions.chance[n] = uniform(w2, 0.0, 1.0)
         u[n] = actions[action[n]]
     before, observation = training.before, controller.observation
     for i in range(before.size):
@@ -286,14 +277,14 @@ def train_episodes(loop: Any, until: int) -> None:
     totals, noise = training.totals, block.controller.noise
     seed, number = key[0], key[1]
     # New arrays, so that the compiler knows that nothing else points to them.
-    draws, results = new_draws(), new_results()
+    results = new_results()
     outcome = results.outcome
     lanes = totals[IN_USE]
     while lanes < BATCH_SIZE and totals[BEGUN] < config.episodes:
         begin_episode(plant, pendulum, config, training, seed, number, lanes)
         lanes += 1
     while totals[ENDED] < until and lanes > 0:
-        decide(config, learner, training, draws, key, lanes)
+        decide(config, training, key, lanes)
         draw_noise(noise, seed, tick, episode, number, TRAINING_NOISE, lanes)
         step(plant, block, lanes)
         totals[STEPS] += lanes
@@ -345,7 +336,7 @@ def decide_in_world(loop: Any, observation: Array) -> float:
         controller.observation[i * BATCH_SIZE] = observation[i]
     if training.tick[0] == 0:
         training.decisions.box[0] = box_of(controller.observation, config.boxes, 0)
-    decide(config, loop.learner, training, new_draws(), loop.key, 1)
+    decide(config, training, loop.key, 1)
     return controller.u[0]
 
 

@@ -1,13 +1,12 @@
 """Interface of a learner, and the parts that learners share.
 
-A `Learner` says how a table learns from one decision. The episode loop
-(`equipoise.learning.episodes`) calls its two functions with plain numbers and arrays: `select`
-chooses an action, `update` learns from a `Transition`. The paper's learner is
+A `Learner` says how a table learns from one decision: the episode loop
+(`equipoise.learning.episodes`) calls its `update` with a `Transition`. The paper's learner is
 `equipoise.learning.q_learning`; a guest brings a `Learner`, or its `update` alone, as MODULE:NAME.
 
-Both functions are compiled with Numba into functions for a whole block (`choose_with`,
-`learn_with`; `rewards_of` does it with a reward), which are passed to the loop as values
-(`equipoise.jit.function_pointer`): one compiled loop serves every learner.
+The function is compiled with Numba into one for a whole block (`learn_with`; `rewards_of` does it
+with a reward), which is passed to the loop as a value (`equipoise.jit.function_pointer`): one
+compiled loop serves every learner.
 """
 
 import functools
@@ -139,11 +138,12 @@ def move_towards(
         write_mirrored(visits, box, action)
 
 
-def epsilon_greedy(tables: Tables, box: int, epsilon: float, chance: float, choice: float) -> int:
+@inlined
+def epsilon_greedy(Q: Array, box: int, epsilon: float, chance: float, choice: float) -> int:
     """Return a random action with probability epsilon, else the best one.
 
     Args:
-        tables: Current tables.
+        Q: State-action values, shape (boxes, 8).
         box: Box of the state.
         epsilon: Probability of a random action.
         chance: Uniform random number in [0, 1) that decides whether the action is random.
@@ -151,7 +151,7 @@ def epsilon_greedy(tables: Tables, box: int, epsilon: float, chance: float, choi
     """
     if chance < epsilon:
         return int(ACTIONS * choice)
-    return best_action(tables.Q, box, choice)
+    return best_action(Q, box, choice)
 
 
 class Learner(NamedTuple):
@@ -159,8 +159,6 @@ class Learner(NamedTuple):
 
     update: Callable[[Tables, Transition, UpdateParams], None]
     """Learn from one decision: change `Tables` in place."""
-    select: Callable[[Tables, int, float, float, float], int] = epsilon_greedy
-    """Choose an action: called as `select(tables, box, epsilon, chance, choice)`."""
     tables: int = 0
     """Number of tables of the learner's own."""
 
@@ -182,17 +180,6 @@ class Decisions(NamedTuple):
     """Probability of a random action in the episode."""
     place: IntArray
     """Index among the running episodes, constant over an episode."""
-
-
-class Draws(NamedTuple):
-    """Uniform random numbers in [0, 1) for a decision in each lane, shape (BATCH_SIZE,) each."""
-
-    explore: Array
-    """Decides whether the action is random."""
-    choice: Array
-    """Selects among several actions."""
-    chance: Array
-    """For the learner's own use."""
 
 
 class Results(NamedTuple):
@@ -221,36 +208,10 @@ FAILED: Final = 3
 class LearnerKernel(NamedTuple):
     """Compiled functions of a learner and a reward, each for all lanes of a block in one call."""
 
-    choose: Any
-    """`choose_with` a learner."""
     learn: Any
     """`learn_with` a learner."""
     rewards: Any
     """`rewards_of` a reward."""
-
-
-@functools.cache
-def choose_with(select: Callable[..., int]) -> Callable[..., None]:
-    """Return a function that chooses the actions of undecided episodes.
-
-    Args:
-        select: `Learner.select`, callable in kernels.
-    """
-
-    def choose(tables: Tables, decisions: Decisions, draws: Draws, lanes: int) -> None:
-        box, action, chance, epsilon = (
-            decisions.box,
-            decisions.action,
-            decisions.chance,
-            decisions.epsilon,
-        )
-        explore, choice, chance_next = draws.explore, draws.choice, draws.chance
-        for n in range(lanes):
-            if action[n] == UNDECIDED:
-                action[n] = select(tables, box[n], epsilon[n], explore[n], choice[n])
-                chance[n] = chance_next[n]
-
-    return choose
 
 
 @functools.cache
@@ -356,12 +317,6 @@ def new_decisions() -> Decisions:
 
 
 @compilable
-def new_draws() -> Draws:
-    """Return scratch for random numbers."""
-    return Draws(np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE))
-
-
-@compilable
 def new_results() -> Results:
     """Return scratch for the results of a step."""
     return Results(
@@ -375,12 +330,6 @@ def reward_signature() -> Any:
     return numba.float64(observation, numba.float64, observation, numba.boolean)
 
 
-def select_signature() -> Any:
-    """Return Numba's signature of `Learner.select`."""
-    number = numba.float64
-    return numba.int64(numba.typeof(new_tables(1, 0)), numba.int64, number, number, number)
-
-
 def update_signature() -> Any:
     """Return Numba's types of the arguments of `Learner.update`, whose result is ignored."""
     transition = Transition(0, 0, 0.0, 0.0, 0, False, False, 0.0, 0.0, 0)
@@ -392,12 +341,6 @@ def rewards_signature() -> Any:
     """Return Numba's signature of `LearnerKernel.rewards`."""
     array, whole = numba.float64[::1], numba.int64
     return numba.void(array, array, array, whole[::1], array, whole)
-
-
-def choose_signature() -> Any:
-    """Return Numba's signature of `LearnerKernel.choose`."""
-    given = new_tables(1, 0), new_decisions(), new_draws()
-    return numba.void(*map(numba.typeof, given), numba.int64)
 
 
 def learn_signature() -> Any:
