@@ -35,6 +35,12 @@ def pytest_configure(config):
         warm_up(available_cores())
 
 
+def pytest_collectreport(report):
+    """Refuse a test file that cannot be imported: with its doctests, pytest skips its tests."""
+    if report.skipped and report.nodeid.startswith("tests/") and "import" in str(report.longrepr):
+        raise pytest.UsageError(f"{report.nodeid}: {report.longrepr}")
+
+
 @pytest.fixture(autouse=True)
 def _elsewhere(tmp_path, monkeypatch):
     """Run each test in an empty folder: the one of the checkout may hold files of the user."""

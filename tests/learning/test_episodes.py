@@ -25,7 +25,7 @@ from equipoise.learning.learner import (
     learning_rate,
     move_towards,
 )
-from equipoise.learning.learners import q_learning
+from equipoise.learning import q_learning
 from equipoise.learning.train import training_config
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.iiwa import iiwa
@@ -159,7 +159,7 @@ def test_one_update_is_equation_1():
     Q[7, 3] = -0.5
     Q[20] = -0.25
     constants = params(alpha_initial=0.1, alpha_decay=0.0, mirrored=False)
-    after = Transition(7, 3, 0.0, 0.9, 20, -1, False, False, 0.0, 0.0, 0)
+    after = Transition(7, 3, 0.0, 0.9, 20, False, False, 0.0, 0.0, 0)
     q_learning.update(given, after, constants)
     # (1 - 0.1) (-0.5) + 0.1 (0 + 0.9 (-0.25)) by hand.
     assert Q[7, 3] == pytest.approx(-0.4725, rel=1e-15)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from equipoise.apps.console.watch import RunWatch
+from equipoise.control.ticks import TickRecord
 from equipoise.logs.recorder import CONNECTING, ENDED, push_event
 from equipoise.logs.shared import RunInfo, live_runs, open_recorder, share
 from equipoise.model.arms.iiwa import iiwa7
@@ -54,7 +55,7 @@ def clock(monkeypatch):
 
 def tick(recorder, time, phase, phi, late=0.001):
     state = PHASES.index(phase)
-    observed = (0.0, 0.0, phi, 0.0, 0, 0.5, phi, 0.0, 0.0)
+    observed = TickRecord(0.0, 0.0, phi, 0.0, 0, 0.5, phi, 0.0)
     recorder.tick.push(time, late, 0.001, state, *observed, HOME + 0.1, 0.0 * HOME)
 
 
