@@ -12,8 +12,8 @@ from checks import check
 import equipoise as eq
 from equipoise import paper
 from equipoise.control.grid import box_count, box_index
-from equipoise.learning.learner import Transition, new_tables
 from equipoise.learning import q_learning
+from equipoise.learning.learner import Transition, new_tables
 from equipoise.learning.train import training_config
 
 # %% [markdown]

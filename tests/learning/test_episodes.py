@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise import paper
+from equipoise.learning import q_learning
 from equipoise.learning.choice import compile_learner, load_learner
 from equipoise.learning.episodes import (
     BEGUN,
@@ -25,7 +26,6 @@ from equipoise.learning.learner import (
     learning_rate,
     move_towards,
 )
-from equipoise.learning import q_learning
 from equipoise.learning.train import training_config
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.iiwa import iiwa
