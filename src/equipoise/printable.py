@@ -40,10 +40,10 @@ def label(name: str) -> str:
     """Return the name of a field, with its unit in brackets, or its level of confidence.
 
     Example:
-        >>> label("zero_counts"), label("speed_m_s"), label("interval_95"), label("gap_at_start")
-        ('zero [counts]', 'speed [m/s]', 'interval (95 %)', 'gap at start')
+        >>> label("fit_percent"), label("speed_m_s"), label("interval_95"), label("gap_at_start")
+        ('fit [percent]', 'speed [m/s]', 'interval (95 %)', 'gap at start')
     """
-    name, unit = name.replace("_95", " (95 %)"), "_(rad_s|m_s|s|ms|deg|mm|m|percent|counts)$"
+    name, unit = name.replace("_95", " (95 %)"), "_(rad_s|m_s|s|ms|deg|mm|m|percent)$"
     return re.sub(unit, lambda of: f" [{of[1].replace('_', '/')}]", name).replace("_", " ")
 
 
