@@ -25,8 +25,7 @@ if TYPE_CHECKING:
         write_swing,
     )
     from equipoise.identification.swing import identify
-    from equipoise.learning.target import train_to_target
-    from equipoise.learning.train import train
+    from equipoise.learning.train import train, train_to_target
     from equipoise.logs.run_log import RunLog
     from equipoise.model.actuator import Actuator, shipped_actuator
     from equipoise.model.arms.arm import Arm
@@ -69,8 +68,7 @@ _HOMES = {
     "logs.run_log": ("RunLog",),
     "settings": ("Settings", "resolve"),
     "reproduction.pipeline": ("reproduce",),
-    "learning.target": ("train_to_target",),
-    "learning.train": ("train",),
+    "learning.train": ("train", "train_to_target"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

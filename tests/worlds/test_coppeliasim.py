@@ -359,7 +359,7 @@ def test_train_runs_there_and_its_policy_says_so(server, tmp_path, capsys):
     less = ["every=2", "round_trials=10", "rounds=1", "duration=0.5", "test_trials=20"]
     chosen = [f"learning.{one}" for one in few] + [f"selection.{one}" for one in less]
     words = [word for one in chosen for word in ("--set", one)]
-    small = ["--target", "0", "--learners", "1", "--json", "--out", str(out)]
+    small = ["--target", "0", "--attempts", "1", "--json", "--out", str(out)]
     main(["train", "--world", server.address, *small, *words])
     assert json.loads(capsys.readouterr().out)["episodes"] == 4
     assert json.loads(out.read_text())["provenance"]["inputs"]["world"] == server.address

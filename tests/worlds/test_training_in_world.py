@@ -30,8 +30,7 @@ FEW = [
     "learning.episodes=6",
     "learning.episode_duration=0.5",
     "selection.every=3",
-    "selection.round_trials=10",
-    "selection.rounds=1",
+    "selection.trials=4",
     "selection.duration=0.5",
 ]
 

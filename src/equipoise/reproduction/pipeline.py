@@ -27,8 +27,7 @@ from equipoise.errors import ArmError
 from equipoise.executors import Show, available_cores, counted
 from equipoise.identification.recording import Trajectory, read_swing, write_swing
 from equipoise.identification.swing import identify
-from equipoise.learning.target import LEARNERS, TARGET, train_to_target
-from equipoise.learning.train import train
+from equipoise.learning.train import ATTEMPTS, TARGET, train, train_to_target
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.resolve import read_arm
 from equipoise.model.worlds import IDEAL, MODEL
@@ -56,9 +55,8 @@ COMMAND: Final = "reproduce"
 """Command in the provenance of the files."""
 QUICK: Final = {
     "learning.episodes": 5000,
-    "selection.candidates": 16,
-    "selection.round_trials": 64,
-    "selection.rounds": 5,
+    "selection.trials": 16,
+    "selection.test_trials": 200,
     "selection.duration": 20.0,
     "evaluation.trials": 50,
     "evaluation.duration": 20.0,
@@ -116,10 +114,10 @@ def reproduce(
         pendulum = identify(recorded, settings.identification)
         pendulum.save(out / PENDULUM, command=COMMAND, inputs={"swing": recorded.sha256})
     task: Any = {"pendulum": pendulum, "arm": arm, "seed": seed, "workers": workers}
-    # Without a selection, or with few episodes, the first learner is taken as it is.
+    # Without a selection, or with few episodes, the first policy is taken as it is.
     selected = settings.selection.every > 0 and not quick
     target = (
-        {"target": TARGET, "learners": LEARNERS} if selected else {"target": 0.0, "learners": 1}
+        {"target": TARGET, "attempts": ATTEMPTS} if selected else {"target": 0.0, "attempts": 1}
     )
     with stage("train"):
         policy = train_to_target(settings=settings, **target, **task, show=report)
