@@ -356,7 +356,7 @@ def test_a_wrong_address_is_refused(rest):
 def test_train_runs_there_and_its_policy_says_so(server, tmp_path, capsys):
     out = tmp_path / "policy.json"
     few = ["episode_duration=0.3", "episodes=4"]
-    less = ["every=2", "round_trials=10", "rounds=1", "duration=0.5", "test_trials=20"]
+    less = ["every=2", "trials=4", "duration=0.5", "test_trials=20"]
     chosen = [f"learning.{one}" for one in few] + [f"selection.{one}" for one in less]
     words = [word for one in chosen for word in ("--set", one)]
     small = ["--target", "0", "--attempts", "1", "--json", "--out", str(out)]
