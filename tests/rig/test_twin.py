@@ -27,7 +27,7 @@ def swing(settings, theta, duration, every=1, pendulum=PENDULUM):
     angles = [theta]
     for _ in range(round(duration / TICK / every)):
         twin.advance(every * TICK)
-        angles.append(np.pi - twin.kernel.bodies.qpos[7])
+        angles.append(np.pi - twin.data.qpos[7])
     return np.array(angles)
 
 
@@ -94,17 +94,18 @@ def test_the_truth_is_what_mujoco_says_of_the_bodies():
 def test_a_millisecond_is_a_whole_step_of_mujoco(phi, phi_dot, moved, beyond, sticks):
     pendulum = PENDULUM._replace(coulomb=0.5, drag=0.02)
     twin = Twin(ARM, pendulum, TwinSettings(), seed=2)
-    bodies, whole, n = twin.kernel.bodies, mujoco.MjData(twin.model), len(ARM.joints)
+    state, data = twin.state, twin.data
+    whole, n = mujoco.MjData(twin.model), len(ARM.joints)
     posture = np.array(ARM.home)
     posture[5] = max(posture[5], ARM.joints[5].upper + beyond)
-    reset(twin.kernel, posture, phi, phi_dot)
+    reset(twin.state, twin.args[1][0], posture, phi, phi_dot)
     twin.send(np.array(ARM.without_held(posture)) + moved)
     ends, friction = 0, []
     for _ in range(40):
-        whole.qpos[:], whole.qvel[:], before = bodies.qpos, bodies.qvel, bodies.gravity.copy()
+        whole.qpos[:], whole.qvel[:], before = data.qpos, data.qvel, state.gravity.copy()
         twin.advance(TICK)
         # The torques now balance the gravity at the end of the millisecond.
-        whole.qfrc_applied[:n] = bodies.applied[:n] - bodies.gravity + before
+        whole.qfrc_applied[:n] = data.qfrc_applied[:n] - state.gravity + before
         mujoco.mj_step(twin.model, whole)
         assert twin.data.qpos == pytest.approx(whole.qpos, abs=1e-13)
         assert twin.data.qvel == pytest.approx(whole.qvel, abs=1e-11)

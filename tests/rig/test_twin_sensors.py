@@ -5,15 +5,12 @@ from math import pi
 import numpy as np
 import pytest
 
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
-from equipoise.worlds.twin.sensors import (
-    HISTORY_MS,
-    encoder,
-    encoder_zero,
-    make_sensors,
-    reply,
-)
+from equipoise.worlds.twin.twin import HISTORY_MS, Twin, encoder_zero
 
+PENDULUM = PendulumParameters(w2=70.2, k=7.16, c=0.15)
 EXACT = TwinSettings(
     zero_error=0.0, encoder_age=0.0, encoder_jitter=0.0, reply_age=0.0, joint_noise=0.0
 )
@@ -33,14 +30,14 @@ def test_the_zero_error_differs_between_trials_within_its_bounds():
 @pytest.mark.parametrize(("age", "ticks"), [(0.0, 0), (0.001, 1), (0.0042, 5), (0.05, 50)])
 def test_a_sample_is_known_when_it_is_old_enough(age, ticks):
     settings = EXACT.model_copy(update={"encoder_age": age, "reply_age": age})
-    sensors = make_sensors(settings, 0, 0)
-    now = 1000
+    twin = Twin(iiwa(7), PENDULUM, settings)
+    state, now = twin.state, 1000
+    state.now = now
     for tick in range(now - HISTORY_MS + 1, now + 1):
-        sensors.phi[tick % HISTORY_MS] = pi - (tick - 900) * 2 * pi / 8192
-        sensors.q[tick % HISTORY_MS] = tick + 0.1 * np.arange(6)
-    counts, counted = encoder(sensors, now, 0, 0)
-    q = np.zeros(6)
-    measured = reply(sensors, now, 0, 0, q)
+        state.past_phi[tick % HISTORY_MS] = pi - (tick - 900) * 2 * pi / 8192
+        state.past_q[tick % HISTORY_MS] = tick + 0.1 * np.arange(6)
+    counts, counted = twin.encoder()
+    q, measured = twin.measured()
     assert counts == now - ticks - 900
     assert counted == measured == pytest.approx(1e-3 * (now - ticks))
     assert q == pytest.approx(now - ticks + 0.1 * np.arange(6))
@@ -48,11 +45,12 @@ def test_a_sample_is_known_when_it_is_old_enough(age, ticks):
 
 def test_measured_joints_carry_white_noise_of_the_stated_size():
     settings = EXACT.model_copy(update={"joint_noise": 1e-4})
-    sensors = make_sensors(settings, 0, 0)
-    sensors.q[:] = np.arange(6)
+    twin = Twin(iiwa(7), PENDULUM, settings, seed=3, index=4)
+    twin.state.past_q[:] = np.arange(6)
     rows = np.zeros((2000, 6))
-    for tick, q in enumerate(rows):
-        reply(sensors, tick, 3, 4, q)
+    for tick in range(2000):
+        twin.state.now = tick
+        rows[tick], _ = twin.measured()
     noise = (rows - np.arange(6)) / 1e-4
     assert np.mean(noise, axis=0) == pytest.approx(np.zeros(6), abs=5 / np.sqrt(2000))
     assert np.std(noise, axis=0) == pytest.approx(np.ones(6), abs=5 / np.sqrt(4000))

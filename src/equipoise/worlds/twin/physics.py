@@ -8,16 +8,24 @@ its free swing determines its length::
 
 Nothing collides: a trial ends before anything could. The bodies have no shapes, whose poses MuJoCo
 would compute in each step.
+
+Kernels call MuJoCo's C functions by their names, which `load_library` makes known: cached machine
+code contains no address. They read and write the arrays of `mjData` as fields of one record.
 """
 
 import copy
+import ctypes
 import functools
 from math import copysign
+from pathlib import Path
 from typing import Any, Final
 
+import numba
 import numpy as np
+from llvmlite import binding
 
 from equipoise.arrays import Array
+from equipoise.jit import disabled
 from equipoise.model.arms.arm import Arm, Inertial
 from equipoise.model.arms.chain import Triple
 from equipoise.model.arms.scene import SIZES, scene
@@ -219,3 +227,80 @@ def _weigh(body: Any, link: Inertial) -> None:
     body.explicitinertial = True
     body.mass, body.ipos = link.mass, link.com
     body.fullinertia = [xx, yy, zz, xy, xz, yz]
+
+
+@functools.cache
+def load_library() -> ctypes.CDLL:
+    """Load MuJoCo's C library for kernels, with its profiler off.
+
+    MuJoCo reads a clock at the start and the end of each stage of a step, a sixth of the step.
+    """
+    path = next(Path(mujoco().__file__).parent.glob("*mujoco.*"))
+    binding.load_library_permanently(str(path))
+    library = ctypes.CDLL(str(path))
+    ctypes.c_void_p.in_dll(library, "mjcb_time").value = None
+    return library
+
+
+def _c_function(name: str, *more: Any) -> Any:
+    """Return a C function of MuJoCo for kernels.
+
+    Args:
+        name: Its name.
+        more: Numba types of its arguments after the addresses of model and data.
+    """
+    if disabled():
+        return lambda *values: load_library()[name](*map(ctypes.c_void_p, map(int, values)))
+    intp = numba.types.intp
+    return numba.types.ExternalFunction(name, numba.types.void(intp, intp, *more))
+
+
+# ruff: noqa: N816  (the names are MuJoCo's)
+# Quantities that depend on positions and velocities: the whole, and its stages in their order.
+mj_step1 = _c_function("mj_step1")
+mj_kinematics = _c_function("mj_kinematics")
+mj_comPos = _c_function("mj_comPos")
+mj_crb = _c_function("mj_crb")
+mj_factorM = _c_function("mj_factorM")
+mj_comVel = _c_function("mj_comVel")
+mj_passive = _c_function("mj_passive")
+mj_rne = _c_function("mj_rne", numba.intc, numba.intp)  # no accelerations; address of the result
+# Accelerations under the applied forces, and integration: the whole, and its stages.
+mj_step2 = _c_function("mj_step2")
+mj_fwdAcceleration = _c_function("mj_fwdAcceleration")
+mj_Euler = _c_function("mj_Euler")
+mj_solveM = _c_function("mj_solveM", numba.intp, numba.intp, numba.intc)  # result, forces, number
+
+ARRAYS: Final = (
+    "qpos",
+    "qvel",
+    "qacc",
+    "qacc_smooth",
+    "qacc_warmstart",
+    "qfrc_applied",
+    "qfrc_bias",
+    "xpos",
+    "xmat",
+    "xipos",
+    "xaxis",
+    "xanchor",
+    "cvel",
+    "subtree_com",
+)
+"""Arrays of `mjData` that kernels use."""
+
+
+def arrays_of(data: Any) -> Any:
+    """Return `ARRAYS` of a MuJoCo state as one record, shape (1,), over memory that it owns."""
+    arrays = {name: getattr(data, name) for name in ARRAYS}
+    names = sorted(ARRAYS, key=lambda name: arrays[name].ctypes.data)
+    addresses = [arrays[name].ctypes.data for name in names]
+    fields = np.dtype(
+        {
+            "names": names,
+            "formats": [(arrays[name].dtype, arrays[name].shape) for name in names],
+            "offsets": [address - addresses[0] for address in addresses],
+        }
+    )
+    memory: Any = (ctypes.c_char * fields.itemsize).from_address(addresses[0])
+    return np.frombuffer(memory, np.dtype((np.record, fields)))
