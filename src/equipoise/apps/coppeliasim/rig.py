@@ -27,7 +27,6 @@ from equipoise.rig.signals import SIGNALS, handled_signals
 
 Parameters = list[tuple[str, int, Any]]
 """Type, number and value of parameters of the simulation."""
-
 TAG: Final = "equipoise"
 """Tag of the data of our root object, in the simulator: the user's parameters, as JSON."""
 TOLERANCE: Final = 1e-6
@@ -59,24 +58,20 @@ class CoppeliaRig:
         """
         sim = self.sim = Connection(host, port)
         self._arm, self._period, self._time, self._steps = arm, period, 0.0, 0
-        try:
-            earlier = _roots(sim)
-            if not earlier and sim.call("getSimulationState") != sim.constant("simulation_stopped"):
-                raise OutsideError(
-                    f"the CoppeliaSim at {sim.address} runs a simulation; stop it, or give the "
-                    "address of another one"
-                )
-            stop(sim)
-            changed: Parameters = [
-                ("Int32", sim.constant("intparam_idle_fps"), 0),
-                ("Bool", sim.constant("boolparam_realtime_simulation"), False),
-                ("Float", sim.constant("floatparam_simulation_time_step"), period),
-            ]
-            before = [(kind, key, sim.call(f"get{kind}Param", key)) for kind, key, _ in changed]
-            before = next(iter(earlier.values()), before)
-        except BaseException:
-            sim.close()
-            raise
+        earlier, constants = _roots(sim), sim.constants
+        if not earlier and sim.call("getSimulationState") != constants.simulation_stopped:
+            raise OutsideError(
+                f"the CoppeliaSim at {sim.address} runs a simulation; stop it, or give the "
+                "address of another one"
+            )
+        stop(sim)
+        changed: Parameters = [
+            ("Int32", constants.intparam_idle_fps, 0),
+            ("Bool", constants.boolparam_realtime_simulation, False),
+            ("Float", constants.floatparam_simulation_time_step, period),
+        ]
+        before = [(kind, key, sim.call(f"get{kind}Param", key)) for kind, key, _ in changed]
+        before = next(iter(earlier.values()), before)
         with _deferred_signals() as caught:
             root = sim.call("createDummy", 0.02)
             sim.call("writeCustomStringData", root, TAG, json.dumps(before))
@@ -86,7 +81,6 @@ class CoppeliaRig:
                 _remove(sim, earlier)
                 _set_parameters(sim, changed)
                 self._scene = build_scene(sim, arm, root)
-                self._free = [self._scene.joints[i] for i in arm.free]
                 self.place(arm.home_free)
                 if caught:
                     raise KeyboardInterrupt
@@ -132,19 +126,18 @@ class CoppeliaRig:
         Raises:
             OutsideError: The flange is not where the kinematics of the arm say.
         """
-        for hinge, angle in zip(self._free, q, strict=True):
+        for hinge, angle in zip(self._arm.without_held(self._scene.joints), q, strict=True):
             self.sim.call("setJointPosition", hinge, angle)
         pose = np.array(self.sim.call("getObjectPose", self._scene.flange))
         position, R = pose[:3], Rotation.from_quat(pose[3:]).as_matrix()
         expected = self._arm.kinematics(q)
         away = np.append(position - expected.position, R - expected.rotation)
         if not np.abs(away).max() < TOLERANCE:
-            degrees = np.degrees(Rotation.from_matrix(R @ expected.rotation.T).magnitude())
             raise OutsideError(
                 f"the flange in the CoppeliaSim at {self.sim.address} is "
-                f"{1e3 * np.linalg.norm(away[:3]):.3g} mm and {degrees:.3g} degrees from its place "
-                "in the model: another program moved the arm, or CoppeliaSim built another one; "
-                "end that program, and start again"
+                f"{1e3 * np.linalg.norm(away[:3]):.3g} mm from its place in the model, or turned: "
+                "another program moved the arm, or CoppeliaSim built another one; end that "
+                "program, and start again"
             )
         return position, R
 
@@ -159,7 +152,7 @@ class CoppeliaRig:
 
 def stop(sim: Connection) -> None:
     """Stop the simulation, if it runs; CoppeliaSim then restores its initial state."""
-    stopped, until = sim.constant("simulation_stopped"), time.monotonic() + 10.0
+    stopped, until = sim.constants.simulation_stopped, time.monotonic() + 10.0
     if sim.call("getSimulationState") == stopped:
         return
     sim.call("stopSimulation")
@@ -178,7 +171,7 @@ def _set_parameters(sim: Connection, values: Parameters) -> None:
 
 def _roots(sim: Connection) -> dict[int, Parameters]:
     """Return the root objects of Equipoise, with the parameters that the user had set."""
-    whole, every = sim.constant("handle_scene"), sim.constant("handle_all")
+    whole, every = sim.constants.handle_scene, sim.constants.handle_all
     parentless = sim.call("getObjectsInTree", whole, every, 2)
     texts = {root: sim.call("readCustomStringData", root, TAG) for root in parentless}
     return {root: json.loads(text) for root, text in texts.items() if text}
