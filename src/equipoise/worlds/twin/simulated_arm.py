@@ -18,10 +18,8 @@ import numpy as np
 
 from equipoise.arrays import Array
 from equipoise.jit import called
-from equipoise.model.arms.arm import Arm
 from equipoise.model.physics_engine import mujoco
 from equipoise.model.random import TWIN, normal_pair, philox
-from equipoise.model.worlds import TwinSettings
 from equipoise.worlds.twin.physics import build_bare
 from equipoise.worlds.twin.servo_model import send
 from equipoise.worlds.twin.twin import FLANGE, Twin
@@ -53,21 +51,11 @@ def add_noise(twin: np.record, sigma: float, stream: int, values: Array) -> None
 class SimulatedArm:
     """The arm behind an emulated controller; angles of all joints [rad], shape (n,)."""
 
-    def __init__(self, twin: Twin, arm: Arm, settings: TwinSettings) -> None:
-        """Wrap the arm of a twin, held at its position.
-
-        Args:
-            twin: The twin.
-            arm: Its arm.
-            settings: Its settings.
-
-        Raises:
-            ArmError: The masses of the arm's links are not known.
-        """
-        self.arm = arm
+    def __init__(self, twin: Twin) -> None:
+        """Wrap the arm of a twin, held at its position."""
+        self.arm = twin.arm
         """Its description."""
-        self._twin, self._joint_noise = twin, settings.joint_noise
-        self._bare = build_bare(arm)
+        self._twin, self._bare = twin, build_bare(twin.arm)
         self._bare_data = mujoco().MjData(self._bare)
         self._braking = 0
         self.running = False
@@ -78,7 +66,7 @@ class SimulatedArm:
     def measured(self) -> tuple[float, ...]:
         """Return the measured joints [rad]."""
         q = self._twin.data.qpos[:-1].copy()
-        add_noise(self._twin.state, self._joint_noise, 2, q)
+        add_noise(self._twin.state, self._twin.state.joint_noise, 2, q)
         return tuple(q.tolist())
 
     def torques(self, external: bool) -> tuple[float, ...]:

@@ -27,25 +27,8 @@ from equipoise.model.physics_engine import mujoco
 from equipoise.model.random import TWIN, normal_pair, philox, uniform
 from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY
-from equipoise.worlds.twin.physics import (
-    TICK,
-    arrays_of,
-    build,
-    load_library,
-    mj_comPos,
-    mj_comVel,
-    mj_crb,
-    mj_Euler,
-    mj_factorM,
-    mj_fwdAcceleration,
-    mj_kinematics,
-    mj_passive,
-    mj_rne,
-    mj_solveM,
-    mj_step1,
-    mj_step2,
-    set_pendulum,
-)
+from equipoise.worlds.twin import physics
+from equipoise.worlds.twin.physics import TICK
 from equipoise.worlds.twin.servo_model import new_servo, send, serve, servo_type, start
 
 HISTORY_MS: Final = 128
@@ -142,15 +125,15 @@ def update(twin: np.record, data: np.record, inside: bool) -> None:
     """
     model, state = twin.model_address, twin.data_address
     if inside:
-        mj_kinematics(model, state)
-        mj_comPos(model, state)
-        mj_crb(model, state)
-        mj_factorM(model, state)
-        mj_comVel(model, state)
-        mj_passive(model, state)
-        mj_rne(model, state, 0, data.qfrc_bias.ctypes.data)
+        physics.mj_kinematics(model, state)
+        physics.mj_comPos(model, state)
+        physics.mj_crb(model, state)
+        physics.mj_factorM(model, state)
+        physics.mj_comVel(model, state)
+        physics.mj_passive(model, state)
+        physics.mj_rne(model, state, 0, data.qfrc_bias.ctypes.data)
     else:
-        mj_step1(model, state)
+        physics.mj_step1(model, state)
     balance(twin, data)
 
 
@@ -166,12 +149,12 @@ def integrate(twin: np.record, data: np.record, inside: bool) -> None:
     """
     model, state = twin.model_address, twin.data_address
     if inside:
-        mj_fwdAcceleration(model, state)
+        physics.mj_fwdAcceleration(model, state)
         apply_dry_friction(twin, data)
-        mj_Euler(model, state)
+        physics.mj_Euler(model, state)
     else:
         data.qfrc_applied[len(twin.home)] = 0.0
-        mj_step2(model, state)
+        physics.mj_step2(model, state)
 
 
 @inlined
@@ -197,7 +180,7 @@ def apply_dry_friction(twin: np.record, data: np.record) -> None:
         data.qacc[i] = data.qacc_smooth[i]
     if f != -copysign(twin.F, slope):
         addresses = twin.response.ctypes.data, twin.torque.ctypes.data
-        mj_solveM(twin.model_address, twin.data_address, addresses[0], addresses[1], 1)
+        physics.mj_solveM(twin.model_address, twin.data_address, addresses[0], addresses[1], 1)
         new = min(max(f - slope / (twin.response[n] + twin.R), -twin.F), twin.F)
         data.qfrc_applied[n] = new
         for i in range(n + 1):
@@ -306,18 +289,6 @@ def truth(twin: np.record, data: np.record) -> TrueState:
     )
 
 
-def encoder_zero(settings: TwinSettings, seed: int, index: int) -> float:
-    """Return the encoder zero offset in one trial [rad].
-
-    Args:
-        settings: Its mean and its error.
-        seed: Master seed.
-        index: Number of the trial.
-    """
-    word = philox(seed, 0, index, 0, TWIN + 1)[0]
-    return settings.zero_offset + float(uniform(word, -settings.zero_error, settings.zero_error))
-
-
 @kernel
 def advance_twin(twin: Any, data: Any, ticks: int) -> None:
     """Advance the twin of `Twin.args` by a number of milliseconds."""
@@ -352,15 +323,15 @@ class Twin:
         Raises:
             ArmError: The masses of the arm's links are not known.
         """
-        load_library()
-        self._arm, self._settings, n = arm, settings, len(arm.joints)
-        self.model = build(arm, pendulum, settings)
+        physics.load_library()
+        self.arm, self._settings, n = arm, settings, len(arm.joints)
+        self.model = physics.build(arm, pendulum, settings)
         """The engine's model."""
         self.model.body_gravcomp[:] = 0.0  # `balance` takes a tenth of the time
         self.data = mujoco().MjData(self.model)
         """The engine's state."""
         own: Any = np.zeros(1, np.dtype((np.record, twin_type(n))))
-        self.args = own, arrays_of(self.data)
+        self.args = own, physics.arrays_of(self.data)
         """Constants and state, see `twin_type`, and the engine's arrays, as arguments of kernels:
         one record each. As an array of one it takes a microsecond, by itself it takes forty."""
         self.state = state = own[0]
@@ -376,7 +347,7 @@ class Twin:
         state.servo = new_servo(arm, settings)
         state.torque[n] = 1.0
         state.counts_per_rev = settings.counts_per_rev
-        # Ages in whole milliseconds may be rounded up.
+        # Rounded up, but for the rounding of a whole number of milliseconds.
         state.encoder_age = ceil(settings.encoder_age / TICK - 1e-9)
         state.encoder_jitter = settings.encoder_jitter
         state.reply_age = ceil(settings.reply_age / TICK - 1e-9)
@@ -394,8 +365,9 @@ class Twin:
         """
         state, data = self.state, self.data
         state.seed, state.index = seed, index
-        state.zero = encoder_zero(self._settings, seed, index)
-        set_pendulum(self.model, data, pendulum)
+        word, error = philox(seed, 0, index, 0, TWIN + 1)[0], self._settings.zero_error
+        state.zero = self._settings.zero_offset + float(uniform(word, -error, error))
+        physics.set_pendulum(self.model, data, pendulum)
         data.qpos[:-1] = state.home
         mujoco().mj_step1(self.model, data)
         state.F, state.R, state.B = self.model.dof_frictionloss[-1], 0.0, 0.0
@@ -412,7 +384,7 @@ class Twin:
             phi: Angle of the pendulum from upright, relative to the flange [rad].
             phi_dot: Its rate [rad/s].
         """
-        posture = np.array(self.state.home) if q is None else self._arm.with_held(q)
+        posture = np.array(self.state.home) if q is None else self.arm.with_held(q)
         reset(self.state, self.args[1][0], posture, float(phi), float(phi_dot))
 
     @property
