@@ -250,7 +250,7 @@ def test_coppeliasim_forgets_a_silent_client_and_the_world_says_so(server):
 
 
 @pytest.mark.parametrize("again", [0, 1, 2], ids=["once", "twice", "thrice"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_ctrl_c_at_any_moment_leaves_the_simulator_as_it_was(server, tmp_path, capsys, again, seed):
     rng = np.random.default_rng((seed, again))
     delays = np.cumsum([0.0, *rng.uniform(0.001, 0.15, again)])[::-1]
@@ -294,22 +294,6 @@ def test_the_next_run_undoes_one_that_was_killed(moment, tmp_path):
         assert server.scene.ours
         rig_at(server).close()
         assert server.scene.as_left
-
-
-@pytest.mark.parametrize("built", range(1, 19))
-def test_a_client_whose_scene_another_one_removes_while_it_is_built_leaves_no_object(built):
-    with CoppeliaSimServer() as server:
-        scene = server.scene
-
-        def watch(_):
-            *earlier, newest = scene.ours or [0]
-            if len(earlier) == built and scene.things[newest].parent < 0:
-                scene.sim_removeObjects(earlier)
-
-        server.watch = watch
-        with pytest.raises(OutsideError, match="object does not exist"):
-            rig_at(server)
-        assert scene.as_left
 
 
 @pytest.mark.parametrize("rest", ["", "host:port", "host:99999", "host/scene", "u@host"])

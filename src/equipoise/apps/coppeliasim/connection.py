@@ -84,9 +84,6 @@ class Connection:
                 f"no CoppeliaSim answers at {self.address} within {self._patience:g} s; start it, "
                 "with its ZMQ remote API server (after a crash it may listen on the next port)"
             ) from None
-        except self._zmq.ZMQError as error:
-            message = f"the connection to {self.address} failed: {error}; build the world again"
-            raise LinkError(message) from None
         except Exception as error:  # the client raises this class for an error of CoppeliaSim
             text = printable(shortened(str(error).split("_=NL=_")[0], 300))
             raise OutsideError(

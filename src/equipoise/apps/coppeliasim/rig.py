@@ -226,11 +226,7 @@ def _add(
 ) -> int:
     """Create an object below its parent, with which it is removed; return its handle."""
     handle = sim.call(f"create{kind}", *args)
-    try:
-        sim.call("setObjectParent", handle, parent, True)
-    except OutsideError:  # another client removed the parent
-        sim.call("removeObjects", [handle])
-        raise
+    sim.call("setObjectParent", handle, parent, True)
     sim.call("setObjectAlias", handle, alias)
     pose = (*T[:3, 3].tolist(), *Rotation.from_matrix(T[:3, :3]).as_quat())
     sim.call("setObjectPose", handle, pose)

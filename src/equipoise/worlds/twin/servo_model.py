@@ -26,7 +26,7 @@ from typing import Any, Final
 import numpy as np
 
 from equipoise.arrays import Array
-from equipoise.jit import called, inlined
+from equipoise.jit import inlined
 from equipoise.model.actuator import AMPLITUDE, INTERVAL_WIDTH, Actuator, lag_share, shaped_step
 from equipoise.model.arms.arm import Arm
 from equipoise.model.random import TWIN, philox, uniform
@@ -104,7 +104,7 @@ def equivalent_actuator(settings: TwinSettings) -> Actuator:
     return Actuator.assumed(kind, delay=settings.transport, lag=lag, cycle=cycle)
 
 
-@called
+@inlined
 def start(servo: np.record, q: Array) -> None:
     """Start a servo at time zero that holds the joints at their positions.
 

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from equipoise.arrays import Array
-from equipoise.jit import called
+from equipoise.jit import kernel
 from equipoise.model.physics_engine import mujoco
 from equipoise.model.random import TWIN, normal_pair, philox
 from equipoise.worlds.twin.physics import build_bare
@@ -33,7 +33,7 @@ TORQUE_NOISE: Final = 0.05
 """Standard deviation of the noise on a measured torque [N m]. Assumed."""
 
 
-@called
+@kernel
 def add_noise(twin: np.record, sigma: float, stream: int, values: Array) -> None:
     """Add the noise of this millisecond to measurements of the joints.
 

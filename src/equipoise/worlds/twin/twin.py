@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from equipoise.arrays import Array
-from equipoise.jit import called, inlined, kernel
+from equipoise.jit import inlined, kernel
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.encoder import counts_from_theta
 from equipoise.model.pendulum import PendulumParameters
@@ -187,7 +187,7 @@ def apply_dry_friction(twin: np.record, data: np.record) -> None:
             data.qacc[i] += twin.response[i] * (new - f)
 
 
-@called
+@kernel
 def reset(twin: np.record, data: np.record, q: Array, phi: float, phi_dot: float) -> None:
     """Set time to zero, the arm at rest and held at its position.
 
@@ -259,7 +259,7 @@ def encoder(twin: np.record) -> tuple[float, float]:
     return counts_from_theta(theta, twin.counts_per_rev, 1.0), stamp
 
 
-@inlined
+@kernel
 def reply(twin: np.record, q: Array) -> float:
     """Write the newest measured free joints into q [rad], shape (6,), and return their time [s]."""
     tick = twin.now - twin.reply_age
@@ -271,7 +271,7 @@ def reply(twin: np.record, q: Array) -> float:
     return tick * TICK
 
 
-@inlined
+@kernel
 def truth(twin: np.record, data: np.record) -> TrueState:
     """Return the true state of flange and pendulum."""
     xpos, xmat, cvel, centre = data.xpos, data.xmat, data.cvel, data.subtree_com[LINK]
