@@ -258,7 +258,7 @@ class CoppeliaSimServer:
 
     def __init__(self):
         """Bind any port."""
-        self.scene, self.requests, self.errors, self.later = Scene(), 0, [], 0.0
+        self.scene, self.requests, self.later = Scene(), 0, 0.0
         self.watch = lambda requests: None
         """Called with the number of each request before its answer."""
         self._context = zmq.Context()
@@ -317,7 +317,6 @@ class CoppeliaSimServer:
         try:
             return {"ret": self.call(name, request["args"])}
         except Exception as error:
-            self.errors.append(f"{name}: {error!r}")
             return {"err": f"354: in {name}: {error}_=NL=_stack traceback:_=NL=__=TB=_[C]"}
 
     def call(self, name, arguments):
