@@ -111,7 +111,8 @@ def play(run: RunLog, recorder: Recorder, over: threading.Event) -> None:
         for name, table in rows.items():
             due = table["time"] <= now
             for row in table[due & (table["time"] > now - LAST)].tolist():
-                recorder.rings[name].push(*row)
+                values = dict(zip(table.dtype.names, row, strict=True))
+                recorder.rings[name].push(**values)
             rows[name] = table[~due]
         recorder.pulse["time"], recorder.pulse["ticks"] = now, 1.0
 

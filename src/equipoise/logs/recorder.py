@@ -4,15 +4,14 @@ The loop pushes rows; another process, or the same one between two ticks, takes 
 writer and one reader and needs no lock. A full ring drops new rows and counts them.
 """
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.control.ticks import OperatorMessage, TickInputs, TickOutput
-from equipoise.logs.columns import tables
+from equipoise.logs.columns import TABLES, LoggedTick, tables, unknown_rows
 from equipoise.outcomes import describe
 
 RATES: Final[Mapping[str, float]] = {
@@ -66,15 +65,21 @@ class Ring:
             counters: Numbers of rows written, read and lost, shape (3,).
         """
         self._rows, self._counters, self._capacity = rows, counters, len(rows)
+        names = rows.dtype.names or ()
+        self._unknown = dict(zip(names, unknown_rows(rows.dtype, 1)[0].tolist(), strict=True))
 
-    def push(self, *row: Any) -> None:
-        """Write a row; drop and count it if the ring is full."""
+    def push(self, **values: Any) -> None:
+        """Write a row; drop and count it if the ring is full.
+
+        Args:
+            values: Values of columns by their names; those left out, or None, are unknown.
+        """
         counters = self._counters
         written = int(counters[0])
         if written - int(counters[1]) >= self._capacity:
             counters[2] += 1
             return
-        self._rows[written % self._capacity] = row
+        self._rows[written % self._capacity] = tuple((self._unknown | values).values())
         counters[0] = written + 1  # after the row: the reader takes complete rows only
 
     def take(self) -> npt.NDArray[Any]:
@@ -121,9 +126,6 @@ class Recorder:
         rings = {name: Ring(memory[name], memory["counters"][i]) for i, name in enumerate(RINGS)}
         self.pulse: Any = memory["pulse"]
         """State of the loop at its last tick, as a row of the type `PULSE`."""
-        self.joints = joints
-        self.unknown = (math.nan,) * joints
-        """Placeholder for an unmeasured posture."""
         self.rings: dict[str, Ring] = {name: rings[name] for name in RATES}
         self.tick, self.stream, self.reply, self.encoder, self.event = self.rings.values()
         self.notices = rings["notices"]
@@ -151,16 +153,21 @@ class Recorder:
             output: Decision of the tick.
         """
         for sample in inputs.samples:
-            self.encoder.push(*sample, now)
+            self.encoder.push(**sample._asdict(), received=now)
         for reply in inputs.replies:
-            q = self.unknown if reply.q is None else reply.q
-            torque = self.unknown if reply.torque is None else reply.torque
-            self.reply.push(reply.received, reply.sent, q, torque, now)
-        timing = (now, inputs.lateness, compute)
-        self.tick.push(*timing, output.state, *output.record, output.q, output.dq)
-        for name, texts in ((WORD_TYPED, inputs.lines), (FAILED, map(describe, inputs.faults))):
-            for text in texts:
-                push_event(self.event, now, OperatorMessage(name, text))
+            measured = {"q": reply.q, "torque": reply.torque}
+            self.reply.push(time=reply.received, sent=reply.sent, taken=now, **measured)
+        tick, record = LoggedTick(now, compute, inputs, output), output.record._asdict()
+        self.tick.push(
+            **{
+                column.name: record[column.name] if column.source is None else column.source(tick)
+                for column in TABLES["tick"]
+            }
+        )
+        for text in inputs.lines:
+            push_event(self.event, now, OperatorMessage(WORD_TYPED, text))
+        for fault in inputs.faults:
+            push_event(self.event, now, OperatorMessage(FAILED, describe(fault)))
         pulse = self.pulse
         pulse["time"], pulse["state"] = now, output.state
         pulse["phi"] = output.record.estimated_phi
@@ -175,7 +182,8 @@ class Recorder:
         row = self._question
         row["time"] = 0.0  # an observer ignores a row that is being written
         if question is not None:
-            row["name"], row["answers"], row["text"] = _columns_of(question)
+            for name, text in _texts(question).items():
+                row[name] = text
             row["time"] = time
 
     def question(self) -> LoggedEvent | None:
@@ -203,21 +211,19 @@ def _memory_layout(joints: int) -> np.dtype[Any]:
 
 def push_event(ring: Ring, time: float, event: OperatorMessage) -> None:
     """Write an event into a ring; truncate its texts to their columns."""
-    ring.push(time, *_columns_of(event))
+    ring.push(time=time, **_texts(event))
 
 
 def read_events(rows: npt.NDArray[Any]) -> list[LoggedEvent]:
     """Return the events in rows of the table `event`."""
     events: list[LoggedEvent] = []
     for time, *texts in rows.tolist():
-        name, answers, text = (value.decode("utf-8", "replace") for value in texts)
+        name, answers, text = (value.decode("utf-8", "ignore") for value in texts)
         events.append(LoggedEvent(time, name, tuple(filter(None, answers.split("|"))), text))
     return events
 
 
-def _columns_of(event: OperatorMessage) -> Iterator[bytes]:
-    """Yield the texts of an event, each at most as long as its column in UTF-8."""
+def _texts(event: OperatorMessage) -> dict[str, bytes]:
+    """Return the texts of an event by their columns, in UTF-8."""
     columns = {"name": event.name, "answers": "|".join(event.answers), "text": event.text}
-    for column, value in columns.items():
-        cut = value.encode(errors="backslashreplace")[: EVENT[column].itemsize]
-        yield cut.decode(errors="ignore").encode()
+    return {name: text.encode(errors="backslashreplace") for name, text in columns.items()}

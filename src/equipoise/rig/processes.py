@@ -95,7 +95,7 @@ def run_in_processes(request: RunRequest, out: Path, person: Operator, live: Liv
             end = RunEnd(evidence={"text": str(error)})
             raise
         finally:
-            recorder.typed.push(0.0, STOP.encode())  # for a loop that still runs
+            recorder.typed.push(word=STOP.encode())  # for a loop that still runs
             if loop.pid is not None:
                 loop.join(JOIN_TIMEOUT)
             over.set()
@@ -161,7 +161,7 @@ def _attend(
             warned = True
             person.notify(log_warning(writer.problem))
         for word in (*person.read_input(), *signalled):
-            recorder.typed.push(0.0, word.encode()[:64])
+            recorder.typed.push(word=word.encode())
         signalled.clear()
         if streams and alive:
             live(PHASES[int(pulse["state"])].value, float(pulse["phi"]))

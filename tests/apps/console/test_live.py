@@ -3,7 +3,6 @@
 import os
 import threading
 import time
-from math import nan
 
 import numpy as np
 import pytest
@@ -40,11 +39,10 @@ class PlayedRun:
             self.words += [(time.time(), word) for word in self.operator.read_input()]
             phi = 0.05 * np.sin(now - begin)
             state = PHASES.index(self.phase)
-            observed = (0.0, 0.0, phi, 0.0, 0, 0.5, phi, 0.0, 0.0)
             recorder = self.recorder
             recorder.take()
-            recorder.reply.push(now, nan, home, 0.0 * home, now)
-            recorder.tick.push(now, 0.001, 0.001, state, *observed, home + 0.02, 0.0 * home)
+            recorder.reply.push(time=now, q=home)
+            recorder.tick.push(time=now, late=0.001, state=state, u=0.5, estimated_phi=phi, q=home)
 
     def ask(self, text, *answers):
         self.operator.notify(OperatorMessage("checklist", text, answers))

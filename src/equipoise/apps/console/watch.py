@@ -98,7 +98,7 @@ class RunWatch:
             question: Time of the question that it answers [s]; 0 for a stop.
         """
         with self._speaking:
-            self._recorder.console.push(question, word.encode()[:64])
+            self._recorder.console.push(question=question, word=word.encode())
 
     def close(self) -> None:
         """Detach from the run."""
