@@ -132,7 +132,7 @@ def test_a_late_loop_explains_a_late_device_and_a_punctual_one_does_not(rig_log,
     found = explain(changed_table(ended, "tick", late=late))
     assert [one.cause for one in found[:1]] == [RootCause.BUSY]
     assert found[0].evidence == "the loop missed 2 of the last 250 ticks, by up to 64 ms"
-    assert "cable" not in found[0].advice
+    assert "cable" not in found[0].cause.advice
     late[:] = 0.0
     late[stop - 1000], late[stop - 20] = 0.064, 0.012  # long before the stop, and too little
     assert explain(changed_table(ended, "tick", late=late))[0].cause is outcome
@@ -175,4 +175,4 @@ def test_every_outcome_of_a_log_is_explained_with_advice(rig_log):
         end = None if outcome is Outcome.BROKEN_OFF else RunEnd(outcome=outcome)
         found = explain(dataclasses.replace(whole, end=end))
         assert outcome in [one.cause for one in found]
-        assert all(one.advice for one in found)
+        assert all(one.cause.advice for one in found)

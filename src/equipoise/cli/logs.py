@@ -38,7 +38,7 @@ def explain(output: Output, run: Path) -> None:
     else:
         found: dict[str, Any] = {
             "cause": causes[0].cause,
-            "advice": causes[0].advice,
+            "advice": causes[0].cause.advice,
             "causes": {
                 str(one.cause): {"score": one.score, "time_s": one.time, "evidence": one.evidence}
                 for one in causes

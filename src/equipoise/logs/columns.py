@@ -71,13 +71,13 @@ TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
         Column(
             "late",
             "s",
-            "Delay of the start behind its deadline; on a rig",
+            "Delay behind the deadline; on a rig",
             source=lambda tick: tick.inputs.lateness,
         ),
         Column(
             "compute",
             "s",
-            "Computing time, from reading to sending; on a rig",
+            "Computing time, reading to sending; on a rig",
             source=lambda tick: tick.compute,
         ),
         Column(

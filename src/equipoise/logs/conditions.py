@@ -96,7 +96,7 @@ class RunEnd(Value):
     outcome: Outcome = Outcome.ERROR
     """How it ended."""
     evidence: dict[Name, EvidenceValue] = Field(default_factory=dict, max_length=64)
-    """Numbers and texts of the end (`equipoise.outcomes.SENTENCES`)."""
+    """Numbers and texts of the end (`equipoise.outcomes.Outcome.sentence`)."""
     lasted: Number | None = None
     """Duration of the balancing [s]."""
     stoppable: bool = True

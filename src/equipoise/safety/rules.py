@@ -8,8 +8,9 @@ Two checks, both without a clock and without I/O:
     Check of the run, once per tick, from its current state (`SafetyInputs`) and the state of the
     checks that span several ticks (`MonitorState`, from `update_monitor`).
 
-Each returns the first broken rule in the order of `SAFETY_RULES` (`equipoise.outcomes`), or None. A
-broken rule leads to a latched stop (`equipoise.safety.stop`).
+Each returns the first broken rule, or None. A broken rule leads to a latched stop
+(`equipoise.safety.stop`). The rows of `equipoise.outcomes.Outcome` list the rules in their order,
+with sentence and advice.
 
 The deciding functions are `@compilable`: the same ones run in the trials of the digital twin
 (`equipoise.safety.trial`), where a broken rule ends the trial. They return codes and
@@ -23,7 +24,7 @@ rules are no safety functions in the sense of a standard: they run on a PC that 
 robot without a watchdog then moves on to its last target. The rules keep that target near.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from math import copysign, inf, isfinite, pi, radians
 from typing import Final, NamedTuple
@@ -269,7 +270,7 @@ def check_first(limits: Limits, q: Sequence[float], measured: Sequence[float]) -
 
 def _invalid_numbers(limits: Limits, q: Sequence[float], name: str) -> End | None:
     if len(q) != limits.joints:
-        return _violation(Outcome.COUNT, float(len(q)), float(limits.joints), name=name)
+        return _violation(Outcome.COUNT, len(q), limits.joints, name=name)
     for joint, angle in enumerate(q, start=1):
         if not isfinite(angle):
             evidence = {"name": f"{name}, joint {joint},", "got": str(angle), "joint": joint}
@@ -415,6 +416,28 @@ def update_monitor(
     return MonitorState(0, error_time, tuple(rest), tuple(then), tuple(motion))
 
 
+class InputRule(NamedTuple):
+    """A rule that compares one input with a limit."""
+
+    outcome: Outcome
+    """Name of the rule, with its sentence and advice."""
+    value: Callable[[SafetyInputs], float]
+    """The input."""
+    limit: float
+    """Its largest permitted value."""
+
+
+INPUT_RULES: Final = (
+    InputRule(Outcome.LINK, lambda inputs: inputs.overdue, MAX_STALL),
+    InputRule(Outcome.TICK, lambda inputs: inputs.lateness, MAX_STALL),
+    InputRule(Outcome.MEASUREMENT_STALE, lambda inputs: inputs.measured_age, MAX_MEASUREMENT_AGE),
+    InputRule(Outcome.ENCODER_STALE, lambda inputs: inputs.encoder_age, MAX_STALL),
+    InputRule(Outcome.ENCODER_ILLEGAL, lambda inputs: inputs.encoder_illegal, 0.0),
+    InputRule(Outcome.ENCODER_GAP, lambda inputs: inputs.encoder_missing, 0.0),
+    InputRule(Outcome.ENCODER_JUMP, lambda inputs: inputs.encoder_jump, MAX_COUNT_JUMP),
+)
+
+
 def check(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> End | None:
     """Return the broken rule that stops the run, or None; of several the first.
 
@@ -423,30 +446,35 @@ def check(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> 
         monitor: State of the checks that span several ticks, this one included.
         inputs: State of the run now.
     """
-    return next(violations(params, monitor, inputs), None)
+    broken = violations(params, monitor, inputs)
+    return broken[0] if broken else None
 
 
-def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> Iterator[End]:
-    """Yield the broken rules in the order of `SAFETY_RULES`; arguments as of `check`."""
-    for name, value in zip(inputs._fields, inputs, strict=True):
+def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> list[End]:
+    """Return the broken rules in the order of `SAFETY_RULES`; arguments as of `check`."""
+    broken = [
+        _violation(outcome, float(value(inputs)), limit)
+        for outcome, value, limit in INPUT_RULES
+        if value(inputs) > limit
+    ]
+    for name, value in inputs._asdict().items():
         if value is None or (name == "manipulability" and value == inf):
             continue
         for number in value if isinstance(value, tuple) else (value,):
             if not isfinite(number):
-                yield End(Outcome.NUMBER, {"name": name, "got": str(number)})
-    if inputs.overdue > MAX_STALL:
-        yield _violation(Outcome.LINK, inputs.overdue, MAX_STALL)
+                broken.append(End(Outcome.NUMBER, {"name": name, "got": str(number)}))
     if (motion := max(monitor.expected_motion, default=0.0)) > EXPECTED_MOTION:
         joint = monitor.expected_motion.index(motion) + 1
-        yield _violation(Outcome.NOT_FOLLOWING, motion, EXPECTED_MOTION, joint=joint)
-    if inputs.torque is not None and (joint := overloaded_joint(inputs.torque, params.torque)):
-        yield _violation(
-            Outcome.TORQUE, inputs.torque[joint - 1], params.torque[joint - 1], joint=joint
-        )
+        broken.append(_violation(Outcome.NOT_FOLLOWING, motion, EXPECTED_MOTION, joint=joint))
+    torque = inputs.torque
+    if torque is not None and (joint := overloaded_joint(torque, params.torque)):
+        limit = params.torque[joint - 1]
+        broken.append(_violation(Outcome.TORQUE, torque[joint - 1], limit, joint=joint))
     lasted, measured, expected = monitor.error_time, inputs.measured, inputs.expected
     if error_time_exceeded(lasted) and measured is not None and expected is not None:
         error, joint = largest_difference(measured, expected)
-        yield _violation(Outcome.FOLLOWING, error, FOLLOWING_LIMIT, joint=joint, lasted=lasted)
+        evidence = {"joint": joint, "lasted": lasted}
+        broken.append(_violation(Outcome.FOLLOWING, error, FOLLOWING_LIMIT, **evidence))
     if inputs.on_track:
         x, x_dot = inputs.x, inputs.x_dot
         code, value, limit = broken_flange(
@@ -454,21 +482,11 @@ def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs
         )
         if code != NO_VIOLATION:
             reach = stopping_reach(x, x_dot, params.reaction, params.u_max)
-            yield _violation(SAFETY_RULES[code], value, limit, x=x, x_dot=x_dot, reach=reach)
-    if inputs.lateness > MAX_STALL:
-        yield _violation(Outcome.TICK, inputs.lateness, MAX_STALL)
-    if inputs.measured_age > MAX_MEASUREMENT_AGE:
-        yield _violation(Outcome.MEASUREMENT_STALE, inputs.measured_age, MAX_MEASUREMENT_AGE)
-    if inputs.encoder_age > MAX_STALL:
-        yield _violation(Outcome.ENCODER_STALE, inputs.encoder_age, MAX_STALL)
-    if inputs.encoder_illegal:
-        yield _violation(Outcome.ENCODER_ILLEGAL, 1.0, 0.0)
-    if inputs.encoder_missing > 0:
-        yield _violation(Outcome.ENCODER_GAP, float(inputs.encoder_missing), 0.0)
-    if inputs.encoder_jump > MAX_COUNT_JUMP:
-        yield _violation(Outcome.ENCODER_JUMP, inputs.encoder_jump, MAX_COUNT_JUMP)
+            evidence = {"x": x, "x_dot": x_dot, "reach": reach}
+            broken.append(_violation(SAFETY_RULES[code], value, limit, **evidence))
     if inputs.balancing and has_fallen(inputs.phi):
-        yield _violation(Outcome.ANGLE, inputs.phi, ANGLE_RULE_LIMIT)
+        broken.append(_violation(Outcome.ANGLE, inputs.phi, ANGLE_RULE_LIMIT))
+    return sorted(broken, key=lambda end: SAFETY_RULES.index(end.outcome))
 
 
 @compilable
