@@ -290,13 +290,6 @@ class End(NamedTuple):
     """Numbers and texts of the end, by the names in its sentence."""
 
 
-class _Number(float):
-    """Number of a sentence, short whatever its size."""
-
-    def __format__(self, decimals: str) -> str:
-        return super().__format__(decimals if abs(self) < 1e6 else ".3g")
-
-
 def describe(end: End) -> str:
     """Return an end as a sentence for people; its name where it has no evidence.
 
@@ -305,8 +298,7 @@ def describe(end: End) -> str:
     values = dict(end.evidence)
     numbers = {name: value for name, value in values.items() if not isinstance(value, str)}
     for name, value in numbers.items():
-        units = {name: value, f"{name}_ms": 1e3 * value, f"{name}_deg": degrees(value)}
-        values |= {unit: _Number(number) for unit, number in units.items()}
+        values |= {f"{name}_ms": 1e3 * value, f"{name}_deg": degrees(value)}
     try:
         return end.outcome.sentence.format_map(values)
     except (LookupError, ValueError):

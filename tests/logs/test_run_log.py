@@ -107,12 +107,6 @@ def test_each_message_stands_at_its_time_in_the_file(file, run):
     assert stamps == sorted(stamps)
 
 
-def test_its_arrays_cannot_be_written_to(run):
-    for values in arrays(run).values():
-        with pytest.raises(ValueError, match="read-only"):
-            values[0] = 1
-
-
 EDITS = {
     "half a count": {"counts": 0.5},
     "a word for a number": {"compute": "far"},

@@ -138,21 +138,6 @@ def test_a_late_loop_explains_a_late_device_and_a_punctual_one_does_not(rig_log,
     assert explain(changed_table(ended, "tick", late=late))[0].cause is outcome
 
 
-def test_a_device_that_this_computer_emulates_has_no_cable_to_check(rig_log):
-    whole = RunLog.load(rig_log)
-    for outcome, at in ((Outcome.ENCODER_STALE, "encoder"), (Outcome.LINK, "world")):
-        for address, cause in (
-            ("kst://172.31.1.147", outcome),
-            ("serial:///dev/ttyACM0", outcome),
-            ("kst://127.0.0.1:30001", RootCause.BUSY),
-            ("serial:///dev/pts/4", RootCause.BUSY),
-        ):
-            conditions = whole.conditions.model_copy(update={at: address})
-            end = RunEnd(outcome=outcome, evidence=DELAY)
-            ended = dataclasses.replace(whole, conditions=conditions, end=end)
-            assert explain(ended)[0].cause is cause
-
-
 def test_a_log_that_breaks_off_is_explained_as_far_as_it_goes(broken_off):
     assert explain(RunLog.load(broken_off, damaged=True))[0].cause is Outcome.BROKEN_OFF
 

@@ -16,7 +16,8 @@ Rings, messages, JSON schemas, files, CSV tables and `docs/reference/run-log.md`
 `TABLES`: a field of the log is a row here.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -55,8 +56,12 @@ class Column(NamedTuple):
     """Meaning, with sign or reference."""
     kind: str = "number"
     """Type: `number`, `whole`, `joints` (one number per joint) or `S` with a size [B] (text)."""
-    source: Callable[[LoggedTick], Any] | None = None
-    """Value in a tick of a run on a rig; by default the field of its record with this name."""
+    source: str = ""
+    """Attribute of a `LoggedTick` with the value; by default that of the record with this name."""
+
+    def value(self, tick: LoggedTick) -> Any:
+        """Return the value of the column in a tick of a run on a rig."""
+        return attrgetter(self.source or f"output.record.{self.name}")(tick)
 
     @property
     def header(self) -> str:
@@ -67,53 +72,25 @@ class Column(NamedTuple):
 
 TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
     "tick": (
-        Column("time", "s", "Start of the tick", source=lambda tick: tick.time),
+        Column("time", "s", "Start of the tick", source="time"),
+        Column("late", "s", "Delay behind the deadline; on a rig", source="inputs.lateness"),
+        Column("compute", "s", "Computing time, reading to sending; on a rig", source="compute"),
         Column(
-            "late",
-            "s",
-            "Delay behind the deadline; on a rig",
-            source=lambda tick: tick.inputs.lateness,
-        ),
-        Column(
-            "compute",
-            "s",
-            "Computing time, reading to sending; on a rig",
-            source=lambda tick: tick.compute,
-        ),
-        Column(
-            "state",
-            "",
-            "Phase, by its index in `phases` of the conditions",
-            kind="whole",
-            source=lambda tick: tick.output.state,
+            "state", "", "Phase, as index in `phases` of the conditions", "whole", "output.state"
         ),
         Column("x", "m", "Displacement of the flange from home, as observed"),
         Column("x_dot", "m/s", "Velocity of the flange, as observed"),
         Column("phi", "rad", "Angle from upright, towards +x, as observed"),
         Column("phi_dot", "rad/s", "Angular velocity, as observed"),
-        Column(
-            "box", "", "Box of the table that holds the state; -1 outside the balance", kind="whole"
-        ),
+        Column("box", "", "Box of the table; -1 outside the balance", kind="whole"),
         Column("u", "m/s^2", "Commanded acceleration of the flange along x"),
         Column("estimated_phi", "rad", "Estimate of phi at the tick, not predicted"),
         Column("estimated_phi_dot", "rad/s", "Estimate of phi_dot at the tick"),
         Column("bias", "rad", "Estimate of the encoder's zero error"),
         Column("estimated_x_dot", "m/s", "Estimate of x_dot at the tick"),
         Column("estimated_x", "m", "Estimate of x at the tick"),
-        Column(
-            "q",
-            "rad",
-            "Joint positions commanded for the end of the tick",
-            kind="joints",
-            source=lambda tick: tick.output.q,
-        ),
-        Column(
-            "dq",
-            "rad/s",
-            "Joint velocities commanded for the end of the tick",
-            kind="joints",
-            source=lambda tick: tick.output.dq,
-        ),
+        Column("q", "rad", "Joints commanded for the end of the tick", "joints", "output.q"),
+        Column("dq", "rad/s", "Velocities commanded for that time", "joints", "output.dq"),
     ),
     "truth": (
         Column("time", "s", "Start of the tick"),

@@ -3,7 +3,7 @@
 from math import isfinite
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field
 
 from equipoise.artefacts import Count, Name, Number, Seed, Value
 from equipoise.model.actuator import Actuator
@@ -72,12 +72,6 @@ class RunConditions(Value):
     """Whether the run omitted the motion of the arm."""
     phases: tuple[Phase, ...] = Field(default=(Phase.BALANCING,), min_length=1, max_length=64)
     """Phases by their number in the ticks' column `state`."""
-
-    @model_validator(mode="after")
-    def _is_possible(self) -> "RunConditions":
-        if Phase.BALANCING not in self.phases:
-            raise ValueError("phases lacks 'balancing'")
-        return self
 
     @property
     def simulated(self) -> bool:

@@ -22,8 +22,6 @@ RATES: Final[Mapping[str, float]] = {
     "event": 50.0,
 }
 """Maximum rate of the rows of each recorded table [1/s]."""
-RINGS: Final = (*RATES, "notices", "typed", "console")
-"""Names of all rings, in the order of their counters."""
 EVENT: Final = tables(0)["event"]
 """Type of the rows of the table `event`."""
 WORD: Final = np.dtype([("question", np.float64), ("word", "S64")])
@@ -57,16 +55,12 @@ class LoggedEvent(NamedTuple):
 class Ring:
     """Ring of the rows of one table, with one writer and one reader."""
 
-    def __init__(self, rows: npt.NDArray[Any], counters: npt.NDArray[np.int64]) -> None:
-        """Create a ring in existing memory.
-
-        Args:
-            rows: Memory of the rows.
-            counters: Numbers of rows written, read and lost, shape (3,).
-        """
-        self._rows, self._counters, self._capacity = rows, counters, len(rows)
-        names = rows.dtype.names or ()
-        self._unknown = dict(zip(names, unknown_rows(rows.dtype, 1)[0].tolist(), strict=True))
+    def __init__(self, memory: Any) -> None:
+        """Create a ring in existing memory: `rows`, and `counters` of those written, read, lost."""
+        self._rows, self._counters = memory["rows"], memory["counters"]
+        self._capacity, kind = len(self._rows), self._rows.dtype
+        unknown = unknown_rows(kind, 1)[0].tolist()
+        self._unknown: dict[str, Any] = dict(zip(kind.names or (), unknown, strict=True))
 
     def push(self, **values: Any) -> None:
         """Write a row; drop and count it if the ring is full.
@@ -123,16 +117,15 @@ class Recorder:
         layout = _memory_layout(joints)
         buffer = bytearray(layout.itemsize) if buffer is None else buffer
         (memory,) = np.frombuffer(buffer, layout, 1)
-        rings = {name: Ring(memory[name], memory["counters"][i]) for i, name in enumerate(RINGS)}
         self.pulse: Any = memory["pulse"]
         """State of the loop at its last tick, as a row of the type `PULSE`."""
-        self.rings: dict[str, Ring] = {name: rings[name] for name in RATES}
+        self.rings: dict[str, Ring] = {name: Ring(memory[name]) for name in RATES}
         self.tick, self.stream, self.reply, self.encoder, self.event = self.rings.values()
-        self.notices = rings["notices"]
+        self.notices = Ring(memory["notices"])
         """Events for the operator, in another process."""
-        self.typed = rings["typed"]
+        self.typed = Ring(memory["typed"])
         """Words of the operator, from another process."""
-        self.console = rings["console"]
+        self.console = Ring(memory["console"])
         """Words from a console."""
         self._question: npt.NDArray[Any] = memory["question"]
 
@@ -157,13 +150,8 @@ class Recorder:
         for reply in inputs.replies:
             measured = {"q": reply.q, "torque": reply.torque}
             self.reply.push(time=reply.received, sent=reply.sent, taken=now, **measured)
-        tick, record = LoggedTick(now, compute, inputs, output), output.record._asdict()
-        self.tick.push(
-            **{
-                column.name: record[column.name] if column.source is None else column.source(tick)
-                for column in TABLES["tick"]
-            }
-        )
+        tick = LoggedTick(now, compute, inputs, output)
+        self.tick.push(**{column.name: column.value(tick) for column in TABLES["tick"]})
         for text in inputs.lines:
             push_event(self.event, now, OperatorMessage(WORD_TYPED, text))
         for fault in inputs.faults:
@@ -199,14 +187,15 @@ class Recorder:
 
 
 def _memory_layout(joints: int) -> np.dtype[Any]:
-    """Return the memory of a recorder: counters, pulse, and the rows of each ring."""
+    """Return the memory of a recorder: pulse, open question, and the rings."""
     kinds = tables(joints)
-    counters = ("counters", np.int64, (len(RINGS), 3))
-    rows = [(name, kinds[name], round(10.0 * rate)) for name, rate in RATES.items()]
-    words = {"notices": EVENT, "typed": WORD, "console": WORD}
-    operator = [(name, kind, 256) for name, kind in words.items()]
-    pulse, question = ("pulse", PULSE), ("question", EVENT, 1)
-    return np.dtype([counters, pulse, question, *rows, *operator])
+    sizes = {name: (kinds[name], round(10.0 * rate)) for name, rate in RATES.items()}
+    sizes |= {"notices": (EVENT, 256), "typed": (WORD, 256), "console": (WORD, 256)}
+    rings = [
+        (name, [("counters", np.int64, 3), ("rows", kind, size)])
+        for name, (kind, size) in sizes.items()
+    ]
+    return np.dtype([("pulse", PULSE), ("question", EVENT, 1), *rings])
 
 
 def push_event(ring: Ring, time: float, event: OperatorMessage) -> None:
