@@ -15,9 +15,9 @@ from equipoise.control.policy import TaskPolicy
 from equipoise.errors import EquipoiseError, InputError
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
+from equipoise.outcomes import MAX_STALL
 from equipoise.rig.config import RigSettings
 from equipoise.rig.interfaces import SETPOINT_PERIOD
-from equipoise.safety.rules import MAX_STALL
 
 STALL: Final = 0.020
 """Delay from which a loop, an encoder or a link counts as stalled [s]: two ticks. A robot that sets

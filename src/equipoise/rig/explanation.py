@@ -31,7 +31,7 @@ from equipoise.arrays import Array
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.identification.refine import ModelMotion, read_motion
 from equipoise.logs.run_log import RunLog
-from equipoise.outcomes import SYMPTOM, EndCause, Outcome, describe
+from equipoise.outcomes import SYMPTOMS, EndCause, Outcome, describe
 from equipoise.rig.checks import STALL
 from equipoise.rig.phases.context import RESTART_ACCELERATION
 from equipoise.worlds.reachability import diverging_angle, fall_rate, recoverable_angle
@@ -106,7 +106,8 @@ def explain(run: RunLog) -> list[Cause]:
     time = run.lasted if balanced else None
     busy = _missed(run) if end.outcome in DELAYS else ""
     causes = [Cause(RootCause.BUSY, 0.95, time, busy)] if busy else []
-    causes.append(Cause(end.outcome, SYMPTOM if busy else end.outcome.score, time, describe(end)))
+    score = 0.2 if busy or end.outcome in SYMPTOMS else 0.95
+    causes.append(Cause(end.outcome, score, time, describe(end)))
     regular = end.outcome in (Outcome.LASTED, Outcome.OPERATOR, Outcome.EXCITED)
     if balanced and len(run.time) > 0 and not regular:
         causes += root_causes(run)

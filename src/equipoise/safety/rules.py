@@ -10,7 +10,7 @@ Two checks, both without a clock and without I/O:
 
 Each returns the first broken rule, or None. A broken rule leads to a latched stop
 (`equipoise.safety.stop`). The rows of `equipoise.outcomes.Outcome` list the rules in their order,
-with sentence and advice.
+with sentence, advice, and the limit where a rule compares one input with a number.
 
 The deciding functions are `@compilable`: the same ones run in the trials of the digital twin
 (`equipoise.safety.trial`), where a broken rule ends the trial. They return codes and
@@ -24,7 +24,7 @@ rules are no safety functions in the sense of a standard: they run on a PC that 
 robot without a watchdog then moves on to its last target. The rules keep that target near.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from math import copysign, inf, isfinite, pi, radians
 from typing import Final, NamedTuple
@@ -35,9 +35,8 @@ import numpy.typing as npt
 from equipoise import paper
 from equipoise.jit import compilable
 from equipoise.model.arms.arm import Arm
-from equipoise.outcomes import SAFETY_RULES, End, Outcome
+from equipoise.outcomes import SAFETY_RULES, End, Numbers, Outcome, SafetyInputs
 
-Numbers = tuple[float, ...]
 Row = Sequence[float] | npt.NDArray[np.float64]
 """One number per joint, from Python or from a kernel."""
 
@@ -59,20 +58,9 @@ TRACK_LIMIT: Final = paper.X_LIMIT
 """Track limit: maximum distance of the flange from home [m]."""
 ANGLE_RULE_LIMIT: Final = radians(paper.PHI_LIMIT_DEG)
 """Failure angle of the pendulum from upright [rad]."""
-MAX_STALL: Final = 0.070
-"""Maximum duration of a stall of the loop, of the encoder or of the link that is bridged [s]. On
-the twin a balance outlasts 80 ms of each; the operator has to know within 100 ms that software can
-no longer stop the robot."""
-MAX_MEASUREMENT_AGE: Final = 0.120
-"""Maximum age of the newest measured joints [s]: a bridged stall of 70 ms, up to 15 ms from the
-last measurement to its start, up to 35 ms until a setpoint after it is answered with joints. Older
-ones do not show whether the arm follows, or where its flange is."""
 MAX_PENDULUM_RATE: Final = 20.0
 """Maximum plausible rate of a pendulum [rad/s]; a fall from upright reaches 2 sqrt(w2) = 17
 rad/s."""
-MAX_COUNT_JUMP: Final = radians(0.6)
-"""Maximum unexplained deviation of a count from the straight line through the two before [rad],
-beyond the encoder's resolution and gravity; time stamps are wrong by up to 0.3 ms."""
 MAX_PENDULUM_ACCELERATION: Final = 150.0
 """Maximum plausible acceleration of a pendulum [rad/s^2]: gravity 70, its pivot 15, a hand the
 rest."""
@@ -334,47 +322,6 @@ def broken_setpoint(
 # The run.
 
 
-class SafetyInputs(NamedTuple):
-    """State of a run at a tick; the defaults break no rule."""
-
-    lateness: float = 0.0
-    """Lateness of the tick [s]."""
-    overdue: float = 0.0
-    """Time since the oldest setpoint without a reply [s]."""
-    measured_age: float = 0.0
-    """Age of the newest measured joints [s]."""
-    measured: Numbers | None = None
-    """Measured joints [rad], all of them; None without a new measurement."""
-    expected: Numbers | None = None
-    """Joints of the arm's model at the time of `measured` [rad]."""
-    torque: Numbers | None = None
-    """External torques less those at rest [N m]; None without a new measurement."""
-    encoder_age: float = 0.0
-    """Age of the newest encoder sample [s]."""
-    encoder_illegal: bool = False
-    """Whether the board found an illegal transition since the tick before."""
-    encoder_missing: int = 0
-    """Encoder samples lost since the tick before."""
-    encoder_jump: float = 0.0
-    """Maximum `unexplained_turn` since the tick before [rad]."""
-    balancing: bool = False
-    """Whether the policy commands."""
-    x: float = 0.0
-    """Displacement of the flange from home along base x [m]."""
-    x_dot: float = 0.0
-    """Its velocity [m/s]."""
-    phi: float = 0.0
-    """Angle of the pendulum from upright [rad]."""
-    on_track: bool = False
-    """Whether the flange has to be on its track, in line and orientation; not on the way home."""
-    manipulability: float = inf
-    """Manipulability |det J| [m^3]; inf if unchecked."""
-    drift: float = 0.0
-    """Distance of the flange from its line [m]."""
-    tilt: float = 0.0
-    """Angle of the flange from its orientation [rad]."""
-
-
 class MonitorState(NamedTuple):
     """State of the checks that span several ticks."""
 
@@ -416,28 +363,6 @@ def update_monitor(
     return MonitorState(0, error_time, tuple(rest), tuple(then), tuple(motion))
 
 
-class InputRule(NamedTuple):
-    """A rule that compares one input with a limit."""
-
-    outcome: Outcome
-    """Name of the rule, with its sentence and advice."""
-    value: Callable[[SafetyInputs], float]
-    """The input."""
-    limit: float
-    """Its largest permitted value."""
-
-
-INPUT_RULES: Final = (
-    InputRule(Outcome.LINK, lambda inputs: inputs.overdue, MAX_STALL),
-    InputRule(Outcome.TICK, lambda inputs: inputs.lateness, MAX_STALL),
-    InputRule(Outcome.MEASUREMENT_STALE, lambda inputs: inputs.measured_age, MAX_MEASUREMENT_AGE),
-    InputRule(Outcome.ENCODER_STALE, lambda inputs: inputs.encoder_age, MAX_STALL),
-    InputRule(Outcome.ENCODER_ILLEGAL, lambda inputs: inputs.encoder_illegal, 0.0),
-    InputRule(Outcome.ENCODER_GAP, lambda inputs: inputs.encoder_missing, 0.0),
-    InputRule(Outcome.ENCODER_JUMP, lambda inputs: inputs.encoder_jump, MAX_COUNT_JUMP),
-)
-
-
 def check(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> End | None:
     """Return the broken rule that stops the run, or None; of several the first.
 
@@ -453,9 +378,9 @@ def check(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> 
 def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> list[End]:
     """Return the broken rules in the order of `SAFETY_RULES`; arguments as of `check`."""
     broken = [
-        _violation(outcome, float(value(inputs)), limit)
-        for outcome, value, limit in INPUT_RULES
-        if value(inputs) > limit
+        _violation(rule, float(bound.value(inputs)), bound.limit)
+        for rule in SAFETY_RULES
+        if (bound := rule.bound) is not None and bound.value(inputs) > bound.limit
     ]
     for name, value in inputs._asdict().items():
         if value is None or (name == "manipulability" and value == inf):
