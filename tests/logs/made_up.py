@@ -24,8 +24,6 @@ COLUMNS = (
     *("estimated_phi", "estimated_phi_dot", "bias", "estimated_x_dot", "estimated_x"),
 )
 """Columns of the ticks that a simulation fills."""
-PARTS = ("truth", "stream", "replies", "encoder")
-"""Attributes of a run with other columns."""
 
 
 def conditions(**changes):
@@ -87,16 +85,6 @@ def made_up(count=40, rig=True, **changes):
         given["encoder"] = {"time": 0.01 * np.arange(count) - 0.001, "counts": counts}
     end = RunEnd(outcome=Outcome.TRACK, lasted=0.01 * count)
     return simulated_log(conditions(), end, tick, **given | changes)
-
-
-def arrays(run):
-    """All arrays of a run by name."""
-    ticks = {name: run.ticks[name] for name in COLUMNS}
-    return ticks | {
-        f"{part}.{name}": getattr(run, part)[name]
-        for part in PARTS
-        for name in getattr(run, part).dtype.names
-    }
 
 
 def changed_table(run, table, **new):
