@@ -20,9 +20,8 @@ from typing import Any
 from PIL import Image
 
 from equipoise.apps.console.scene import PERIOD
-from equipoise.logs.recorder import Recorder
+from equipoise.logs.recorder import Recorder, RunInfo, open_recorder, share
 from equipoise.logs.run_log import RunLog
-from equipoise.logs.shared import RunInfo, open_recorder, share
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parents[1]))

@@ -26,8 +26,16 @@ from typing import Any, Final
 from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import EquipoiseError, OutsideError
 from equipoise.logs.conditions import RunEnd
-from equipoise.logs.recorder import CONNECTING, ENDED, Recorder, push_event, read_events
-from equipoise.logs.shared import RunInfo, open_recorder, share
+from equipoise.logs.recorder import (
+    CONNECTING,
+    ENDED,
+    Recorder,
+    RunInfo,
+    open_recorder,
+    push_event,
+    read_events,
+    share,
+)
 from equipoise.logs.writer import RunWriter
 from equipoise.rig import realtime
 from equipoise.rig.connection import connect, restart_instruction

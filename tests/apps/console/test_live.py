@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from equipoise.apps.console import live
-from equipoise.logs.recorder import push_event
-from equipoise.logs.shared import RunInfo, open_recorder, share
+from equipoise.logs.recorder import RunInfo, open_recorder, push_event, share
 from equipoise.model.arms.iiwa import iiwa7
 from equipoise.outcomes import Phase
 from equipoise.rig.interfaces import OperatorMessage

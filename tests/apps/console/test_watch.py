@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 
 from equipoise.apps.console.watch import RunWatch
-from equipoise.logs.recorder import CONNECTING, ENDED, push_event
-from equipoise.logs.shared import RunInfo, live_runs, open_recorder, share
+from equipoise.logs.recorder import (
+    CONNECTING,
+    ENDED,
+    RunInfo,
+    live_runs,
+    open_recorder,
+    push_event,
+    share,
+)
 from equipoise.model.arms.iiwa import iiwa7
 from equipoise.outcomes import Phase
 from equipoise.rig.interfaces import OperatorMessage
