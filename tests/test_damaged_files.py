@@ -1,7 +1,5 @@
 """Every format that is read from a file, damaged at random: a sound value or one sentence."""
 
-import json
-import random
 from math import radians
 from pathlib import Path
 
@@ -19,7 +17,7 @@ from equipoise.model.worlds import read_world
 from equipoise.rig.config import read_rig
 from equipoise.settings import resolve
 from equipoise.worlds.evaluation import Evaluation, evaluate
-from tests.cli.damage import digest, mutations, outcomes
+from tests.cli.damage import mutations, outcomes
 
 pytestmark = pytest.mark.compiled_only  # files are read by the same code without compilation
 
@@ -101,60 +99,3 @@ def test_a_damaged_file_is_a_value_or_a_sentence(tmp_path, name, count):
 def test_a_pendulum_that_no_regulator_balances_is_refused():
     with pytest.raises(InputError):
         baselines(Pendulum.assumed(1e5, 0.1).parameters(), 0.01)
-
-
-EXTREMES = (0, 1, -1, 5e-324, 1e-9, 1e15, -1e15, 1e308, -1e308, 2**63, 10**30, "", "a" * 10_000, [])
-"""Numbers, and others in their place, that a digest cannot refuse."""
-
-
-def leaves(body, path=()):
-    """Yield the paths of all numbers and texts in a body."""
-    if isinstance(body, dict | list):
-        items = body.items() if isinstance(body, dict) else list(enumerate(body))[:3]
-        for key, value in items:
-            yield from leaves(value, (*path, key))
-    elif not isinstance(body, bool | None):
-        yield path
-
-
-def changed(document, count, seed=0):
-    """Yield copies with one extreme value each and with a digest that fits."""
-    draw = random.Random(seed)
-    places = list(leaves(document["body"]))
-    for _ in range(count):
-        copy = json.loads(json.dumps(document))
-        *way, last = draw.choice(places)
-        node = copy["body"]
-        for key in way:
-            node = node[key]
-        node[last] = draw.choice(EXTREMES)
-        copy["digest"] = digest(copy["body"])
-        yield json.dumps(copy).encode()
-
-
-def balance(policy):
-    """Run a short trial on the plant of the training."""
-    short = policy.settings.evaluation.model_copy(update={"trials": 1, "duration": 0.1})
-    settings = policy.settings.model_copy(update={"evaluation": short})
-    evaluation = evaluate(policy, settings)
-    assert evaluation.results.survival[0] <= 0.1
-
-
-USES = {
-    "pendulum.json": lambda value: balance(shipped_policy().model_copy(update={"pendulum": value})),
-    "actuator.json": lambda value: balance(shipped_policy().model_copy(update={"actuator": value})),
-    "policy.json": balance,
-    "evaluation.json": lambda value: [each.summary() for each in (value.results, *value.baselines)],
-}
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("name", USES)
-@pytest.mark.parametrize("count", [30, pytest.param(2000, marks=pytest.mark.slow)])
-def test_extreme_numbers_with_a_fitting_digest_end_in_a_sentence(tmp_path, name, count):
-    path, read = sound(tmp_path, name)
-    use = USES[name]
-    if name != "evaluation.json":
-        use(read(path))  # compiles
-    found = outcomes(read, path, changed(json.loads(path.read_text()), count), use)
-    assert found["refused"] > 0

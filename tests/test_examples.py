@@ -19,6 +19,7 @@ SAY = {
     "train_and_evaluate.py": "LQR, snapped lasted 200 of 200 trials",
     "own_policy.py": "5 of 5 trials lasted 10 s",
     "policy_table.py": "    -10     10     50    inf",
+    "foxglove.py": "open it in Foxglove",
     "deploy_on_the_twin.py": "twin:nominal: stood 20 of 20 s",
 }
 

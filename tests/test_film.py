@@ -90,9 +90,8 @@ def test_a_missing_opengl_is_one_error_with_its_remedy(monkeypatch, run, tmp_pat
 @pytest.mark.usefixtures("renderer")
 def test_a_webp_is_the_part_in_real_time_with_its_numbers(run, tmp_path, monkeypatch):
     monkeypatch.setitem(film.FORMATS, film.WEBP, (96, 96, 12.5))
-    path, told = tmp_path / "part.webp", []
-    write_film(run, path, -4.0, -3.6, told.append)
-    assert told == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
+    path = tmp_path / "part.webp"
+    write_film(run, path, -4.0, -3.6)
     with Image.open(path) as moving:
         assert (moving.format, moving.size, moving.n_frames) == ("WEBP", (96, 96), 5)
         moving.seek(1)

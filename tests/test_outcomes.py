@@ -6,7 +6,7 @@ import pytest
 
 from equipoise.control import grid
 from equipoise.logs.conditions import RunEnd
-from equipoise.outcomes import SAFETY_RULES, SENTENCES, TRIAL_OUTCOMES, End, Outcome, describe
+from equipoise.outcomes import SAFETY_RULES, TRIAL_OUTCOMES, End, Outcome, describe
 
 
 def test_codes_of_kernels_name_outcomes():
@@ -30,7 +30,6 @@ def test_a_sentence_holds_the_value_and_the_expected_one():
     end = End(Outcome.DRIFT, {"value": 0.0163, "limit": 0.015})
     assert describe(end) == "the flange is 16.3 mm off its line, expected at most 15 mm"
     assert describe(End(Outcome.TRACK, {"x": 0.21})) == "track, x 0.21"
-    assert Outcome.EXCITED not in SENTENCES
 
 
 @pytest.mark.parametrize(

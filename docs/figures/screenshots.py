@@ -20,9 +20,8 @@ from typing import Any
 from PIL import Image
 
 from equipoise.apps.console.scene import PERIOD
-from equipoise.logs.recorder import Recorder
+from equipoise.logs.recorder import Recorder, RunInfo, open_recorder, share
 from equipoise.logs.run_log import RunLog
-from equipoise.logs.shared import RunInfo, open_recorder, share
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parents[1]))
@@ -111,7 +110,8 @@ def play(run: RunLog, recorder: Recorder, over: threading.Event) -> None:
         for name, table in rows.items():
             due = table["time"] <= now
             for row in table[due & (table["time"] > now - LAST)].tolist():
-                recorder.rings[name].push(*row)
+                values = dict(zip(table.dtype.names, row, strict=True))
+                recorder.rings[name].push(**values)
             rows[name] = table[~due]
         recorder.pulse["time"], recorder.pulse["ticks"] = now, 1.0
 

@@ -9,7 +9,7 @@ OSMesa or GLFW.
 import io
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -221,7 +221,6 @@ def write_film(
     path: Path,
     begin: float | None = None,
     end: float | None = None,
-    report: Callable[[float], None] = lambda _: None,
 ) -> None:
     """Write a part of a run as a film in real time, with its numbers below the picture.
 
@@ -230,7 +229,6 @@ def write_film(
         path: The file, `.mp4` (H.264) or `.webp` (animated), written atomically.
         begin: Start since the release [s]; by default the release, on a rig shortly before it.
         end: End since the release [s]; by default that of the run.
-        report: Progress callback; receives the fraction of the frames that are done.
 
     Raises:
         InputError: The suffix is unknown, the part is outside the run, or too long for a WebP.
@@ -248,7 +246,7 @@ def write_film(
         )
     rate = FORMATS[suffix][2]
     times = begin + np.arange(max(1, round((end - begin) * rate))) / rate
-    frames = _frames(run, motion, times, suffix, report)
+    frames = _frames(run, motion, times, suffix)
     if suffix == WEBP:
         first, *others = frames
         stream = io.BytesIO()
@@ -272,9 +270,7 @@ def write_film(
         raise OutsideError(f"cannot write {path}, the encoder failed: {error}") from None
 
 
-def _frames(
-    run: RunLog, motion: Motion, times: Array, suffix: str, report: Callable[[float], None]
-) -> Iterator[Any]:
+def _frames(run: RunLog, motion: Motion, times: Array, suffix: str) -> Iterator[Any]:
     """Yield the pictures of a run at times [s], with two lines of numbers below, as PIL images."""
     from matplotlib import get_data_path
     from PIL import Image, ImageDraw, ImageFont
@@ -285,7 +281,7 @@ def _frames(
     font = Path(get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
     large, small = (ImageFont.truetype(font, share * bar) for share in (0.3, 0.27))
     try:
-        for done, time in enumerate(times.tolist(), 1):
+        for time in times.tolist():
             pose = motion.at(time)
             image = Image.new("RGB", (width, height), "white")
             image.paste(Image.fromarray(renderer.draw(pose.q, pose.phi, pose.u)))
@@ -296,6 +292,5 @@ def _frames(
             note = " · ".join(filter(None, (conditions.arm.name, conditions.world, pose.phase)))
             pen.text((0.03 * width, height - 0.27 * bar), note, "#767676", small, "lm")
             yield image
-            report(done / len(times))
     finally:
         renderer.close()

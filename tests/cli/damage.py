@@ -83,15 +83,13 @@ def outcomes(
     read: Callable[[Path], Any],
     path: Path,
     damaged: Iterator[bytes],
-    use: Callable[[Any], Any] = lambda value: value,
 ) -> Counter[str]:
     """Read damaged copies of a file; each is read as a value or refused in one sentence.
 
     Args:
-        read: Reads the file; what it returns is given to `use`.
+        read: Reads the file.
         path: The file that is overwritten with each copy; its suffix is that of its format.
         damaged: The copies, for example from `mutations`.
-        use: Uses a value as the program would; may refuse it as well.
 
     Returns:
         Number of copies that were `read` and that were `refused`.
@@ -104,7 +102,7 @@ def outcomes(
         path.write_bytes(content)
         begin = time.process_time()
         try:
-            use(read(path))
+            read(path)
             found["read"] += 1
         except EquipoiseError as error:
             found["refused"] += 1

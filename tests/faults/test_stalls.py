@@ -5,9 +5,8 @@ from math import inf
 import numpy as np
 import pytest
 
-from equipoise.outcomes import Outcome
+from equipoise.outcomes import MAX_STALL, Outcome
 from equipoise.rig.config import RigSettings
-from equipoise.safety.rules import MAX_STALL
 from tests.faults.harness import FaultHarness, Scenario, Trigger
 from tests.faults.verdicts import check_limits, setpoints_of
 

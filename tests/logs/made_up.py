@@ -24,8 +24,6 @@ COLUMNS = (
     *("estimated_phi", "estimated_phi_dot", "bias", "estimated_x_dot", "estimated_x"),
 )
 """Columns of the ticks that a simulation fills."""
-PARTS = ("truth", "stream", "replies", "encoder")
-"""Attributes of a run with other columns."""
 
 
 def conditions(**changes):
@@ -89,16 +87,6 @@ def made_up(count=40, rig=True, **changes):
     return simulated_log(conditions(), end, tick, **given | changes)
 
 
-def arrays(run):
-    """All arrays of a run by name."""
-    ticks = {name: run.ticks[name] for name in COLUMNS}
-    return ticks | {
-        f"{part}.{name}": getattr(run, part)[name]
-        for part in PARTS
-        for name in getattr(run, part).dtype.names
-    }
-
-
 def changed_table(run, table, **new):
     """The same run with other columns in one of its tables; rows are made where it has none."""
     length = len(next(iter(new.values())))
@@ -116,11 +104,10 @@ def push(recorder, ticks, begin=0):
     """Record the rows of ticks; nothing depends on what they mean."""
     for i in range(begin, begin + ticks):
         t = 0.01 * i
-        observed = (0.1, np.nan, 0.2, 0.3, 17, -2.0, 0.2, 0.3, 0.0, 0.1, 0.1)
-        recorder.tick.push(t, 1e-5, 2e-4, 3, *observed, POSTURE, POSTURE)
-        recorder.stream.push(t, POSTURE)
-        recorder.reply.push(t, t - 0.004, POSTURE, np.full(7, np.nan), t)
-        recorder.encoder.push(t, 4096 + i, 0, 0, 0, t)
+        recorder.tick.push(time=t, state=3, x=0.1, phi=0.2, box=17, u=-2.0, q=POSTURE)
+        recorder.stream.push(time=t, q=POSTURE)
+        recorder.reply.push(time=t, sent=t - 0.004, q=POSTURE, taken=t)
+        recorder.encoder.push(time=t, counts=4096 + i, received=t)
 
 
 def drained(path, ticks):

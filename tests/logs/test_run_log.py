@@ -17,19 +17,12 @@ from equipoise.logs.conditions import RunEnd
 from equipoise.logs.run_log import RunLog, simulated_log
 from equipoise.logs.writer import LogEncoder
 from equipoise.outcomes import Outcome
-from tests.logs.made_up import arrays, conditions, made_up
+from tests.logs.made_up import conditions, made_up
 
 
 def messages(file):
     with file.open("rb") as stream:
         return list(make_reader(stream, validate_crcs=True).iter_messages())
-
-
-def same(one, other):
-    assert one.conditions == other.conditions
-    for name, values in arrays(one).items():
-        np.testing.assert_array_equal(arrays(other)[name], values, strict=True)
-    assert one.digest == other.digest
 
 
 @pytest.fixture
@@ -67,8 +60,11 @@ def test_a_run_comes_back_to_the_last_bit(tmp_path, kind):
     run = RUNS[kind]()
     run.save(tmp_path / "deep" / "run.mcap", command="test", inputs={"policy": "sha256:0123"})
     back = RunLog.load(tmp_path / "deep" / "run.mcap")
-    same(run, back)
-    assert (back.lasted, back.damage) == (run.lasted, "")
+    assert back.conditions == run.conditions
+    assert {name: rows.tobytes() for name, rows in back.tables.items()} == {
+        name: rows.tobytes() for name, rows in run.tables.items()
+    }
+    assert (back.digest, back.lasted, back.damage) == (run.digest, run.lasted, "")
     provenance = back.provenance
     assert (provenance.command, provenance.inputs) == ("test", {"policy": "sha256:0123"})
     assert {type(value) for value in back.conditions.world_settings.values()} == {float, int, str}
@@ -105,12 +101,6 @@ def test_each_message_stands_at_its_time_in_the_file(file, run):
         as_written = make_reader(stream).iter_messages(log_time_order=False)
         stamps = [message.log_time for _, _, message in as_written]
     assert stamps == sorted(stamps)
-
-
-def test_its_arrays_cannot_be_written_to(run):
-    for values in arrays(run).values():
-        with pytest.raises(ValueError, match="read-only"):
-            values[0] = 1
 
 
 EDITS = {

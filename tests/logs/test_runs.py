@@ -10,7 +10,6 @@ from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import RecordingError
 from equipoise.identification.refine import read_motion
 from equipoise.logs.conditions import RunEnd
-from equipoise.logs.export import export
 from equipoise.logs.recorder import Recorder, push_event
 from equipoise.logs.run_log import RunLog, load_run
 from equipoise.logs.writer import RunWriter
@@ -77,7 +76,7 @@ def test_a_run_that_did_not_balance_is_refused_with_its_reason(tmp_path, rig_log
 
 def test_every_table_is_exported_with_units(rig_log, tmp_path):
     run = RunLog.load(rig_log)
-    made = export(run, tmp_path / "csv")
+    made = run.export(tmp_path / "csv")
     assert [path.name for path in made] == [
         "tick.csv",
         "stream.csv",

@@ -190,23 +190,6 @@ def test_a_stall_is_late_once_and_a_slow_device_is_not():
         assert (max(clock.late), sum(clock.late)) == pytest.approx((late, late))
 
 
-def test_the_loop_is_judged_before_the_devices_and_an_emulated_one_gets_no_better_board():
-    (late,), (good,) = deadlines(0.030, 1), deadlines(1e-4, 1)
-    devices = [*link(0.02), *encoder(ages=np.full(9, 0.03), illegal=1)]
-    real, emulated = ("kst://172.31.1.147", "serial:///dev/ttyACM0"), ("", "serial:///dev/pts/3")
-    for loop, addresses, by_computer in (
-        (good, real, False),
-        (late, real, True),
-        (good, emulated, True),
-        (good, ("kst://127.0.0.1:30001", None), True),
-    ):
-        found = checks.judge_loop_first(loop, devices, addresses)
-        assert found[0] is loop
-        for one, before in zip(found[1:], devices, strict=True):
-            delayed = by_computer and one.name in ("link to the robot", "encoder's samples")
-            assert one == before._replace(remedy=checks.COMPUTER if delayed else before.remedy)
-
-
 def test_a_robot_slower_than_the_stream_is_asked_for_no_longer():
     clock = VirtualClock()
     slow = SimpleNamespace(measured=lambda: clock.wait_until(clock.now() + 0.050))

@@ -304,7 +304,7 @@ def test_a_link_that_breaks_on_the_way_to_rest_is_told_as_well():
 def test_whatever_fails_in_a_tick_the_arm_comes_to_rest(what, since):
     calls = iter(range(1000))
 
-    def fail(*_):
+    def fail(*_, **values):
         if what in ("tell", "begin") or next(calls) == 12:
             raise OSError("broken pipe")
         return []

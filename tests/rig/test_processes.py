@@ -22,9 +22,8 @@ from equipoise.control.policy import shipped_policy
 from equipoise.control.ticks import OperatorMessage, Reply, Sample, TickOutput, TickRecord
 from equipoise.errors import LinkError, OutsideError
 from equipoise.logs.conditions import RunEnd
-from equipoise.logs.recorder import CONNECTING, ENDED
+from equipoise.logs.recorder import CONNECTING, ENDED, live_runs, read_info
 from equipoise.logs.run_log import RunLog
-from equipoise.logs.shared import live_runs, read_info
 from equipoise.logs.writer import LogEncoder
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.outcomes import Phase

@@ -14,12 +14,12 @@ from equipoise.control.ticks import Reply, Sample, TickInputs, missed_ticks
 from equipoise.errors import RecordingError
 from equipoise.identification.self_test import SelfTest, SelfTestVerdict
 from equipoise.model.actuator import Actuator
-from equipoise.outcomes import Outcome, Phase, describe
+from equipoise.outcomes import MAX_MEASUREMENT_AGE, MAX_STALL, Outcome, Phase, describe
 from equipoise.rig.config import RigSettings
 from equipoise.rig.phases.readings import EncoderReadings
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import UNCERTAIN_TORQUE_FACTOR, RunController
-from equipoise.safety.rules import ANGLE_RULE_LIMIT, MAX_MEASUREMENT_AGE, MAX_STALL
+from equipoise.safety.rules import ANGLE_RULE_LIMIT
 
 pytestmark = pytest.mark.compiled_only
 

@@ -38,7 +38,6 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
             None if encoder is None else open_encoder(encoder, clock),
             None if rig.rig is None else read_rig(rig.rig),
             measurement.seconds,
-            (robot, encoder),
         )
     fit = all(one.status != "bad" for one in findings)
     output.result(

@@ -38,7 +38,7 @@ def explain(output: Output, run: Path) -> None:
     else:
         found: dict[str, Any] = {
             "cause": causes[0].cause,
-            "advice": causes[0].advice,
+            "advice": causes[0].cause.advice,
             "causes": {
                 str(one.cause): {"score": one.score, "time_s": one.time, "evidence": one.evidence}
                 for one in causes
@@ -100,7 +100,6 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
     choose another part.
     """
     from equipoise.film import check_format, write_film
-    from equipoise.logs.export import export
     from equipoise.logs.run_log import RunLog
 
     video, folder = film.video, None
@@ -118,7 +117,7 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
             write_film(log, video, film.from_, film.to)
     output.result(
         run=run,
-        tables=None if folder is None else export(log, folder),
+        tables=None if folder is None else log.export(folder),
         video=video,
         warnings=[log.damage],
         then=command("log explain", run),

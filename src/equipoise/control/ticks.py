@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from math import ceil
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -60,20 +60,20 @@ class OperatorMessage(NamedTuple):
 class TickRecord(NamedTuple):
     """Observation and decision of a tick, for the log; NaN outside the balance.
 
-    Each field is a column of the log: its annotation holds the type, the unit and the meaning.
+    Each field is a column of the log, which `equipoise.logs.columns` describes.
     """
 
-    x: Annotated[float, "m", "Displacement of the flange from home, as observed"] = np.nan
-    x_dot: Annotated[float, "m/s", "Velocity of the flange, as observed"] = np.nan
-    phi: Annotated[float, "rad", "Angle from upright, towards +x, as observed"] = np.nan
-    phi_dot: Annotated[float, "rad/s", "Angular velocity, as observed"] = np.nan
-    box: Annotated[int, "", "Box of the table that holds the state; -1 outside the balance"] = -1
-    u: Annotated[float, "m/s^2", "Commanded acceleration of the flange along x"] = 0.0
-    estimated_phi: Annotated[float, "rad", "Estimate of phi at the tick, not predicted"] = np.nan
-    estimated_phi_dot: Annotated[float, "rad/s", "Estimate of phi_dot at the tick"] = np.nan
-    bias: Annotated[float, "rad", "Estimate of the encoder's zero error"] = 0.0
-    estimated_x_dot: Annotated[float, "m/s", "Estimate of x_dot at the tick"] = np.nan
-    estimated_x: Annotated[float, "m", "Estimate of x at the tick"] = np.nan
+    x: float = np.nan
+    x_dot: float = np.nan
+    phi: float = np.nan
+    phi_dot: float = np.nan
+    box: int = -1
+    u: float = 0.0
+    estimated_phi: float = np.nan
+    estimated_phi_dot: float = np.nan
+    bias: float = 0.0
+    estimated_x_dot: float = np.nan
+    estimated_x: float = np.nan
 
 
 class TickOutput(NamedTuple):

@@ -7,7 +7,5 @@
     simulation -> simulated_log -> RunLog.save (file, atomically) --+
 
 `columns` describes the tables once; everything here follows from it. `conditions` holds the
-conditions and the end of a run, `foxglove` the messages for the 3D panels of Foxglove and
-Lichtblick. To add a field to the log, add it to `equipoise.control.ticks.TickRecord` and fill it in
-the phase that computes it.
+conditions and the end of a run.
 """

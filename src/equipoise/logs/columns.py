@@ -1,4 +1,4 @@
-"""Tables of a run log: name, type, unit and meaning of each column.
+"""Tables of a run log: name, unit, meaning, type and source of each column.
 
 A table is a structured array with one row per message of the topic with its name::
 
@@ -12,17 +12,18 @@ A table is a structured array with one row per message of the topic with its nam
 Times are those of the run's clock [s]: on a rig its monotonic clock, in simulation the time since
 the release. NaN represents an unknown number; the message omits its field.
 
-Rings, messages, JSON schemas, files and CSV tables follow from `TABLES`. The record of a control
-step is `equipoise.control.ticks.TickRecord`: each of its fields is a column of `tick`.
+Rings, messages, JSON schemas, files, CSV tables and `docs/reference/run-log.md` follow from
+`TABLES`: a field of the log is a row here.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final, NamedTuple, get_type_hints
+from operator import attrgetter
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.control.ticks import TickRecord
+from equipoise.control.ticks import TickInputs, TickOutput
 
 Rows = npt.NDArray[Any]
 """Rows of a table, as a structured array."""
@@ -31,17 +32,36 @@ MAX_NUMBER: Final = 1e12
 bits and go on beyond them; products of numbers within it stay finite."""
 
 
+class LoggedTick(NamedTuple):
+    """A tick of a run on a rig, for the sources of the columns of `tick`."""
+
+    time: float
+    """Start of the tick [s]."""
+    compute: float
+    """Computing time, from reading to sending [s]."""
+    inputs: TickInputs
+    """Inputs of the tick."""
+    output: TickOutput
+    """Decision of the tick."""
+
+
 class Column(NamedTuple):
     """A column of a table."""
 
     name: str
     """Name of the field in messages."""
-    kind: str
-    """Type: `number`, `whole`, `joints` (one number per joint) or `S` with a size [B] (text)."""
     unit: str
     """Unit; empty without one."""
     description: str
     """Meaning, with sign or reference."""
+    kind: str = "number"
+    """Type: `number`, `whole`, `joints` (one number per joint) or `S` with a size [B] (text)."""
+    source: str = ""
+    """Attribute of a `LoggedTick` with the value; by default that of the record with this name."""
+
+    def value(self, tick: LoggedTick) -> Any:
+        """Return the value of the column in a tick of a run on a rig."""
+        return attrgetter(self.source or f"output.record.{self.name}")(tick)
 
     @property
     def header(self) -> str:
@@ -50,56 +70,61 @@ class Column(NamedTuple):
         return f"{self.name}_{unit}" if unit else self.name
 
 
-def _record_columns() -> Iterator[Column]:
-    """Yield the columns of a control step's record, from the annotations of its fields."""
-    for name, hint in get_type_hints(TickRecord, include_extras=True).items():
-        kind = "whole" if hint.__origin__ is int else "number"
-        yield Column(name, kind, *hint.__metadata__)
-
-
 TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
     "tick": (
-        Column("time", "number", "s", "Start of the tick"),
-        Column("late", "number", "s", "Delay of the start behind its deadline; on a rig"),
-        Column("compute", "number", "s", "Computing time, from reading to sending; on a rig"),
-        Column("state", "whole", "", "Phase, by its index in `phases` of the conditions"),
-        *_record_columns(),
-        Column("q", "joints", "rad", "Joint positions commanded for the end of the tick"),
-        Column("dq", "joints", "rad/s", "Joint velocities commanded for the end of the tick"),
+        Column("time", "s", "Start of the tick", source="time"),
+        Column("late", "s", "Delay behind the deadline; on a rig", source="inputs.lateness"),
+        Column("compute", "s", "Computing time, reading to sending; on a rig", source="compute"),
+        Column(
+            "state", "", "Phase, as index in `phases` of the conditions", "whole", "output.state"
+        ),
+        Column("x", "m", "Displacement of the flange from home, as observed"),
+        Column("x_dot", "m/s", "Velocity of the flange, as observed"),
+        Column("phi", "rad", "Angle from upright, towards +x, as observed"),
+        Column("phi_dot", "rad/s", "Angular velocity, as observed"),
+        Column("box", "", "Box of the table; -1 outside the balance", kind="whole"),
+        Column("u", "m/s^2", "Commanded acceleration of the flange along x"),
+        Column("estimated_phi", "rad", "Estimate of phi at the tick, not predicted"),
+        Column("estimated_phi_dot", "rad/s", "Estimate of phi_dot at the tick"),
+        Column("bias", "rad", "Estimate of the encoder's zero error"),
+        Column("estimated_x_dot", "m/s", "Estimate of x_dot at the tick"),
+        Column("estimated_x", "m", "Estimate of x at the tick"),
+        Column("q", "rad", "Joints commanded for the end of the tick", "joints", "output.q"),
+        Column("dq", "rad/s", "Velocities commanded for that time", "joints", "output.dq"),
     ),
     "truth": (
-        Column("time", "number", "s", "Start of the tick"),
-        Column("x", "number", "m", "Displacement of the flange from home along base x"),
-        Column("x_dot", "number", "m/s", "Velocity of the flange"),
-        Column("phi", "number", "rad", "Angle of the pendulum from upright, towards +x"),
-        Column("phi_dot", "number", "rad/s", "Angular velocity of the pendulum"),
-        Column("tracked", "number", "m/s^2", "Acceleration of the flange over the tick"),
-        Column("q", "joints", "rad", "Joint positions"),
+        Column("time", "s", "Start of the tick"),
+        Column("x", "m", "Displacement of the flange from home along base x"),
+        Column("x_dot", "m/s", "Velocity of the flange"),
+        Column("phi", "rad", "Angle of the pendulum from upright, towards +x"),
+        Column("phi_dot", "rad/s", "Angular velocity of the pendulum"),
+        Column("tracked", "m/s^2", "Acceleration of the flange over the tick"),
+        Column("q", "rad", "Joint positions", kind="joints"),
     ),
     "stream": (
-        Column("time", "number", "s", "Time of sending"),
-        Column("q", "joints", "rad", "Setpoints of the joints"),
+        Column("time", "s", "Time of sending"),
+        Column("q", "rad", "Setpoints of the joints", kind="joints"),
     ),
     "reply": (
-        Column("time", "number", "s", "Time of arrival"),
-        Column("sent", "number", "s", "Time of the request; unknown of the posture at the start"),
-        Column("q", "joints", "rad", "Measured joint positions"),
-        Column("torque", "joints", "N m", "Measured external torques"),
-        Column("taken", "number", "s", "Tick that took the reply; on a rig"),
+        Column("time", "s", "Time of arrival"),
+        Column("sent", "s", "Time of the request; unknown of the posture at the start"),
+        Column("q", "rad", "Measured joint positions", kind="joints"),
+        Column("torque", "N m", "Measured external torques", kind="joints"),
+        Column("taken", "s", "Tick that took the reply; on a rig"),
     ),
     "encoder": (
-        Column("time", "number", "s", "Time stamp of the sample"),
-        Column("counts", "whole", "", "Counts; in simulation from the zero"),
-        Column("pressed", "whole", "", "1 while the button is pressed"),
-        Column("illegal", "whole", "", "1 where the board saw an illegal transition"),
-        Column("missing", "whole", "", "Number of lines lost before this one"),
-        Column("received", "number", "s", "Tick that took the sample; on a rig"),
+        Column("time", "s", "Time stamp of the sample"),
+        Column("counts", "", "Counts; in simulation from the zero", kind="whole"),
+        Column("pressed", "", "1 while the button is pressed", kind="whole"),
+        Column("illegal", "", "1 where the board saw an illegal transition", kind="whole"),
+        Column("missing", "", "Number of lines lost before this one", kind="whole"),
+        Column("received", "s", "Tick that took the sample; on a rig"),
     ),
     "event": (
-        Column("time", "number", "s", "Time"),
-        Column("name", "S32", "", "Phase that began, or kind of message"),
-        Column("answers", "S96", "", "Words expected from the operator, separated by |"),
-        Column("text", "S400", "", "Sentence for the operator"),
+        Column("time", "s", "Time"),
+        Column("name", "", "Phase that began, or kind of message", kind="S32"),
+        Column("answers", "", "Words expected from the operator, separated by |", kind="S96"),
+        Column("text", "", "Sentence for the operator", kind="S400"),
     ),
 }
 """Columns of each table."""
@@ -114,6 +139,15 @@ def tables(joints: int) -> dict[str, np.dtype[Any]]:
     }
 
 
+def unknown_rows(kind: np.dtype[Any], count: int) -> Rows:
+    """Return rows of a type without content: NaN, zero and empty texts, shape (count,)."""
+    rows = np.zeros(count, kind)
+    for name in kind.names or ():
+        if kind[name].base.kind == "f":
+            rows[name] = np.nan
+    return rows
+
+
 def schema(table: str) -> dict[str, Any]:
     """Return the JSON schema of the messages of a table; Foxglove needs one to plot."""
     kinds: dict[str, dict[str, Any]] = {
@@ -124,7 +158,7 @@ def schema(table: str) -> dict[str, Any]:
     properties = {
         c.name: kinds.get(c.kind, {"type": "string"})
         | {"description": f"{c.description} [{c.unit}]" if c.unit else c.description}
-        for c in TABLES[table]
+        for c in TABLES.get(table, ())
     }
     return {"type": "object", "properties": properties}
 
@@ -150,7 +184,7 @@ def to_messages(rows: Rows) -> Iterator[dict[str, Any]]:
 def plain(column: Rows) -> list[Any]:
     """Return the values of a column: decoded text, and None for NaN."""
     if column.dtype.kind == "S":
-        return [text.decode("utf-8", "replace") for text in column.tolist()]
+        return [text.decode("utf-8", "ignore") for text in column.tolist()]
     first = column[:, 0] if column.ndim == 2 else column
     unknown = (first != first).tolist()
     return [None if no else value for value, no in zip(column.tolist(), unknown, strict=True)]
@@ -164,18 +198,18 @@ def from_messages(messages: Sequence[Mapping[str, Any]], kind: np.dtype[Any]) ->
         TypeError: A field holds another kind of value.
         ValueError: A field holds another shape, or a number beyond `MAX_NUMBER`.
     """
-    made = np.zeros(len(messages), kind)
+    made = unknown_rows(kind, len(messages))
     for name in kind.names or () if messages else ():
         base = kind[name].base.kind
         if base == "S":
             made[name] = [str(message[name]).encode() for message in messages]
             continue
-        unknown = np.full(kind[name].shape, np.nan)
         needed = base == "i" or name == "time"
-        given = np.array([m[name] if needed else m.get(name, unknown) for m in messages])
-        if given.dtype.kind not in ("fi" if base == "f" else "i"):
-            raise TypeError(f"{name} holds {given.dtype} values")
-        if np.any(np.abs(given) > MAX_NUMBER):
+        unknown = made[name][0]
+        values = np.array([m[name] if needed else m.get(name, unknown) for m in messages])
+        if values.dtype.kind not in ("fi" if base == "f" else "i"):
+            raise TypeError(f"{name} holds {values.dtype} values")
+        if np.any(np.abs(values) > MAX_NUMBER):
             raise ValueError(f"{name} holds numbers beyond {MAX_NUMBER:g}")
-        made[name] = given
+        made[name] = values
     return made

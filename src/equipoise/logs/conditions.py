@@ -3,7 +3,7 @@
 from math import isfinite
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field
 
 from equipoise.artefacts import Count, Name, Number, Seed, Value
 from equipoise.model.actuator import Actuator
@@ -73,12 +73,6 @@ class RunConditions(Value):
     phases: tuple[Phase, ...] = Field(default=(Phase.BALANCING,), min_length=1, max_length=64)
     """Phases by their number in the ticks' column `state`."""
 
-    @model_validator(mode="after")
-    def _is_possible(self) -> "RunConditions":
-        if Phase.BALANCING not in self.phases:
-            raise ValueError("phases lacks 'balancing'")
-        return self
-
     @property
     def simulated(self) -> bool:
         """Whether the run is a simulation, which starts at the release, and not a run on a rig."""
@@ -96,7 +90,7 @@ class RunEnd(Value):
     outcome: Outcome = Outcome.ERROR
     """How it ended."""
     evidence: dict[Name, EvidenceValue] = Field(default_factory=dict, max_length=64)
-    """Numbers and texts of the end (`equipoise.outcomes.SENTENCES`)."""
+    """Numbers and texts of the end (`equipoise.outcomes.Outcome.sentence`)."""
     lasted: Number | None = None
     """Duration of the balancing [s]."""
     stoppable: bool = True

@@ -76,7 +76,11 @@ class Motion(NamedTuple):
             late, phases = np.full(len(time), np.nan), ()
         else:
             q = _measured_joints(run, time, began)
-            x, phi, late = _displacement(run, q), _measured_phi(run, time, began), tick["late"]
+            arm = conditions.arm
+            poses = [arm.kinematics(arm.without_held(row)) for row in q.tolist()]
+            home = arm.kinematics(arm.home_free).position[0]
+            x = np.array([pose.position[0] for pose in poses]) - home
+            phi, late = _measured_phi(run, time, began), tick["late"]
             phases = tuple(conditions.phases[state].value for state in tick["state"].tolist())
         phi = np.unwrap(phi)
         if np.isfinite(phi).all():  # upright at the release is zero
@@ -115,7 +119,7 @@ class Motion(NamedTuple):
         phi = float(np.interp(time, self.time, self.phi))
         return Pose(
             time=time,
-            q=_interpolated(time, self.time, self.q),
+            q=np.array([np.interp(time, self.time, angles) for angles in self.q.T]),
             x=float(np.interp(time, self.time, self.x)),
             phi=float(np.remainder(phi + pi, 2.0 * pi) - pi) if isfinite(phi) else phi,
             u=float(self.u[row]),
@@ -146,14 +150,6 @@ def _measured_joints(run: RunLog, at: Array, began: float) -> Array:
     return np.column_stack([np.interp(at, measured - began, joint) for joint in joints["q"].T])
 
 
-def _displacement(run: RunLog, q: Array) -> Array:
-    arm = run.conditions.arm
-    home = arm.kinematics(arm.home_free).position[0]
-    return np.array(
-        [arm.kinematics(arm.without_held(row)).position[0] - home for row in q.tolist()]
-    )
-
-
 def _measured_phi(run: RunLog, at: Array, began: float) -> Array:
     """Return the angle by the encoder; NaN without counts, or before a zero was found."""
     encoder, unknown = run.tables["encoder"], np.full(len(at), np.nan)
@@ -166,11 +162,6 @@ def _measured_phi(run: RunLog, at: Array, began: float) -> Array:
     counts = np.interp(at, encoder["time"] - began, encoder["counts"])
     turns = (counts - zero) / (run.conditions.counts_per_rev or 1)
     return np.remainder(-2.0 * np.pi * turns, 2.0 * np.pi) - np.pi
-
-
-def _interpolated(time: float, times: Array, rows: Array) -> Array:
-    """Return the row at a time, on straight lines between rows, shape (columns,)."""
-    return np.array([np.interp(time, times, column) for column in rows.T])
 
 
 def truth(run: RunLog) -> Any:

@@ -7,6 +7,7 @@ checksum, messages only with consecutive sequence numbers.
 import json
 from collections import defaultdict
 from collections.abc import Mapping
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -65,40 +66,36 @@ def _read_mcap(path: Path) -> tuple[Mapping[str, str], Mapping[str, list[bytes]]
     from mcap.records import Channel, DataEnd, Message, Metadata
     from mcap.stream_reader import StreamReader
 
+    try:
+        file = BytesIO(path.read_bytes())
+    except OSError as error:
+        raise ArtefactError(f"cannot read {path}: {error.strerror}; check the path") from None
     entries: dict[str, str] = {}
     messages: dict[str, list[bytes]] = defaultdict(list)
     topics: dict[int, str] = {}
     count = 0
     try:
-        with path.open("rb") as file:
-            try:
-                for record in StreamReader(file, validate_crcs=True).records:
-                    if isinstance(record, Metadata) and record.name == FORMAT:
-                        entries = record.metadata
-                    elif isinstance(record, Channel):
-                        topics[record.id] = record.topic
-                    elif isinstance(record, Message):
-                        if record.sequence != count:
-                            raise ValueError("a chunk is missing")
-                        messages[topics[record.channel_id]].append(record.data)
-                        count += 1
-                    elif isinstance(record, DataEnd):
-                        break
-            except (InvalidMagic, OSError):
-                raise
-            except Exception as error:  # a damaged length raises exceptions of any type
-                if isinstance(getattr(error, "record", None), DataEnd):
-                    raise ArtefactError(
-                        f"{path} does not match its checksum: it was changed after it was written; "
-                        "record the run again"
-                    ) from None
-                return entries, messages, f"is cut short or damaged at byte {file.tell():,}"
-    except FileNotFoundError:
-        raise ArtefactError(f"there is no file {path}; check the path") from None
+        for record in StreamReader(file, validate_crcs=True).records:
+            if isinstance(record, Metadata) and record.name == FORMAT:
+                entries = record.metadata
+            elif isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, Message):
+                if record.sequence != count:
+                    raise ValueError("a chunk is missing")
+                messages[topics[record.channel_id]].append(record.data)
+                count += 1
+            elif isinstance(record, DataEnd):
+                break
     except InvalidMagic:
         raise ArtefactError(f"{path} is not an MCAP file; give a log that deploy wrote") from None
-    except OSError as error:
-        raise ArtefactError(f"cannot read {path}: {error.strerror}") from None
+    except Exception as error:  # a damaged length raises exceptions of any type
+        if isinstance(getattr(error, "record", None), DataEnd):
+            raise ArtefactError(
+                f"{path} does not match its checksum: it was changed after it was written; "
+                "record the run again"
+            ) from None
+        return entries, messages, f"is cut short or damaged at byte {file.tell():,}"
     return entries, messages, ""
 
 

@@ -6,11 +6,12 @@ per tick, with the time since the release. On a rig the encoder's counts are the
 hanging pendulum, and the true state is unknown.
 """
 
+import csv
 import hashlib
+import io
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from io import BytesIO
 from pathlib import Path
 from typing import Any, Self
 
@@ -20,7 +21,7 @@ import numpy.typing as npt
 from equipoise.arrays import Array, IntArray
 from equipoise.artefacts import DIGEST_PREFIX, Provenance, StrPath, write_whole
 from equipoise.errors import ArtefactError, RecordingError
-from equipoise.logs.columns import TABLES, Rows, canonical, tables
+from equipoise.logs.columns import TABLES, Rows, canonical, plain, tables, unknown_rows
 from equipoise.logs.conditions import RunConditions, RunEnd
 from equipoise.logs.reader import read_log
 from equipoise.logs.recorder import LoggedEvent, read_events
@@ -40,7 +41,7 @@ class _TickColumn:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RunLog:
-    """One run; its arrays are read-only."""
+    """One run."""
 
     conditions: RunConditions
     """Place and settings of the run."""
@@ -50,15 +51,15 @@ class RunLog:
     """End of the run; None for a log without one."""
     damage: str = ""
     """Sentence on the damage and the sound part; empty for a complete log."""
-    provenance: Provenance | None = field(default=None)
+    provenance: Provenance | None = None
     """Provenance of the file; None for a run that was not loaded."""
 
     def __post_init__(self) -> None:
-        """Freeze the tables."""
+        """Complete the tables."""
         kinds = tables(len(self.conditions.joints))
         whole = {name: self.tables.get(name, np.zeros(0, kind)) for name, kind in kinds.items()}
-        frozen = {name: _frozen(canonical(rows)) for name, rows in whole.items()}
-        object.__setattr__(self, "tables", frozen)
+        rows = {name: canonical(rows) for name, rows in whole.items()}
+        object.__setattr__(self, "tables", rows)
 
     def __repr__(self) -> str:
         """Return one line: arm, world, duration and outcome."""
@@ -113,7 +114,7 @@ class RunLog:
         rows = self.tables["tick"][self.phase_ticks(Phase.BALANCING)]
         known = [np.isfinite(rows[name]) for name in ("x", "x_dot", "phi", "phi_dot", "u")]
         known += [np.isfinite(rows[name]).all(axis=1) for name in ("q", "dq")]
-        return _frozen(rows[np.all(known, axis=0)])
+        return rows[np.all(known, axis=0)]
 
     @property
     def release(self) -> float:
@@ -143,7 +144,7 @@ class RunLog:
     @cached_property
     def time(self) -> Array:
         """Start of each tick since the release [s], shape (n,)."""
-        return _frozen(self.ticks["time"] - self.release)
+        return self.ticks["time"] - self.release
 
     x = _TickColumn()
     """Displacement of the flange from home along base x, as observed by the policy [m], shape (n,).
@@ -201,7 +202,7 @@ class RunLog:
         rows = self._while_balancing("reply")
         rows = rows[np.isfinite(rows["q"]).all(axis=1) & np.isfinite(rows["sent"])]
         rows["time"] = 0.5 * (rows["sent"] - self.release + rows["time"])
-        return _frozen(rows)
+        return rows
 
     @cached_property
     def encoder(self) -> Any:
@@ -210,10 +211,10 @@ class RunLog:
         Raises:
             ArtefactError: The log of a run on a rig does not contain the zero.
         """
-        rows = self._while_balancing("encoder").copy()
+        rows = self._while_balancing("encoder")
         if len(rows) and not self.conditions.simulated:
             rows["counts"] -= round(self.encoder_zero)
-        return _frozen(rows)
+        return rows
 
     def _while_balancing(self, table: str) -> Any:
         """Return the rows from one tick before the release to one after the last.
@@ -226,7 +227,7 @@ class RunLog:
             rows = rows[(rows["time"] >= first - h) & (rows["time"] <= last + h)]
         rows = rows.copy()
         rows["time"] -= self.release
-        return _frozen(rows.view(np.recarray))
+        return rows.view(np.recarray)
 
     @property
     def encoder_zero(self) -> float:
@@ -265,11 +266,48 @@ class RunLog:
         if self.end is None:
             raise ArtefactError("a log without an end cannot be written; copy its file")
         times = np.concatenate([rows["time"] for rows in self.tables.values()])
-        first, stream = float(times.min(initial=0.0)), BytesIO()
+        first, stream = float(times.min(initial=0.0)), io.BytesIO()
         encoder = LogEncoder(stream, self.conditions, Provenance.now(command, inputs), first)
         encoder.write(self.tables)
         encoder.finish(float(times.max(initial=self.lasted)), self.end)
         write_whole(Path(path), stream.getvalue())
+
+    def export(self, folder: Path) -> list[Path]:
+        """Write each table as a CSV file, with units in the header and a column for each joint.
+
+        Args:
+            folder: Folder of the files, created if missing; existing files are replaced.
+
+        Returns:
+            The files that were written.
+
+        Raises:
+            OutsideError: A file cannot be written.
+            RecordingError: The log holds no rows.
+        """
+        if not any(map(len, self.tables.values())):
+            raise RecordingError("the log ends before its first row; there is nothing to export")
+        made: list[Path] = []
+        for name, rows in self.tables.items():
+            if not len(rows) and (self.conditions.simulated or name == "truth"):
+                continue
+            columns: dict[str, list[Any]] = {}
+            for column in TABLES[name]:
+                if column.kind == "joints":
+                    for joint, values in zip(
+                        self.conditions.joints, rows[column.name].T, strict=True
+                    ):
+                        header = column._replace(name=f"{column.name}_{joint}").header
+                        columns[header] = plain(values)
+                else:
+                    columns[column.header] = plain(rows[column.name])
+            text = io.StringIO()
+            writer = csv.writer(text, lineterminator="\n")
+            writer.writerow(columns)
+            writer.writerows(zip(*columns.values(), strict=True))
+            made.append(folder / f"{name}.csv")
+            write_whole(made[-1], text.getvalue().encode())
+        return made
 
     @classmethod
     def load(cls, path: StrPath, *, damaged: bool = False) -> Self:
@@ -307,19 +345,19 @@ def simulated_log(
     The names are those of `equipoise.logs.columns`. The times of `ticks` hold for `truth`, too;
     `replies` need only `time` and `q`.
     """
-    given: dict[str, Mapping[str, Any]] = {
+    columns_of: dict[str, Mapping[str, Any] | None] = {
         "tick": {"late": 0.0, "compute": 0.0, **ticks},
-        "truth": {"time": ticks.get("time", ()), **truth} if truth else {},
-        "stream": stream or {},
-        "reply": {**replies, "sent": replies["time"]} if replies else {},
-        "encoder": encoder or {},
+        "truth": truth and {"time": ticks["time"], **truth},
+        "stream": stream,
+        "reply": replies and {**replies, "sent": replies["time"]},
+        "encoder": encoder,
     }
     kinds, filled = tables(len(conditions.joints)), dict[str, Rows]()
-    for name, columns in given.items():
-        rows = filled[name] = np.zeros(len(columns.get("time", ())), kinds[name])
-        for column in TABLES[name] if len(rows) else ():
-            unknown = 0 if column.kind == "whole" else np.nan
-            rows[column.name] = columns.get(column.name, unknown)
+    for name, columns in columns_of.items():
+        if columns:
+            filled[name] = unknown_rows(kinds[name], len(columns.get("time", ())))
+            for column, values in columns.items():
+                filled[name][column] = values
     return RunLog(conditions, filled, end)
 
 
@@ -334,8 +372,3 @@ def load_run(path: Path) -> RunLog:
     if not run.conditions.simulated:
         run.require_balancing()
     return run
-
-
-def _frozen(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    values.flags.writeable = False
-    return values

@@ -9,7 +9,7 @@ ends the log there and does not affect the tick loop.
 
 import heapq
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from operator import itemgetter
 from pathlib import Path
@@ -19,7 +19,6 @@ from equipoise.artefacts import Provenance, temporary_name
 from equipoise.errors import OutsideError
 from equipoise.logs.columns import TABLES, Rows, canonical, schema, to_messages
 from equipoise.logs.conditions import RunConditions, RunEnd
-from equipoise.logs.foxglove import SCHEMAS, ArmDisplay
 from equipoise.logs.recorder import CONNECTING, Recorder
 
 FORMAT: Final = "equipoise-run"
@@ -45,7 +44,6 @@ class LogEncoder:
         from mcap.writer import CompressionType, Writer
 
         self._origin, self._sequence = origin, 0
-        self._display = ArmDisplay(conditions.arm)
         self._writer = Writer(stream, CHUNK, CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="", library=FORMAT)
         entries = {
@@ -53,13 +51,11 @@ class LogEncoder:
             "provenance": provenance.model_dump_json(),
         }
         self._writer.add_metadata(FORMAT, entries)
-        urdf = self._display.urdf.encode()
-        self._writer.add_attachment(0, 0, "pendulum.urdf", "application/xml", urdf)
         self._channels: dict[str, int] = {}
-        for topic, name, content in _topics():
-            data = json.dumps(content).encode()
-            number = self._writer.register_schema(name, "jsonschema", data)
-            self._channels[topic] = self._writer.register_channel(topic, "json", number)
+        for table in (*TABLES, "end"):
+            data = json.dumps(schema(table)).encode()
+            number = self._writer.register_schema(f"equipoise.{table}", "jsonschema", data)
+            self._channels[table] = self._writer.register_channel(f"/{table}", "json", number)
 
     def write(self, rows_of: Mapping[str, Rows]) -> None:
         """Encode rows in the order of time.
@@ -71,32 +67,18 @@ class LogEncoder:
             for name, rows in rows_of.items()
         ]
         for time, name, row in heapq.merge(*parts, key=itemgetter(0)):
-            self._add(f"/{name}", time, row)
-            for topic, message in self._display.messages(name, row, self._stamp(time)):
-                self._add(topic, time, message)
+            self._add(name, time, row)
 
     def finish(self, time: float, end: RunEnd) -> None:
         """Encode the end of the run at `time` [s], and complete the file."""
-        self._add("/end", time, end.model_dump(mode="json", exclude_defaults=True))
+        self._add("end", time, end.model_dump(mode="json", exclude_defaults=True))
         self._writer.finish()
 
-    def _stamp(self, time: float) -> int:
-        return max(round((time - self._origin) * 1e9), 0)
-
-    def _add(self, topic: str, time: float, content: Mapping[str, Any]) -> None:
-        stamp = self._stamp(time)
+    def _add(self, table: str, time: float, content: Mapping[str, Any]) -> None:
+        stamp = max(round((time - self._origin) * 1e9), 0)
         data = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
-        self._writer.add_message(self._channels[topic], stamp, data, stamp, self._sequence)
+        self._writer.add_message(self._channels[table], stamp, data, stamp, self._sequence)
         self._sequence += 1
-
-
-def _topics() -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Yield topic, name of the schema, and schema of each channel."""
-    for table in TABLES:
-        yield f"/{table}", f"equipoise.{table}", schema(table)
-    yield "/end", "equipoise.end", {"type": "object", "properties": {}}
-    for topic, (name, content) in SCHEMAS.items():
-        yield topic, name, content
 
 
 class RunWriter:

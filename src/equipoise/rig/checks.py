@@ -4,7 +4,6 @@ Each function judges one subject and returns its findings; a threshold stands be
 nowhere else. Nothing here moves an arm.
 """
 
-import os
 from collections.abc import Callable, Sequence
 from math import degrees, floor, inf
 from typing import Final, Literal, NamedTuple
@@ -16,9 +15,9 @@ from equipoise.control.policy import TaskPolicy
 from equipoise.errors import EquipoiseError, InputError
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
+from equipoise.outcomes import MAX_STALL
 from equipoise.rig.config import RigSettings
 from equipoise.rig.interfaces import SETPOINT_PERIOD
-from equipoise.safety.rules import MAX_STALL
 
 STALL: Final = 0.020
 """Delay from which a loop, an encoder or a link counts as stalled [s]: two ticks. A robot that sets
@@ -28,10 +27,6 @@ GOOD_ROUND_TRIP: Final = 0.0055
 link setpoints are sent only as replies arrive, and the flange's speed is limited."""
 MAX_ROUND_TRIP: Final = 0.009
 """99th percentile of round trips beyond which a reply is overdue in every tick [s]."""
-DELAYS: Final = ("link to the robot", "encoder's samples")
-"""Checks of devices that a late loop fails, too."""
-COMPUTER: Final = "end other programs on this computer, then measure again"
-"""Remedy for a late device behind a late loop, and for one that this computer emulates."""
 HOME_MARGIN_DEG: Final = 5.0
 """Minimum distance of home from a joint's limits, beyond the rig's margin [deg]."""
 
@@ -79,30 +74,6 @@ def require(findings: Sequence[Finding], error: type[EquipoiseError] = InputErro
     bad = [one for one in findings if one.status == "bad"]
     if bad:
         raise error("; ".join(f"{one.name}: {one.found}; {one.remedy}" for one in bad))
-
-
-def is_emulated(address: str | None) -> bool:
-    """Return whether this computer emulates the device at an address, see `rig emulate`."""
-    place = (address or "").partition("://")[2]
-    return place.startswith("127.") or os.path.realpath(place).startswith("/dev/pts/")
-
-
-def judge_loop_first(
-    loop: Finding, devices: Sequence[Finding], addresses: Sequence[str | None]
-) -> list[Finding]:
-    """Return all findings, the loop's first, with the remedy `COMPUTER` where it applies.
-
-    Args:
-        loop: Finding of `check_deadlines`, measured at the same time.
-        devices: Findings on robot and encoder.
-        addresses: Addresses of both.
-    """
-    if loop.status != "good" or any(map(is_emulated, addresses)):
-        devices = [
-            one._replace(remedy=COMPUTER) if one.remedy and one.name in DELAYS else one
-            for one in devices
-        ]
-    return [loop, *devices]
 
 
 def check_settings(granted: dict[str, str]) -> list[Finding]:

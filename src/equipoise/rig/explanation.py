@@ -22,7 +22,6 @@ computer was late itself.
 """
 
 from contextlib import suppress
-from enum import StrEnum
 from math import degrees, exp, radians
 from typing import Final, NamedTuple
 
@@ -32,8 +31,8 @@ from equipoise.arrays import Array
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.identification.refine import ModelMotion, read_motion
 from equipoise.logs.run_log import RunLog
-from equipoise.outcomes import Outcome, describe
-from equipoise.rig.checks import STALL, is_emulated
+from equipoise.outcomes import SYMPTOMS, EndCause, Outcome, describe
+from equipoise.rig.checks import STALL
 from equipoise.rig.phases.context import RESTART_ACCELERATION
 from equipoise.worlds.reachability import diverging_angle, fall_rate, recoverable_angle
 
@@ -46,80 +45,35 @@ SPAN: Final = 0.1
 of the joints, a longer one the lag at steady speed, which is longer than that of a change."""
 
 
-class RootCause(StrEnum):
+class RootCause(EndCause):
     """Cause of an end that no outcome names, found in the measurements."""
 
-    OUTSIDE = "outside the recoverable set"
+    OUTSIDE = (
+        "outside the recoverable set",
+        "release more gently and more upright, and take the hand straight away",
+    )
     """The pendulum was released where no command could hold it."""
-    SATURATION = "saturation"
+    SATURATION = "saturation", Outcome.ANGLE.advice
     """The maximum command was not enough."""
-    PUSH = "push"
+    PUSH = "push", "keep hands, cables and draughts away from the pendulum"
     """An impact on the pendulum."""
-    ZERO = "zero error"
+    ZERO = (
+        "zero error",
+        "check the encoder's coupling and wires, level the base, and reference again",
+    )
     """The encoder's zero is wrong, or shifted, or the base is tilted."""
-    DELAY = "unpredicted delay"
+    DELAY = (
+        "unpredicted delay",
+        "identify the arm (`equipoise deploy --excite`), and train with this --actuator and "
+        "controller.predict",
+    )
     """The arm follows later than the controller predicts."""
-    PAUSE = "pause of the setpoints"
+    PAUSE = "pause of the setpoints", Outcome.TICK.advice
     """The arm stopped while it moved, because the computer or the link stood still."""
-    BUSY = "busy computer"
-    """The loop was late, or the computer emulated the device that was."""
+    BUSY = "busy computer", Outcome.TICK.advice
+    """The loop was late, too."""
 
 
-ADVICE: Final[dict[Outcome | RootCause, str]] = {
-    **dict.fromkeys((Outcome.LASTED, Outcome.OPERATOR, Outcome.DRY_RUN), "go on with the next run"),
-    Outcome.EXCITED: "identify the actuator from this log with `equipoise identify`",
-    RootCause.OUTSIDE: "release more gently and more upright, and take the hand straight away",
-    **dict.fromkeys(
-        (RootCause.SATURATION, Outcome.ANGLE),
-        "evaluate the policy on the twin; if it balances there, `equipoise refine` it with this",
-    ),
-    RootCause.PUSH: "keep hands, cables and draughts away from the pendulum",
-    RootCause.ZERO: "check the encoder's coupling and wires, level the base, and reference again",
-    RootCause.DELAY: "identify the arm (`equipoise deploy --excite`), and train with this "
-    "--actuator and controller.predict",
-    Outcome.TRACK: "train a policy that stays on the track of the twin (`equipoise evaluate`)",
-    **dict.fromkeys((Outcome.NUMBER, Outcome.COUNT), "keep this log and report it"),
-    **dict.fromkeys(
-        (Outcome.LINK, Outcome.MEASUREMENT_STALE),
-        "check cable and network; `equipoise rig doctor` measures round trips",
-    ),
-    Outcome.LINK_LOST: "follow the evidence; `equipoise rig doctor` measures the link",
-    **dict.fromkeys(
-        (Outcome.NOT_FOLLOWING, Outcome.FOLLOWING, Outcome.FIRST),
-        "check the robot's panel: emergency stop, enabling switch, mode",
-    ),
-    Outcome.TORQUE: "find what the arm touched before it moves again",
-    Outcome.SPEED: "train for this limit (--set plant.max_speed), raise it, or speed up the link",
-    **dict.fromkeys(
-        (Outcome.DRIFT, Outcome.TILT),
-        "check the mounting of base and flange, and the actuator in use",
-    ),
-    **dict.fromkeys(
-        (Outcome.TICK, Outcome.STALLS, RootCause.PAUSE, RootCause.BUSY),
-        "end other programs; find with `equipoise rig doctor` what delays this machine",
-    ),
-    **dict.fromkeys(
-        (
-            *(Outcome.ENCODER_STALE, Outcome.ENCODER_LOST, Outcome.ENCODER_ILLEGAL),
-            *(Outcome.ENCODER_GAP, Outcome.ENCODER_JUMP),
-        ),
-        "check the encoder's cable, power, coupling and wiring",
-    ),
-    Outcome.SELF_TEST: "follow the advice of the self-test",
-    Outcome.UNIDENTIFIED: "follow the evidence; where this run wrote an actuator file, train with "
-    "--actuator and that file",
-    Outcome.POLICY: "correct the policy, and try it on --robot twin:nominal first",
-    **dict.fromkeys((Outcome.FAULT, Outcome.ERROR), "repair what the evidence names"),
-    Outcome.BROKEN_OFF: "find what ended the program: power, memory, a full disk, a signal",
-}
-"""Advice for each cause; all other outcomes are limits of the joints."""
-SYMPTOMS: Final = frozenset(
-    {
-        *(Outcome.ANGLE, Outcome.TRACK, Outcome.SPEED),
-        *(Outcome.FAULT, Outcome.ERROR, Outcome.BROKEN_OFF),
-    }
-) | (frozenset(Outcome) - ADVICE.keys())
-"""Outcomes that name a symptom, not a root cause."""
 DELAYS: Final = (
     *(Outcome.LINK, Outcome.LINK_LOST, Outcome.MEASUREMENT_STALE),
     *(Outcome.ENCODER_STALE, Outcome.ENCODER_LOST, Outcome.ENCODER_GAP),
@@ -139,11 +93,6 @@ class Cause(NamedTuple):
     evidence: str
     """The evidence in a sentence, with its numbers."""
 
-    @property
-    def advice(self) -> str:
-        """Advice against this cause."""
-        return ADVICE.get(self.cause, "move home away from the limit, or lower the gains of CLIK")
-
 
 def explain(run: RunLog) -> list[Cause]:
     """Return the possible causes of a run's end, the most likely first; never empty.
@@ -155,7 +104,7 @@ def explain(run: RunLog) -> list[Cause]:
     with suppress(ArtefactError):  # the encoder's angles need the zero of the balancing
         balanced = balanced or (len(run.ticks) > 0 and len(run.encoder.time) >= 0)
     time = run.lasted if balanced else None
-    busy = _busy(run) if end.outcome in DELAYS else ""
+    busy = _missed(run) if end.outcome in DELAYS else ""
     causes = [Cause(RootCause.BUSY, 0.95, time, busy)] if busy else []
     score = 0.2 if busy or end.outcome in SYMPTOMS else 0.95
     causes.append(Cause(end.outcome, score, time, describe(end)))
@@ -220,18 +169,15 @@ def _u_max(log: RunLog) -> float:
     return log.conditions.u_max or float(np.abs(log.u).max())
 
 
-def _busy(log: RunLog) -> str:
+def _missed(log: RunLog) -> str:
     """Return the evidence that the computer was late itself; empty without any."""
-    given, ticks = log.conditions, log.tables["tick"]
-    late = np.nan_to_num(ticks["late"][-round(LATE / given.h) :])
-    missed = late[late > 0.5 * given.h]  # of a run on a rig, see `missed_ticks`
-    if missed.sum() > STALL:
-        most = 1e3 * float(missed.max())
-        return (
-            f"the loop missed {len(missed)} of the last {len(late)} ticks, by up to {most:.0f} ms"
-        )
-    device = given.encoder if "encoder" in log.outcome else given.world
-    return f"this computer emulates {device}" if is_emulated(device) else ""
+    h = log.conditions.h
+    late = np.nan_to_num(log.tables["tick"]["late"][-round(LATE / h) :])
+    missed = late[late > 0.5 * h]  # of a run on a rig, see `missed_ticks`
+    if missed.sum() <= STALL:
+        return ""
+    most = 1e3 * float(missed.max())
+    return f"the loop missed {len(missed)} of the last {len(late)} ticks, by up to {most:.0f} ms"
 
 
 def _outside(log: RunLog) -> Cause | None:

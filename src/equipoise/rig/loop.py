@@ -111,7 +111,9 @@ def run_loop(
             sent, took = clock.now(), perf_counter() - begin
             recorder.record_tick(now, took, inputs, output)
             if first:
-                recorder.stream.push(sent, robot.last)  # as sent: the guard may have replaced it
+                recorder.stream.push(
+                    time=sent, q=robot.last
+                )  # as sent: the guard may have replaced it
             for event in output.events:
                 _notify(recorder, operator, now, event)
             unsent = 0
@@ -123,7 +125,7 @@ def run_loop(
                     unsent = len(rest) + 1 - place
                     break
                 robot.send(setpoint, to_rest=output.to_rest)
-                recorder.stream.push(moment, robot.last)
+                recorder.stream.push(time=moment, q=robot.last)
             if output.job is not None:
                 pending = submit(output.job)
             if robot.held_back is not None and not refused:
@@ -171,7 +173,7 @@ def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) 
                 robot.robot.replies()
             now = clock.now()
             robot.send(setpoint)
-            recorder.stream.push(now, robot.last)
+            recorder.stream.push(time=now, q=robot.last)
             recorder.pulse["time"] = now  # the loop still commands the arm
     except BaseException:  # the link is lost, or a part that has failed fails again
         return False

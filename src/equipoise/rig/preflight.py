@@ -3,7 +3,7 @@
 The loop of the measurements is measured, too: a late loop finds every device late.
 """
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -27,7 +27,6 @@ from equipoise.rig.checks import (
     check_settings,
     check_speed,
     find,
-    judge_loop_first,
     max_flange_speed,
 )
 from equipoise.rig.clocks import DrainingClock, SystemClock
@@ -82,8 +81,7 @@ def preflight(
         *check_settings(granted),
         *([check_kernel(REALTIME.exists())] if paced and granted else []),
     ]
-    loop = check_deadlines(np.array(clock.late), paced=paced)
-    return judge_loop_first(loop, results, (request.robot, request.encoder)), max_speed
+    return [check_deadlines(np.array(clock.late), paced=paced), *results], max_speed
 
 
 def examine(
@@ -91,7 +89,6 @@ def examine(
     sensor: AngleSensor | None,
     rig: RigSettings | None,
     seconds: float,
-    addresses: Sequence[str | None] = (),
 ) -> list[Finding]:
     """Measure a machine and a rig, and judge the measurements; no arm moves.
 
@@ -102,7 +99,6 @@ def examine(
         sensor: The encoder, not connected; None examines none.
         rig: Contents of `rig.toml`; None where they are unknown.
         seconds: Duration of each measurement [s].
-        addresses: Addresses of robot and encoder.
     """
     clock, paced = TimedClock(SystemClock()), isinstance(robot, PacedRobot)
     machine, findings = check_settings(prepare()), list[Finding]()
@@ -127,8 +123,7 @@ def examine(
             findings.append(find(name, str(error), remedy, bad=True))
         finally:
             device.close()
-    loop = check_deadlines(np.array(clock.late), paced=paced)
-    return [*machine, *judge_loop_first(loop, findings, addresses)]
+    return [*machine, check_deadlines(np.array(clock.late), paced=paced), *findings]
 
 
 def warm_up(request: RunRequest) -> None:

@@ -26,8 +26,16 @@ from typing import Any, Final
 from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import EquipoiseError, OutsideError
 from equipoise.logs.conditions import RunEnd
-from equipoise.logs.recorder import CONNECTING, ENDED, Recorder, push_event, read_events
-from equipoise.logs.shared import RunInfo, open_recorder, share
+from equipoise.logs.recorder import (
+    CONNECTING,
+    ENDED,
+    Recorder,
+    RunInfo,
+    open_recorder,
+    push_event,
+    read_events,
+    share,
+)
 from equipoise.logs.writer import RunWriter
 from equipoise.rig import realtime
 from equipoise.rig.connection import connect, restart_instruction
@@ -95,7 +103,7 @@ def run_in_processes(request: RunRequest, out: Path, person: Operator, live: Liv
             end = RunEnd(evidence={"text": str(error)})
             raise
         finally:
-            recorder.typed.push(0.0, STOP.encode())  # for a loop that still runs
+            recorder.typed.push(word=STOP.encode())  # for a loop that still runs
             if loop.pid is not None:
                 loop.join(JOIN_TIMEOUT)
             over.set()
@@ -161,7 +169,7 @@ def _attend(
             warned = True
             person.notify(log_warning(writer.problem))
         for word in (*person.read_input(), *signalled):
-            recorder.typed.push(0.0, word.encode()[:64])
+            recorder.typed.push(word=word.encode())
         signalled.clear()
         if streams and alive:
             live(PHASES[int(pulse["state"])].value, float(pulse["phi"]))

@@ -7,7 +7,7 @@ one in virtual time; arguments carry the differences.
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from itertools import count
-from math import inf, nan
+from math import inf
 from pathlib import Path
 from typing import Any, Final
 
@@ -172,7 +172,7 @@ def run_on_rig(
         rig.sensor.samples()
         robot.start()
         began = rig.clock.now()
-        recorder.reply.push(began, nan, robot.started_at, recorder.unknown, began)
+        recorder.reply.push(time=began, q=robot.started_at, taken=began)
         controller = RunController(
             request,
             robot.started_at,

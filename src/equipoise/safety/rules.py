@@ -8,8 +8,9 @@ Two checks, both without a clock and without I/O:
     Check of the run, once per tick, from its current state (`SafetyInputs`) and the state of the
     checks that span several ticks (`MonitorState`, from `update_monitor`).
 
-Each returns the first broken rule in the order of `SAFETY_RULES` (`equipoise.outcomes`), or None. A
-broken rule leads to a latched stop (`equipoise.safety.stop`).
+Each returns the first broken rule, or None. A broken rule leads to a latched stop
+(`equipoise.safety.stop`). The rows of `equipoise.outcomes.Outcome` list the rules in their order,
+with sentence, advice, and the limit where a rule compares one input with a number.
 
 The deciding functions are `@compilable`: the same ones run in the trials of the digital twin
 (`equipoise.safety.trial`), where a broken rule ends the trial. They return codes and
@@ -23,7 +24,7 @@ rules are no safety functions in the sense of a standard: they run on a PC that 
 robot without a watchdog then moves on to its last target. The rules keep that target near.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from math import copysign, inf, isfinite, pi, radians
 from typing import Final, NamedTuple
@@ -34,9 +35,8 @@ import numpy.typing as npt
 from equipoise import paper
 from equipoise.jit import compilable
 from equipoise.model.arms.arm import Arm
-from equipoise.outcomes import SAFETY_RULES, End, Outcome
+from equipoise.outcomes import SAFETY_RULES, End, Numbers, Outcome, SafetyInputs
 
-Numbers = tuple[float, ...]
 Row = Sequence[float] | npt.NDArray[np.float64]
 """One number per joint, from Python or from a kernel."""
 
@@ -58,20 +58,9 @@ TRACK_LIMIT: Final = paper.X_LIMIT
 """Track limit: maximum distance of the flange from home [m]."""
 ANGLE_RULE_LIMIT: Final = radians(paper.PHI_LIMIT_DEG)
 """Failure angle of the pendulum from upright [rad]."""
-MAX_STALL: Final = 0.070
-"""Maximum duration of a stall of the loop, of the encoder or of the link that is bridged [s]. On
-the twin a balance outlasts 80 ms of each; the operator has to know within 100 ms that software can
-no longer stop the robot."""
-MAX_MEASUREMENT_AGE: Final = 0.120
-"""Maximum age of the newest measured joints [s]: a bridged stall of 70 ms, up to 15 ms from the
-last measurement to its start, up to 35 ms until a setpoint after it is answered with joints. Older
-ones do not show whether the arm follows, or where its flange is."""
 MAX_PENDULUM_RATE: Final = 20.0
 """Maximum plausible rate of a pendulum [rad/s]; a fall from upright reaches 2 sqrt(w2) = 17
 rad/s."""
-MAX_COUNT_JUMP: Final = radians(0.6)
-"""Maximum unexplained deviation of a count from the straight line through the two before [rad],
-beyond the encoder's resolution and gravity; time stamps are wrong by up to 0.3 ms."""
 MAX_PENDULUM_ACCELERATION: Final = 150.0
 """Maximum plausible acceleration of a pendulum [rad/s^2]: gravity 70, its pivot 15, a hand the
 rest."""
@@ -269,7 +258,7 @@ def check_first(limits: Limits, q: Sequence[float], measured: Sequence[float]) -
 
 def _invalid_numbers(limits: Limits, q: Sequence[float], name: str) -> End | None:
     if len(q) != limits.joints:
-        return _violation(Outcome.COUNT, float(len(q)), float(limits.joints), name=name)
+        return _violation(Outcome.COUNT, len(q), limits.joints, name=name)
     for joint, angle in enumerate(q, start=1):
         if not isfinite(angle):
             evidence = {"name": f"{name}, joint {joint},", "got": str(angle), "joint": joint}
@@ -333,47 +322,6 @@ def broken_setpoint(
 # The run.
 
 
-class SafetyInputs(NamedTuple):
-    """State of a run at a tick; the defaults break no rule."""
-
-    lateness: float = 0.0
-    """Lateness of the tick [s]."""
-    overdue: float = 0.0
-    """Time since the oldest setpoint without a reply [s]."""
-    measured_age: float = 0.0
-    """Age of the newest measured joints [s]."""
-    measured: Numbers | None = None
-    """Measured joints [rad], all of them; None without a new measurement."""
-    expected: Numbers | None = None
-    """Joints of the arm's model at the time of `measured` [rad]."""
-    torque: Numbers | None = None
-    """External torques less those at rest [N m]; None without a new measurement."""
-    encoder_age: float = 0.0
-    """Age of the newest encoder sample [s]."""
-    encoder_illegal: bool = False
-    """Whether the board found an illegal transition since the tick before."""
-    encoder_missing: int = 0
-    """Encoder samples lost since the tick before."""
-    encoder_jump: float = 0.0
-    """Maximum `unexplained_turn` since the tick before [rad]."""
-    balancing: bool = False
-    """Whether the policy commands."""
-    x: float = 0.0
-    """Displacement of the flange from home along base x [m]."""
-    x_dot: float = 0.0
-    """Its velocity [m/s]."""
-    phi: float = 0.0
-    """Angle of the pendulum from upright [rad]."""
-    on_track: bool = False
-    """Whether the flange has to be on its track, in line and orientation; not on the way home."""
-    manipulability: float = inf
-    """Manipulability |det J| [m^3]; inf if unchecked."""
-    drift: float = 0.0
-    """Distance of the flange from its line [m]."""
-    tilt: float = 0.0
-    """Angle of the flange from its orientation [rad]."""
-
-
 class MonitorState(NamedTuple):
     """State of the checks that span several ticks."""
 
@@ -423,30 +371,35 @@ def check(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> 
         monitor: State of the checks that span several ticks, this one included.
         inputs: State of the run now.
     """
-    return next(violations(params, monitor, inputs), None)
+    broken = violations(params, monitor, inputs)
+    return broken[0] if broken else None
 
 
-def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> Iterator[End]:
-    """Yield the broken rules in the order of `SAFETY_RULES`; arguments as of `check`."""
-    for name, value in zip(inputs._fields, inputs, strict=True):
+def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> list[End]:
+    """Return the broken rules in the order of `SAFETY_RULES`; arguments as of `check`."""
+    broken = [
+        _violation(rule, float(bound.value(inputs)), bound.limit)
+        for rule in SAFETY_RULES
+        if (bound := rule.bound) is not None and bound.value(inputs) > bound.limit
+    ]
+    for name, value in inputs._asdict().items():
         if value is None or (name == "manipulability" and value == inf):
             continue
         for number in value if isinstance(value, tuple) else (value,):
             if not isfinite(number):
-                yield End(Outcome.NUMBER, {"name": name, "got": str(number)})
-    if inputs.overdue > MAX_STALL:
-        yield _violation(Outcome.LINK, inputs.overdue, MAX_STALL)
+                broken.append(End(Outcome.NUMBER, {"name": name, "got": str(number)}))
     if (motion := max(monitor.expected_motion, default=0.0)) > EXPECTED_MOTION:
         joint = monitor.expected_motion.index(motion) + 1
-        yield _violation(Outcome.NOT_FOLLOWING, motion, EXPECTED_MOTION, joint=joint)
-    if inputs.torque is not None and (joint := overloaded_joint(inputs.torque, params.torque)):
-        yield _violation(
-            Outcome.TORQUE, inputs.torque[joint - 1], params.torque[joint - 1], joint=joint
-        )
+        broken.append(_violation(Outcome.NOT_FOLLOWING, motion, EXPECTED_MOTION, joint=joint))
+    torque = inputs.torque
+    if torque is not None and (joint := overloaded_joint(torque, params.torque)):
+        limit = params.torque[joint - 1]
+        broken.append(_violation(Outcome.TORQUE, torque[joint - 1], limit, joint=joint))
     lasted, measured, expected = monitor.error_time, inputs.measured, inputs.expected
     if error_time_exceeded(lasted) and measured is not None and expected is not None:
         error, joint = largest_difference(measured, expected)
-        yield _violation(Outcome.FOLLOWING, error, FOLLOWING_LIMIT, joint=joint, lasted=lasted)
+        evidence = {"joint": joint, "lasted": lasted}
+        broken.append(_violation(Outcome.FOLLOWING, error, FOLLOWING_LIMIT, **evidence))
     if inputs.on_track:
         x, x_dot = inputs.x, inputs.x_dot
         code, value, limit = broken_flange(
@@ -454,21 +407,11 @@ def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs
         )
         if code != NO_VIOLATION:
             reach = stopping_reach(x, x_dot, params.reaction, params.u_max)
-            yield _violation(SAFETY_RULES[code], value, limit, x=x, x_dot=x_dot, reach=reach)
-    if inputs.lateness > MAX_STALL:
-        yield _violation(Outcome.TICK, inputs.lateness, MAX_STALL)
-    if inputs.measured_age > MAX_MEASUREMENT_AGE:
-        yield _violation(Outcome.MEASUREMENT_STALE, inputs.measured_age, MAX_MEASUREMENT_AGE)
-    if inputs.encoder_age > MAX_STALL:
-        yield _violation(Outcome.ENCODER_STALE, inputs.encoder_age, MAX_STALL)
-    if inputs.encoder_illegal:
-        yield _violation(Outcome.ENCODER_ILLEGAL, 1.0, 0.0)
-    if inputs.encoder_missing > 0:
-        yield _violation(Outcome.ENCODER_GAP, float(inputs.encoder_missing), 0.0)
-    if inputs.encoder_jump > MAX_COUNT_JUMP:
-        yield _violation(Outcome.ENCODER_JUMP, inputs.encoder_jump, MAX_COUNT_JUMP)
+            evidence = {"x": x, "x_dot": x_dot, "reach": reach}
+            broken.append(_violation(SAFETY_RULES[code], value, limit, **evidence))
     if inputs.balancing and has_fallen(inputs.phi):
-        yield _violation(Outcome.ANGLE, inputs.phi, ANGLE_RULE_LIMIT)
+        broken.append(_violation(Outcome.ANGLE, inputs.phi, ANGLE_RULE_LIMIT))
+    return sorted(broken, key=lambda end: SAFETY_RULES.index(end.outcome))
 
 
 @compilable

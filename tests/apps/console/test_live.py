@@ -3,14 +3,12 @@
 import os
 import threading
 import time
-from math import nan
 
 import numpy as np
 import pytest
 
 from equipoise.apps.console import live
-from equipoise.logs.recorder import push_event
-from equipoise.logs.shared import RunInfo, open_recorder, share
+from equipoise.logs.recorder import RunInfo, open_recorder, push_event, share
 from equipoise.model.arms.iiwa import iiwa7
 from equipoise.outcomes import Phase
 from equipoise.rig.interfaces import OperatorMessage
@@ -40,11 +38,10 @@ class PlayedRun:
             self.words += [(time.time(), word) for word in self.operator.read_input()]
             phi = 0.05 * np.sin(now - begin)
             state = PHASES.index(self.phase)
-            observed = (0.0, 0.0, phi, 0.0, 0, 0.5, phi, 0.0, 0.0)
             recorder = self.recorder
             recorder.take()
-            recorder.reply.push(now, nan, home, 0.0 * home, now)
-            recorder.tick.push(now, 0.001, 0.001, state, *observed, home + 0.02, 0.0 * home)
+            recorder.reply.push(time=now, q=home)
+            recorder.tick.push(time=now, late=0.001, state=state, u=0.5, estimated_phi=phi, q=home)
 
     def ask(self, text, *answers):
         self.operator.notify(OperatorMessage("checklist", text, answers))

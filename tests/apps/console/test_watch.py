@@ -1,16 +1,21 @@
 """Runs and their consoles through shared memory."""
 
 import os
-from math import nan
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from equipoise.apps.console.watch import RunWatch
-from equipoise.control.ticks import TickRecord
-from equipoise.logs.recorder import CONNECTING, ENDED, push_event
-from equipoise.logs.shared import RunInfo, live_runs, open_recorder, share
+from equipoise.logs.recorder import (
+    CONNECTING,
+    ENDED,
+    RunInfo,
+    live_runs,
+    open_recorder,
+    push_event,
+    share,
+)
 from equipoise.model.arms.iiwa import iiwa7
 from equipoise.outcomes import Phase
 from equipoise.rig.interfaces import OperatorMessage
@@ -55,8 +60,7 @@ def clock(monkeypatch):
 
 def tick(recorder, time, phase, phi, late=0.001):
     state = PHASES.index(phase)
-    observed = TickRecord(0.0, 0.0, phi, 0.0, 0, 0.5, phi, 0.0)
-    recorder.tick.push(time, late, 0.001, state, *observed, HOME + 0.1, 0.0 * HOME)
+    recorder.tick.push(time=time, late=late, state=state, u=0.5, estimated_phi=phi, q=HOME + 0.1)
 
 
 def test_an_observer_sees_all_and_takes_nothing(shared, watch, clock):
@@ -65,8 +69,8 @@ def test_an_observer_sees_all_and_takes_nothing(shared, watch, clock):
     assert watch.phase is None
     tick(recorder, 1.0, Phase.HOMING, 3.0, late=0.004)
     tick(recorder, 1.01, Phase.BALANCING, 0.1)
-    recorder.reply.push(1.0, nan, HOME, 0.0 * HOME, 1.0)
-    recorder.encoder.push(1.0, 7, 0, 0, 0, 1.0)
+    recorder.reply.push(time=1.0, q=HOME)
+    recorder.encoder.push(time=1.0, counts=7, received=1.0)
     push_event(recorder.event, 1.0, OperatorMessage("homing", "Moving"))
     watch.observe()
     assert (watch.phase, watch.phi, watch.late, watch.time) == (Phase.BALANCING, 0.1, 0.004, 1.01)
@@ -84,9 +88,9 @@ def test_a_measurement_that_is_too_old_is_unknown(shared, watch, clock):
         clock.now = now
         tick(recorder, now, Phase.BALANCING, 0.1)  # the estimate goes on
         if has_posture:
-            recorder.reply.push(now, nan, HOME, 0.0 * HOME, now)
+            recorder.reply.push(time=now, q=HOME)
         if has_angle:
-            recorder.encoder.push(now, 7, 0, 0, 0, now)
+            recorder.encoder.push(time=now, counts=7, received=now)
         watch.observe()
         assert (watch.q is not None, np.isfinite(watch.phi)) == (has_posture, has_angle)
     clock.now += 0.02

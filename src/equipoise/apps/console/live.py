@@ -23,8 +23,7 @@ from equipoise.apps.console.watch import RunWatch
 from equipoise.apps.console.web import serving
 from equipoise.apps.style import BLUE, GREEN, GREY, INK, ORANGE, VERMILION
 from equipoise.control.ticks import OK
-from equipoise.logs.recorder import ENDED, LoggedEvent
-from equipoise.logs.shared import live_runs
+from equipoise.logs.recorder import ENDED, LoggedEvent, live_runs
 from equipoise.outcomes import Phase
 from equipoise.rig.processes import HEARTBEAT_TIMEOUT
 

@@ -15,8 +15,14 @@ import numpy.typing as npt
 
 from equipoise.arrays import Array
 from equipoise.artefacts import lock
-from equipoise.logs import shared
-from equipoise.logs.recorder import LoggedEvent, read_events
+from equipoise.logs.recorder import (
+    CONSOLE,
+    LoggedEvent,
+    is_alive,
+    open_recorder,
+    read_events,
+    read_info,
+)
 from equipoise.outcomes import Phase
 from equipoise.rig.processes import HEARTBEAT_TIMEOUT
 
@@ -28,14 +34,14 @@ class RunWatch:
         """Attach to a run.
 
         Args:
-            folder: Folder of the run, from `equipoise.logs.shared.live_runs`.
+            folder: Folder of the run, from `equipoise.logs.recorder.live_runs`.
 
         Raises:
             OSError: The run has ended.
             ValueError: The run is one of another version of Equipoise.
             BlockingIOError: Another console is attached to this run.
         """
-        self.info = shared.read_info(folder)
+        self.info = read_info(folder)
         """Description of the run."""
         self.time = nan
         """Time of the last tick [s]; NaN before the first."""
@@ -57,11 +63,11 @@ class RunWatch:
         self.ended = False
         """Whether the process of the run has ended."""
         self._folder = folder
-        self._console = (folder / shared.CONSOLE).open("r+b")
+        self._console = (folder / CONSOLE).open("r+b")
         if not lock(self._console):
             self._console.close()
             raise BlockingIOError("another console is attached to this run")
-        self._recorder = shared.open_recorder(folder, len(self.info.arm.joints))
+        self._recorder = open_recorder(folder, len(self.info.arm.joints))
         self._seen: dict[str, int] = {}
         self._measured = self._sampled = -inf  # times of the newest posture and encoder sample [s]
         self._speaking = threading.Lock()
@@ -69,7 +75,7 @@ class RunWatch:
     def observe(self) -> None:
         """Read the state of the run, and what is new since the last observation."""
         # Before the rows, so that the last ones are read.
-        self.ended, now = not shared.is_alive(self._folder), time.monotonic()
+        self.ended, now = not is_alive(self._folder), time.monotonic()
         ticks, replies, samples = self._new("tick"), self._new("reply"), self._new("encoder")
         self.events, self.question = read_events(self._new("event")), self._recorder.question()
         pulse = self._recorder.pulse
@@ -98,7 +104,7 @@ class RunWatch:
             question: Time of the question that it answers [s]; 0 for a stop.
         """
         with self._speaking:
-            self._recorder.console.push(question, word.encode()[:64])
+            self._recorder.console.push(question=question, word=word.encode())
 
     def close(self) -> None:
         """Detach from the run."""
