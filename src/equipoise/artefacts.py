@@ -6,7 +6,6 @@ detects corruption, not forgery, and does not cover the provenance). NaN, infini
 other fields are rejected. Files are written atomically.
 """
 
-import glob
 import hashlib
 import json
 import os
@@ -15,7 +14,7 @@ import re
 import reprlib
 import sys
 import threading
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from importlib import metadata
@@ -342,50 +341,35 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
 def temporary_name(path: Path) -> Path:
     """Return a hidden path in the folder of a file, unique to this process and thread."""
-    return _hidden(path, f"{os.getpid()}.{threading.get_ident()}.tmp")
-
-
-def _hidden(path: Path, end: str) -> Path:
     # File systems limit names to 255 bytes, so a long name is truncated.
-    return path.with_name(f".{os.fsdecode(os.fsencode(path.name)[:150])}.{end}")
+    name = os.fsdecode(os.fsencode(path.name)[:150])
+    return path.with_name(f".{name}.{os.getpid()}.{threading.get_ident()}.tmp")
 
 
 @contextmanager
-def claimed(path: Path) -> Generator[bool]:
-    """Reserve the name of a file, so that two processes never write the same one.
+def reserved(paths: Iterable[Path], *, replace: bool = False) -> Generator[None]:
+    """Create files, so that no other process takes their names; remove those that stay empty.
 
-    The reservation is a lock on a hidden file beside it, which the system releases when the process
-    ends in any way. It removes the temporary files of a killed process.
-
-    Yields:
-        Whether no other process has reserved the name.
+    Args:
+        paths: The files; missing folders are created.
+        replace: Whether existing files are accepted.
 
     Raises:
-        OutsideError: The folder cannot be created or written.
+        FileExistsError: A file exists.
+        OSError: A file cannot be written.
     """
-    folder, marker = path.absolute().parent, path.with_name(f".{path.name}.claim")
+    created: list[Path] = []
     try:
-        is_new = not folder.exists()
-        folder.mkdir(parents=True, exist_ok=True)
-        file = marker.open("ab")
-    except OSError as error:
-        raise OutsideError(
-            f"{folder} takes no file for {path} ({error.strerror}); give another name, or make room"
-        ) from None
-    with file:
-        # Without a name it is that of a process which has just ended.
-        free = lock(file) and os.fstat(file.fileno()).st_nlink > 0
-        for leftover in folder.glob(f"{glob.escape(_hidden(path, '').name)}*.tmp"):
-            if free:
-                leftover.unlink(missing_ok=True)
-        try:
-            yield free
-        finally:
+        for path in paths:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.open("ab" if replace else "xb").close()
+            created.append(path)
+        yield
+    finally:
+        for path in created:
             with suppress(OSError):
-                if free:
-                    marker.unlink()
-                if is_new:
-                    folder.rmdir()  # where it is still empty
+                if path.stat().st_size == 0:
+                    path.unlink()
 
 
 def lock(file: BinaryIO) -> bool:

@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from typing import TYPE_CHECKING, Any, Final, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 from pydantic_core import to_json
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 VERDICT_STYLES = {"good": "green", "warning": "yellow", "bad": "bold red"}
 """Styles of the verdicts of checks."""
-MAX_WIDTH: Final = 10_000
-"""Width that no table needs [characters]."""
 
 
 class EscapingConsole(Console):
@@ -65,7 +63,7 @@ class Output:
         self._as_json = as_json
         self._words = EscapingConsole(quiet=as_json)
         self._messages = EscapingConsole(stderr=True)
-        self.claims = ExitStack()
+        self.reserved_names = ExitStack()
         """Names of the files that the verb writes, reserved until its end."""
 
     def tell(self, what: Any) -> None:
@@ -227,7 +225,7 @@ def _tables(fields: Mapping[str, Any], console: Console) -> list[RenderableType]
                 table.add_column(printable(title), overflow="fold")
             for title, row in zip(value, rows, strict=True):
                 table.add_row(printable(label(title)), *map(as_text, row.values()))
-            free = console.options.update_width(MAX_WIDTH)
+            free = console.options.update_width(10_000)  # no table needs more
             if measure_renderables(console, free, [table]).minimum <= console.width:
                 tables.append(table)
                 continue

@@ -180,12 +180,7 @@ def folder(tmp_path_factory):
         ),
     )
     record = found.record.model_copy(update={"files": dict(files.digests(found))})
-    found.pendulum.save(out / files.PENDULUM, command="test")
-    record.save(out / files.RECORD, command="test")
-    names = files.POLICY, files.EVALUATION, files.TWIN_EVALUATION, files.RUN
-    for prefix, recipe in (("", found.default), (files.LITERAL, found.literal)):
-        for name, value in zip(names, recipe, strict=True):
-            value.save(out / f"{prefix}{name}", command="test")
+    files.save(found._replace(record=record), out)
     return out
 
 
@@ -218,7 +213,7 @@ def test_a_file_of_another_reproduction_is_refused(folder, tmp_path, prefix):
     for path in folder.iterdir():
         if path.is_file():
             (tmp_path / path.name).write_bytes(path.read_bytes())
-    name = f"{prefix}{files.EVALUATION}"
+    name = f"{prefix}evaluation.json"
     other = made_up.evaluation(files.TabularPolicy.load(folder / files.POLICY), falls=(1.0,))
     other.save(tmp_path / name, command="test")
     with pytest.raises(ArtefactError):

@@ -15,7 +15,6 @@ viser's own sharing is off, and nothing is printed or logged: the terminal belon
 and whoever reaches the port chooses the words of a request.
 """
 
-import atexit
 import hmac
 import logging
 import os
@@ -211,7 +210,6 @@ def serving(
 
     with _guarding(gate), open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
         server: Any = Server(address, port, verbose=False)
-    atexit.unregister(server._websock_server.stop)  # it prints; `finally` stops the server
     try:
         yield server, f"http://{host}:{server.get_port()}/?token={gate.token}"
     finally:
