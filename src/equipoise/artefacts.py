@@ -374,14 +374,14 @@ def reserved(paths: Iterable[Path], *, replace: bool = False) -> Generator[None]
 
 def lock(file: BinaryIO) -> bool:
     """Lock a file until it is closed; return whether no other process had locked it."""
-    try:
-        import fcntl
+    import fcntl
 
+    try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except (ImportError, OSError):
-        return True  # this system, or the disk, has no file locks
+    except OSError:
+        return True  # this disk has no file locks
     return True
 
 

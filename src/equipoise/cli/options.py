@@ -88,7 +88,7 @@ def verb(function: Callable[..., None]) -> Callable[..., None]:
                 function(output, **args)
         except ValidationError as error:
             fault = error.errors()[0]
-            raise InputError(f"{_name(str(fault['loc'][0]))}: {fault['msg']}") from None
+            raise InputError(f"{_name(str(fault['loc'][-1]))}: {fault['msg']}") from None
         except KeyboardInterrupt:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing interrupts the clean-up
             complain("interrupted")

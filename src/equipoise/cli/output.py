@@ -32,19 +32,7 @@ VERDICT_STYLES = {"good": "green", "warning": "yellow", "bad": "bold red"}
 
 
 class EscapingConsole(Console):
-    """A console that escapes all control characters except its own.
-
-    Text as a string is escaped before it is measured and wrapped; all else when it is rendered, and
-    may then be longer than its place in a table.
-    """
-
-    def __init__(self, *, stderr: bool = False, quiet: bool = False) -> None:
-        """Print to stdout or stderr; a quiet console prints nothing."""
-        super().__init__(stderr=stderr, quiet=quiet, markup=False, emoji=False, highlight=False)
-
-    def render_str(self, text: str, **kwargs: Any) -> Text:
-        """Return a string as rich text."""
-        return super().render_str(printable(text, layout=True), **kwargs)
+    """A console that escapes all control characters except its own."""
 
     def render(
         self, renderable: RenderableType, options: ConsoleOptions | None = None
@@ -55,14 +43,19 @@ class EscapingConsole(Console):
             yield Segment(text, piece.style, piece.control)
 
 
+def _console(*, stderr: bool = False, quiet: bool = False) -> EscapingConsole:
+    """Return a console on stdout or stderr, whose text is no markup; a quiet one prints nothing."""
+    return EscapingConsole(stderr=stderr, quiet=quiet, markup=False, emoji=False, highlight=False)
+
+
 class Output:
     """Output of one run of a verb."""
 
     def __init__(self, as_json: bool) -> None:
         """Print text, or one JSON object."""
         self._as_json = as_json
-        self._words = EscapingConsole(quiet=as_json)
-        self._messages = EscapingConsole(stderr=True)
+        self._words = _console(quiet=as_json)
+        self._messages = _console(stderr=True)
         self.reserved_names = ExitStack()
         """Names of the files that the verb writes, reserved until its end."""
 
@@ -169,7 +162,7 @@ def complain(message: str, label: str = "") -> None:
     """Print an error on stderr."""
     with suppress(OSError):  # the exit code reports the error, too
         text = Text.assemble((label, "bold red"), printable(message))
-        EscapingConsole(stderr=True).print(text, soft_wrap=True)
+        _console(stderr=True).print(text, soft_wrap=True)
 
 
 @contextmanager
