@@ -119,12 +119,6 @@ def test_the_simulated_pendulum_is_identified(made):
 
 
 @pytest.mark.compiled_only
-def test_the_results_do_not_depend_on_the_number_of_workers(made, tmp_path):
-    again = reproduce(tmp_path, settings=SHORT, seed=3, workers=2)
-    assert again.record.files == made[1].record.files
-
-
-@pytest.mark.compiled_only
 def test_an_arm_with_unknown_masses_runs_on_the_model(tmp_path):
     reproduce(tmp_path, arm=without_masses(read_urdf(ELBOW)), settings=SHORT, workers=1)
     results = load(tmp_path)
@@ -182,16 +176,3 @@ def test_the_hand_of_the_simulated_swing_holds_and_releases():
     np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
     assert np.max(np.abs(np.diff(recording.theta))) < 0.02  # no jump at the release
     assert not np.array_equal(synthetic_swing(2).theta, recording.theta)
-
-
-@pytest.mark.slow
-@pytest.mark.compiled_only
-def test_a_quick_reproduction_and_its_page(tmp_path):
-    results = reproduce(tmp_path, quick=True)
-    summary = results.default.evaluation.results.summary()
-    assert summary.trials == QUICK["evaluation.trials"]
-    # Worse than half is worse than any of 20 seeds showed.
-    assert summary.rate > 0.5
-    assert results.default.twin_evaluation.results.summary().rate > 0.5
-    assert results.default.run.outcome == "lasted"
-    assert build(tmp_path).stat().st_size > 100_000
