@@ -11,7 +11,7 @@ from equipoise.identification.recording import Trajectory
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.worlds import IDEAL, MODEL
-from equipoise.reproduction.pipeline import QUICK, TWIN, reproduce, shortened
+from equipoise.reproduction.pipeline import TWIN, reproduce
 from equipoise.reproduction.results import RECORD, SWING, load
 from equipoise.reproduction.synthetic_swing import (
     SIMULATED_C,
@@ -157,15 +157,6 @@ def test_a_mixed_folder_is_refused(made, tmp_path):
         file.write("99.0,0.1\n")
     with pytest.raises(ArtefactError):
         load(tmp_path)
-
-
-def test_quick_only_shortens():
-    full, short = resolve(), shortened(resolve())
-    for name, value in QUICK.items():
-        section, _, key = name.partition(".")
-        assert getattr(getattr(short, section), key) == value
-        assert getattr(getattr(full, section), key) > value
-    assert shortened(SHORT) == SHORT
 
 
 def test_the_hand_of_the_simulated_swing_holds_and_releases():

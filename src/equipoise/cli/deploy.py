@@ -16,7 +16,6 @@ from equipoise.errors import InputError
 from equipoise.user_code import guest_code
 
 if TYPE_CHECKING:
-    from equipoise.logs.run_log import RunLog
     from equipoise.rig.request import RunRequest
 
 
@@ -71,56 +70,35 @@ def deploy(
         raise InputError("--excite moves a simulated arm; give it --arm and --pendulum alone")
     if not on_a_rig and on_rig != OnRig():
         raise InputError("--dry-run, --max-speed and --identify need --robot")
-    if run.excite:
-        _excite(output, run, task, files)
-    elif on_a_rig:
+    if on_a_rig:
         _run_on_rig(output, policy, run, task, rig, on_rig, files)
-    else:
-        _simulate(output, policy, run, task, files)
+        return
 
-
-def _excite(output: Output, run: Run, task: opt.Task, files: opt.Files) -> None:
-    """Move the arm of a digital twin by itself, and write the log."""
     from equipoise.model.worlds import read_world
-    from equipoise.rig.simulate import excite
-
-    arm = opt.read_arm(task.arm or "iiwa7")
-    read_world(run.world)
-    out = files.file(output, "run.mcap", task.pendulum, suffix=".mcap")
-    length = run.duration or 10.0
-    with output.busy("moving the arm"):
-        log = excite(arm, pendulum=task.pendulum, duration=length, world=run.world, seed=run.seed)
-    log.save(out, command="deploy")
-    _show(output, log, out, code=0, then=command("identify", out))
-
-
-def _simulate(
-    output: Output, policy: Path | None, run: Run, task: opt.Task, files: opt.Files
-) -> None:
-    """Run a policy in a simulated world, and write the log."""
     from equipoise.outcomes import Outcome
-    from equipoise.rig.simulate import simulate_run
+    from equipoise.rig.simulate import excite, simulate_run
     from equipoise.worlds import setup_of
 
-    chosen = task.read(policy)
-    setup_of(chosen, run.world, actuator=task.actuator)
-    out = files.file(output, "run.mcap", policy, task.pendulum, suffix=".mcap")
-    output.warn(chosen.shortfall)
-    with output.busy("running"):
-        log = simulate_run(
-            chosen,
-            world=run.world,
-            actuator=task.actuator,
-            duration=run.duration,
-            seed=run.seed,
-        )
-    log.save(out, command="deploy", inputs={"policy": log.conditions.policy})
-    code = int(log.outcome != Outcome.LASTED)
-    _show(output, log, out, code=code, then=command("log explain", out))
-
-
-def _show(output: Output, log: "RunLog", out: Path, *, code: int, then: str) -> None:
-    """Print the result of a simulated run."""
+    world, seed = run.world, run.seed
+    if run.excite:
+        arm, _ = opt.read_arm(task.arm or "iiwa7"), read_world(world)
+        out = files.file(output, "run.mcap", task.pendulum, suffix=".mcap")
+        length = run.duration or 10.0
+        with output.busy("moving the arm"):
+            log = excite(arm, pendulum=task.pendulum, duration=length, world=world, seed=seed)
+        code, then, inputs = 0, command("identify", out), dict[str, str]()
+    else:
+        chosen, actuator = task.read(policy), task.actuator
+        setup_of(chosen, world, actuator=actuator)
+        out = files.file(output, "run.mcap", policy, task.pendulum, suffix=".mcap")
+        output.warn(chosen.shortfall)
+        with output.busy("running"):
+            log = simulate_run(
+                chosen, world=world, actuator=actuator, duration=run.duration, seed=seed
+            )
+        code, then = int(log.outcome != Outcome.LASTED), command("log explain", out)
+        inputs = {"policy": log.conditions.policy}
+    log.save(out, command="deploy", inputs=inputs)
     output.result(
         outcome=log.outcome,
         lasted_s=log.lasted,

@@ -119,7 +119,7 @@ def evaluate(
         world=evaluation.world,
         arm=evaluation.arm,
         seed=evaluation.seed,
-        baselines={each.name: _trial_fields(each) for each in evaluation.baselines},
+        baselines={one.name: _trial_fields(one) for one in evaluation.baselines},
         file=out,
         code=code,
         then=command("deploy", policy, task, world=twin),

@@ -27,9 +27,6 @@ if TYPE_CHECKING:
 
     from equipoise.executors import Show
 
-VERDICT_STYLES = {"good": "green", "warning": "yellow", "bad": "bold red"}
-"""Styles of the verdicts of checks."""
-
 
 class EscapingConsole(Console):
     """A console that escapes all control characters except its own."""
@@ -128,12 +125,12 @@ class Output:
         stages: dict[str, progress.TaskID] = {}
         lock, compiled = threading.Lock(), 0
 
-        def update(stage: str, share: float | None, text: str) -> None:
+        def update(stage: str, fraction: float | None, text: str) -> None:
             with lock:
                 if stage not in stages:
                     stages[stage] = bars.add_task(stage, text="", total=None)
-                total = None if share is None else 1.0
-                bars.update(stages[stage], text=text, total=total, completed=share or 0.0)
+                total = None if fraction is None else 1.0
+                bars.update(stages[stage], text=text, total=total, completed=fraction or 0.0)
 
         def count(_: str) -> None:
             nonlocal compiled
@@ -142,10 +139,10 @@ class Output:
 
         with bars, signals(raising=True) as stopped, watching_compilation(count):
 
-            def show(stage: str, share: float | None = None, text: str = "") -> None:
+            def show(stage: str, fraction: float | None = None, text: str = "") -> None:
                 if stopped.is_set():
                     raise KeyboardInterrupt
-                update(stage, share, text)
+                update(stage, fraction, text)
 
             yield show
             if compiled:

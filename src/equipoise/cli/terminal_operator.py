@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from rich.text import Text
 
-from equipoise.cli.output import VERDICT_STYLES, Output
+from equipoise.cli.output import Output
 from equipoise.control.ticks import OK
 from equipoise.printable import printable
 
@@ -22,7 +22,9 @@ STYLES: Final = {
     "balancing": "bold green",
     "notice": "yellow",
     "warning": "yellow",
-    **{f"finding {status}": style for status, style in VERDICT_STYLES.items()},
+    "finding good": "green",
+    "finding warning": "yellow",
+    "finding bad": "bold red",
 }
 
 

@@ -148,7 +148,7 @@ def reproduce(
             workers=random.threads,
             report=show,
         )
-        page = build(out, lambda name, share: show("report", share, name))
+        page = build(out, lambda name, fraction: show("report", fraction, name))
     evaluation = found.default.evaluation
     output.result(
         duration_s=evaluation.duration,

@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from equipoise import film, paper
+from equipoise import film
 from equipoise.apps.report import page as page_module
 from equipoise.apps.report.page import FIGURES, PAGE, build, page
 from equipoise.errors import ArtefactError, OutsideError
@@ -126,22 +126,12 @@ def test_the_comparison_states_the_paper_and_both_recipes(plain):
     ]
 
 
-def test_the_numbers_are_those_of_the_results_and_of_the_paper(plain):
-    words = Reader(plain).text
-    for number in (
-        f"around {paper.FREE_SWING_PERIOD:g} s",
-        "270 boxes × 8 accelerations",
-        f"{paper.EPISODES:,}",
-    ):
-        assert number in words, number
-
-
 @pytest.mark.parametrize(
     ("changes", "there"),
     [
         ({"quick": True}, "Quick run"),
         ({"missing": "no OpenGL"}, "no OpenGL"),
-        ({"lasted": 20.0, "cause": Outcome.TRACK}, "stood 20 s of at most 60 s"),
+        ({"lasted": 20.0, "cause": Outcome.TRACK}, "survived 20 s of at most 60 s"),
         ({"warnings": ["friction is odd"]}, "friction is odd"),
     ],
 )
