@@ -84,7 +84,7 @@ def verb(function: Callable[..., None]) -> Callable[..., None]:
             for name, group in groups.items():
                 args[name] = group(**{field: args.pop(field) for field in group.model_fields})
             output = Output(as_json)
-            with signals(raising=True), output.reserved_names:
+            with signals(raising=True) as output.stopped, output.reserved_names:
                 function(output, **args)
         except ValidationError as error:
             fault = error.errors()[0]

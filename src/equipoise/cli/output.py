@@ -53,6 +53,8 @@ class Output:
         self._as_json = as_json
         self._words = _console(quiet=as_json)
         self._messages = _console(stderr=True)
+        self.stopped = threading.Event()
+        """Whether a signal has ended the verb; `verb` replaces it."""
         self.reserved_names = ExitStack()
         """Names of the files that the verb writes, reserved until its end."""
 
@@ -137,10 +139,10 @@ class Output:
             compiled += 1
             update("compile", None, f"functions, once on this machine: {compiled}")
 
-        with bars, signals(raising=True) as stopped, watching_compilation(count):
+        with bars, watching_compilation(count):
 
             def show(stage: str, fraction: float | None = None, text: str = "") -> None:
-                if stopped.is_set():
+                if self.stopped.is_set():
                     raise KeyboardInterrupt
                 update(stage, fraction, text)
 
