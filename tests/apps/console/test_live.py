@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from equipoise.apps.console import live
+from equipoise.control.ticks import TickRecord
 from equipoise.logs.recorder import push_event
 from equipoise.logs.shared import RunInfo, open_recorder, share
 from equipoise.model.arms.iiwa import iiwa7
@@ -40,7 +41,7 @@ class PlayedRun:
             self.words += [(time.time(), word) for word in self.operator.read_input()]
             phi = 0.05 * np.sin(now - begin)
             state = PHASES.index(self.phase)
-            observed = (0.0, 0.0, phi, 0.0, 0, 0.5, phi, 0.0, 0.0)
+            observed = TickRecord(0.0, 0.0, phi, 0.0, 0, 0.5, phi, 0.0)
             recorder = self.recorder
             recorder.take()
             recorder.reply.push(now, nan, home, 0.0 * home, now)
