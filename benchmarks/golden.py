@@ -45,7 +45,7 @@ def trainings() -> dict[str, str]:
 
     policy, found = shipped_policy(), {}
     for recipe, episodes in EPISODES.items():
-        changes = [f"learning.episodes={episodes}", "selection.candidates=4"]
+        changes = [f"learning.episodes={episodes}", "selection.trials=4"]
         settings = resolve(recipe, overrides=changes)
         for seed in SEEDS:
             trained = train(policy.pendulum, policy.arm, settings, seed=seed)

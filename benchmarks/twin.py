@@ -19,7 +19,7 @@ from statistics import median
 from equipoise.control.policy import TabularPolicy
 from equipoise.executors import available_cores
 from equipoise.identification.actuator import identify_run
-from equipoise.learning.target import LEARNERS, train_to_target
+from equipoise.learning.train import ATTEMPTS, train_to_target
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
@@ -36,7 +36,7 @@ def main() -> None:
     parser.add_argument("--arm", type=int, choices=(7, 14), default=7)
     parser.add_argument("--pendulum", type=Path, help="by default the shipped one")
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--learners", type=int, default=LEARNERS, help="maximum for each seed")
+    parser.add_argument("--attempts", type=int, default=ATTEMPTS, help="maximum for each seed")
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--trials", type=int, default=200)
     parser.add_argument("--duration", type=float, default=60.0)
@@ -69,7 +69,7 @@ def main() -> None:
                 pendulum,
                 arm,
                 settings,
-                learners=given.learners,
+                attempts=given.attempts,
                 actuator=actuator,
                 seed=seed,
                 workers=cores,

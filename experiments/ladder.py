@@ -2,35 +2,41 @@
 
 Each rung keeps the changes of the rungs before it. Policies of the same seeds are trained on each
 rung, and tested on digital twins with the controller of that rung; on `twin:harsh` its model of the
-delay is 20 ms short::
+delay is 20 ms short. Then they balance on `twin:nominal`, and the pendulum is pushed::
 
-    python experiments/ladder.py                                           # an hour
+    python experiments/ladder.py                                           # half an hour
 """
 
 import argparse
 import json
+from math import radians
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import equipoise as eq
+from equipoise.control.grid import TRUNCATED
+from equipoise.control.policy import tick_policy
 from equipoise.executors import available_cores, completed
+from equipoise.model.random import TEST
 from equipoise.settings import changed
+from equipoise.worlds import predicted, setup_of, simulate
 from equipoise.worlds.evaluation import Summary, exact_interval
+
+PUSH = radians(60.0)
+"""Change of the pendulum's rate by a push [rad/s], to either side in turn."""
+PUSHED_AT, PUSHED_UNTIL = 3.0, 8.0
+"""Time of the push, and end of the trial [s]."""
 
 CHANGES: dict[str, tuple[str, ...]] = {
     "the literal recipe": (),
     "+ prediction, estimate of the zero": ("controller",),
     "+ training behind the actuator": ("plant",),
     "+ look-ahead": ("boxes",),
-    "+ held actions": ("learning.hold_action",),
     "+ mirrored updates": ("learning.mirrored",),
-    "+ reward, discount": ("learning.reward", "learning.gamma"),
-    "+ learning rate": tuple(f"learning.alpha_{x}" for x in ("initial", "decay", "minimum")),
-    "+ exploration, starts": ("learning",),
-    "+ averages of tables": ("selection.averaging",),
-    "+ race on varied plants: the default": ("selection",),
+    "+ failure alone costs": ("learning.reward",),
+    "+ averages of tables: the default": ("selection",),
 }
 """Sections and settings of recipe `robust` that each rung takes up."""
 
@@ -69,6 +75,31 @@ def tested(found: list[Summary]) -> dict[str, Any]:
     }
 
 
+def withstood(policy: eq.TabularPolicy, actuator: eq.Actuator | None, pushes: int) -> int:
+    """Return the number of pushes after which a policy balances on.
+
+    Args:
+        policy: The policy.
+        actuator: The controller's model of the arm; None for that of the training.
+        pushes: Number of trials, each with one push.
+    """
+    setup = setup_of(policy, "twin:nominal", actuator=actuator)
+    simulation = simulate("twin:nominal", setup, seed=99, stream=TEST)
+    loop, trials, acting = simulation.loop(), simulation.draw(pushes), tick_policy(policy)
+    balanced = 0
+    for i in range(pushes):
+        loop.reset(trials.trial(i))
+        acting.reset()
+        cause, tick = TRUNCATED, 0
+        while tick < PUSHED_UNTIL / setup.h and cause == TRUNCATED:
+            if tick == round(PUSHED_AT / setup.h):
+                loop.push(PUSH if i % 2 else -PUSH)
+            cause = loop.step(float(acting.act(predicted(loop))))
+            tick += 1
+        balanced += cause == TRUNCATED
+    return balanced
+
+
 def main() -> None:
     """Train and test each rung on every seed, and print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -89,18 +120,21 @@ def main() -> None:
 
         def results(
             seed: int, settings: eq.Settings = settings, known: eq.Actuator | None = known
-        ) -> list[Summary]:
+        ) -> tuple[list[Summary], int]:
             policy = eq.train(pendulum, arm, settings, seed=seed)
             how: dict[str, Any] = {"actuator": known, "seed": seed, "with_baselines": False}
             evaluations = (eq.evaluate(policy, settings, world=w, **how) for w in given.worlds)
-            return [evaluation.results.summary() for evaluation in evaluations]
+            summaries = [evaluation.results.summary() for evaluation in evaluations]
+            return summaries, withstood(policy, known, given.trials)
 
         found = [each for _, each in completed(results, range(given.seeds), available_cores())]
-        by_world = zip(given.worlds, zip(*found, strict=True), strict=True)
+        summaries = zip(*(each for each, _ in found), strict=True)
+        by_world = zip(given.worlds, summaries, strict=True)
         row = {world.removeprefix("twin:"): tested(list(each)) for world, each in by_world}
-        rows.append({"name": name, "seeds": given.seeds} | row)
+        pushed = sum(balanced for _, balanced in found) / (given.seeds * given.trials)
+        rows.append({"name": name, "seeds": given.seeds, "pushed": pushed} | row)
         shares = (f"{world} {of['share']:.1%} ({of['median']:.1f} s)" for world, of in row.items())
-        print(f"{name}: {', '.join(shares)}", flush=True)
+        print(f"{name}: {', '.join(shares)}, pushed {pushed:.1%}", flush=True)
     if given.json:
         given.json.write_text(json.dumps({"rows": rows}, indent=1))
 

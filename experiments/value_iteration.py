@@ -9,7 +9,8 @@ The table solves
 with Q = -1 after a failure, the paper's reward, and for pairs that never occurred. Since a box
 holds many states, the next box depends on more than s and a: the counts depend on the policy that
 chose the actions. They are therefore added up over several rounds, each with the policy that the
-counts before it give, and with random actions among its own. The tables of all rounds race::
+counts before it give, and with random actions among its own. The best table of all rounds in
+common trials is the result::
 
     python experiments/value_iteration.py --out solved.json
 """
@@ -26,7 +27,7 @@ import equipoise.envs
 from equipoise import paper
 from equipoise.control.grid import box_indices, make_grid
 from equipoise.executors import available_cores
-from equipoise.learning.select import race
+from equipoise.learning.select import score_tables
 from equipoise.worlds import setup_of
 
 LEVELS = np.array(paper.ACTIONS)
@@ -81,7 +82,7 @@ def solve_table(
         rounds: Number of rounds.
         loops: Number of closed loops side by side.
         ticks: Number of steps of each loop in a round.
-        workers: Number of threads of the race; the result does not depend on it.
+        workers: Number of threads of the trials; the result does not depend on it.
     """
     settings, count = policy.settings, policy.settings.boxes.count
     boxes = make_grid(settings.boxes, policy.pendulum.parameters().k)
@@ -116,7 +117,8 @@ def solve_table(
     envs.close()
     candidates = [(0, LEVELS[Q.argmax(axis=1)]) for Q in tables]
     setup = setup_of(policy, "model", settings)
-    best = tables[race(setup, candidates, seed=0, workers=workers)[0][0]]
+    results = score_tables(setup, candidates, seed=0, workers=workers)
+    best = tables[max(range(rounds), key=lambda i: results[i].score)]
     visits = tuple(map(tuple, N.sum(axis=2).tolist()))
     Q = tuple(map(tuple, best.tolist()))
     return policy.model_copy(update={"Q": Q, "visits": visits, "checkpoints": (), "test": None})

@@ -16,8 +16,8 @@ WRONG = (object(), float("nan"), float("inf"), -1, [], {}, np.zeros(3), b"x", "m
 TASK = ("pendulum", "arm", "actuator", "settings")
 NUMBERS = ("seed", "workers")
 ARGUMENTS = {
-    eq.train: (*TASK, *NUMBERS, "learner", "world", "show"),
-    eq.train_to_target: (*TASK, *NUMBERS, "target", "learners", "world"),
+    eq.train: (*TASK, *NUMBERS, "world", "show"),
+    eq.train_to_target: (*TASK, *NUMBERS, "target", "attempts", "world"),
     eq.evaluate: ("policy", "settings", "actuator", *NUMBERS, "world", "with_baselines", "done"),
     eq.simulate_run: ("policy", "settings", "actuator", "seed", "duration", "world"),
     eq.excite: ("arm", "pendulum", "world", "seed", "duration"),

@@ -31,7 +31,7 @@ SETTINGS = """\
 [learning]
 episodes = 2_000
 gamma = 0.97
-hold_action = true
+mirrored = true
 [selection]
 duration = 60.0
 [identification]

@@ -20,8 +20,8 @@ ROOT = Path(__file__).parents[1]
 EXPERIMENTS = ROOT / "experiments"
 SHORT = (
     *("--set", "learning.episodes=40", "--set", "learning.episode_duration=1"),
-    *("--set", "selection.every=20", "--set", "selection.round_trials=8"),
-    *("--set", "selection.rounds=2", "--set", "selection.duration=0.5"),
+    *("--set", "selection.every=20", "--set", "selection.trials=4"),
+    *("--set", "selection.test_trials=20", "--set", "selection.duration=0.5"),
 )
 """Short trainings."""
 TRIALS = ("--trials", "2", "--duration", "0.3")
@@ -98,7 +98,7 @@ def paths(value, *above):
         ("identification", "experiments/identification", ("--worlds", "pd", "--logs", "1")),
         (
             *("survival-nominal", "benchmarks/twin"),
-            (*SHORT, *TRIALS, "--world", "model", "--seeds", "1", "--learners", "1", "--out", "."),
+            (*SHORT, *TRIALS, "--world", "model", "--seeds", "1", "--attempts", "1", "--out", "."),
         ),
     ],
 )

@@ -36,15 +36,15 @@ def value(settings, name):
 
 
 def test_a_file_wins_over_a_recipe_over_the_defaults_and_a_single_setting_over_all(tmp_path):
-    file = toml(tmp_path, "[learning]\nstart_phi = 0.01\n")
-    single = ["learning.start_phi=0.03", "learning.start_phi=0.02"]
-    default, of_recipe = Settings().learning.start_phi, RECIPES["paper"]["learning.start_phi"]
+    file = toml(tmp_path, "[plant]\norientation_error_sigma = 0.01\n")
+    single = ["plant.orientation_error_sigma=0.03", "plant.orientation_error_sigma=0.02"]
+    default, of_recipe = Settings().plant.orientation_error_sigma, RECIPES["paper"]["plant.orientation_error_sigma"]
     assert len({default, of_recipe, 0.01, 0.02}) == 4
     assert resolve() == resolve("robust") == Settings()
-    assert resolve("paper").learning.start_phi == of_recipe
-    assert resolve("paper", file).learning.start_phi == 0.01
-    assert resolve("paper", file, single).learning.start_phi == 0.02
-    assert resolve("robust", file).learning.start_phi == 0.01
+    assert resolve("paper").plant.orientation_error_sigma == of_recipe
+    assert resolve("paper", file).plant.orientation_error_sigma == 0.01
+    assert resolve("paper", file, single).plant.orientation_error_sigma == 0.02
+    assert resolve("robust", file).plant.orientation_error_sigma == 0.01
     assert resolve("paper", toml(tmp_path, "")) == resolve("paper")
 
 

@@ -7,7 +7,7 @@ from equipoise.control.policy import shipped_policy
 from equipoise.executors import available_cores
 from equipoise.identification.recording import read_swing
 from equipoise.identification.swing import identify
-from equipoise.learning.target import LEARNERS, train_to_target
+from equipoise.learning.train import ATTEMPTS, train_to_target
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
 from equipoise.worlds.evaluation import evaluate
@@ -15,12 +15,12 @@ from equipoise.worlds.evaluation import evaluate
 TESTS = resolve(overrides=["evaluation.trials=1000"])
 
 
-def summaries(pendulum, settings, seeds, tests=TESTS, learners=LEARNERS):
+def summaries(pendulum, settings, seeds, tests=TESTS, attempts=ATTEMPTS):
     """Train for each seed alone, and return what the trials of each policy came to."""
     workers = available_cores()
     for seed in seeds:
         policy = train_to_target(
-            pendulum, iiwa(7), settings, learners=learners, seed=seed, workers=workers
+            pendulum, iiwa(7), settings, attempts=attempts, seed=seed, workers=workers
         )
         evaluation = evaluate(policy, tests, seed=seed, with_baselines=False, workers=workers)
         yield evaluation.results.summary()
@@ -38,7 +38,7 @@ def test_a_short_training_stands_most_of_the_time(pendulum):
     settings = resolve(overrides=["learning.episodes=3000"])
     tests = resolve(overrides=["evaluation.trials=100", "evaluation.duration=20"])
     # The seed is fixed, so the result is too.
-    (result,) = summaries(pendulum, settings, [0], tests, learners=1)
+    (result,) = summaries(pendulum, settings, [0], tests, attempts=1)
     assert result.rate >= 0.9
 
 

@@ -11,8 +11,8 @@ from .identification.recording import read_swing as read_swing
 from .identification.recording import simulate_swing as simulate_swing
 from .identification.recording import write_swing as write_swing
 from .identification.swing import identify as identify
-from .learning.target import train_to_target as train_to_target
 from .learning.train import train as train
+from .learning.train import train_to_target as train_to_target
 from .logs.run_log import RunLog as RunLog
 from .model.actuator import Actuator as Actuator
 from .model.actuator import shipped_actuator as shipped_actuator

@@ -115,7 +115,7 @@ def emulated_robot(scheme: str) -> RobotUnderTest:
     rig = emulated_rig(world, RigSettings(), pendulum, robot=scheme)
     assert rig.emulated is not None
     assert rig.bench is not None
-    link, bodies = rig.emulated[0].link, rig.bench.twin.kernel.bodies
+    link, data = rig.emulated[0].link, rig.bench.twin.data
     assert link is not None, "the suite pulls the cable of the emulator: give Emulated.link"
 
     def plug(connected: bool) -> None:
@@ -124,7 +124,7 @@ def emulated_robot(scheme: str) -> RobotUnderTest:
     rig.clock.wait_until(3.0)  # the pendulum has pulled the arm down
     joints = rig.bench.joints
     misread = misreads(rig.bench.body)
-    return RobotUnderTest(rig.robot, rig.clock, plug, lambda: bodies.qpos[:joints].copy(), misread)
+    return RobotUnderTest(rig.robot, rig.clock, plug, lambda: data.qpos[:joints].copy(), misread)
 
 
 class RobotConformance:

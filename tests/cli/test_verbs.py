@@ -27,7 +27,7 @@ SHORT = (
     "--set=learning.episode_duration=1",
     "--set=selection.every=20",
     "--set=selection.late=1",
-    "--set=selection.round_trials=4",
+    "--set=selection.trials=4",
     "--set=selection.duration=4",
     "--set=selection.test_trials=100",
 )
@@ -55,9 +55,9 @@ def test_identify_writes_pendulum_and_figure(equipoise, swing, tmp_path):
 def test_train_writes_a_policy_and_marks_one_that_misses_the_target(
     equipoise, pendulum_file, tmp_path
 ):
-    ran = equipoise("train", pendulum_file, *SHORT, "--target=0.9", "--learners=2", "--json")
+    ran = equipoise("train", pendulum_file, *SHORT, "--target=0.9", "--attempts=2", "--json")
     assert (ran.code, ran.err) == (1, "")
-    assert ran.json["learner"] in (0, 1)
+    assert ran.json["seed"] in (0, 1)
     policy = TabularPolicy.load(tmp_path / "policy.json")
     assert policy.shortfall
     assert policy.pendulum == Pendulum.load(pendulum_file)

@@ -10,7 +10,6 @@ from equipoise.control.controller import Controller
 from equipoise.control.policy import shipped_policy
 from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig.simulated_rig import SimulatedRig
-from equipoise.worlds.twin.servo_model import VELOCITY  # the twin's cabinet, another source
 
 pytestmark = pytest.mark.compiled_only
 
@@ -59,7 +58,7 @@ def test_counts_that_come_late_count_as_if_they_had_come_in_time(late):
 def test_in_a_pause_the_model_comes_to_rest_with_the_twins_arm(unsent):
     world = read_world("twin:nominal")
     rig = SimulatedRig(ARM, pendulum_on(POLICY.pendulum, world.settings), world.settings)
-    assert rig.twin.kernel.servo.inner == VELOCITY
+    assert not rig.twin.state.servo.pd
     rig.body.servo(True)
     own, delay = controller(), POLICY.actuator.delay.value
     for tick in range(20):

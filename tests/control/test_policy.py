@@ -43,7 +43,6 @@ def table(values=None, **changes):
         "actuator": IDEAL_ACTUATOR,
         "settings": Settings(),
         "seed": 0,
-        "learner": 0,
         "episodes": 0,
         "steps": 0,
         "learning_curve": (),

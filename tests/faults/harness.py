@@ -208,7 +208,7 @@ class FaultHarness:
             act()
         self._ms += 1
         if self._ms % 2 == 0:
-            q = tuple(self.bench.twin.kernel.bodies.qpos[: self.bench.joints].tolist())
+            q = tuple(self.bench.twin.data.qpos[: self.bench.joints].tolist())
             self.observations.append(ArmObservation(now, float(self.bench.truth().x), q))
         if self._ms == 90_000:  # the longest run
             self.typed.append("stop")

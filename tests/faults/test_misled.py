@@ -72,7 +72,7 @@ def test_nothing_is_sent_at_a_start_that_two_agreeing_readings_do_not_confirm(se
 
     def inject(harness):
         bench, clock, asked = harness.bench, harness.clock, harness.clock.now()
-        target, measure = bench.twin.kernel.servo_state.target, bench.body.measured
+        target, measure = bench.twin.state.servo.target, bench.body.measured
 
         def read():
             q = np.array(measure())

@@ -40,7 +40,7 @@ class Balance:
     def work(self, now):
         if self.harness.messages[-1].name in ("stopping", "fault"):
             return
-        moving = np.abs(self.harness.bench.twin.kernel.bodies.qvel[: len(SPEEDS)])
+        moving = np.abs(self.harness.bench.twin.data.qvel[: len(SPEEDS)])
         self.fastest = max(self.fastest, float((moving / SPEEDS).max()))
         if self.link is not None:
             for end in (self.link, self.link.other):

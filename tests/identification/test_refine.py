@@ -23,7 +23,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.rig.simulate import simulate_run
 from equipoise.settings import PlantSettings
-from equipoise.worlds.twin.twin import Twin
+from equipoise.worlds.twin.twin import ROD, Twin
 from tests.logs.made_up import changed_table
 
 # A run of a minute is 60,000 steps of the physics engine.
@@ -71,7 +71,7 @@ def test_pivot_and_phi_are_those_of_mujoco_where_the_flange_tilts(turned):
     log, arm = run(0, duration=1.0), iiwa(7)
     exact = TwinSettings(zero_error=0.0, counts_per_rev=1 << 20)
     twin = Twin(arm, shipped_policy().pendulum.parameters(), exact)
-    home = np.array(twin.data.xpos[twin.kernel.bodies.pendulum])
+    home = np.array(twin.data.xpos[ROD])
     q = arm.home_free + turned
     twin.reset(q, phi=0.05)
     time, truth = np.arange(3.0), twin.truth()
@@ -86,7 +86,7 @@ def test_pivot_and_phi_are_those_of_mujoco_where_the_flange_tilts(turned):
     assert abs(truth.phi - 0.05) > 0.01
     # To second order in the turns; balancing turns the flange by 0.0003 rad.
     assert motion.phi == pytest.approx(truth.phi, abs=1e-4)
-    moved = twin.data.xpos[twin.kernel.bodies.pendulum] - home
+    moved = twin.data.xpos[ROD] - home
     assert motion.x == pytest.approx(moved[0], abs=1e-9)
 
 

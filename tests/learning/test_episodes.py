@@ -77,7 +77,6 @@ def same(progress, other):
     [
         ("robust", ["learning.episode_duration=0.4"]),
         ("robust", ["learning.epsilon_initial=0.5", "learning.mirrored=false"]),
-        ("robust", ["learning.hold_action=false", "learning.episode_duration=0.4"]),
         ("paper", ["learning.episode_duration=0.6"]),
         ("paper", ["learning.reward=alive"]),
         (

@@ -1,28 +1,23 @@
 """Training: what its result depends on, how candidates are chosen, what the file says."""
 
-from collections import Counter
-
 import numpy as np
 import pytest
 
 from equipoise.artefacts import Estimate
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, SettingsError
-from equipoise.learning import target as target_module
+from equipoise.learning import train as train_module
 from equipoise.learning.choice import compile_learner
 from equipoise.learning.episodes import (
     new_training_loop,
     new_training_state,
     train_episodes,
 )
-from equipoise.learning.target import measure_policy, train_to_target
-from equipoise.learning.train import check_task, train, training_config
+from equipoise.learning.select import measure_survival
+from equipoise.learning.train import check_task, train, train_to_target, training_config
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.random import SELECTION, TARGET_TEST, TEST
-from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.settings import resolve
-from equipoise.worlds import interface, setup_of, simulate
 from equipoise.worlds.plant import make_loop_params
 
 # Thousands of episodes' worth of steps: minutes without compilation.
@@ -33,8 +28,7 @@ QUICK = [
     "learning.episodes=60",
     "learning.episode_duration=1",
     "selection.every=20",
-    "selection.rounds=3",
-    "selection.round_trials=100",
+    "selection.trials=20",
     "selection.duration=2",
     "selection.test_trials=100",
 ]
@@ -51,120 +45,79 @@ def of_paper(*overrides):
 
 
 @pytest.fixture(scope="module")
-def learners(pendulum):
-    """Three learners of one seed, each trained alone on one thread."""
-    return [train(pendulum, ARM, settings(), seed=5, learner=i) for i in range(3)]
+def policies(pendulum):
+    """Policies of three seeds, each trained alone on one thread."""
+    return [train(pendulum, ARM, settings(), seed=5 + i) for i in range(3)]
 
 
-def test_equal_seeds_give_equal_files_and_others_other_tables(pendulum, learners):
-    assert train(pendulum, ARM, settings(), seed=5, workers=3).digest == learners[0].digest
-    policies = [*learners, train(pendulum, ARM, settings(), seed=6)]
-    assert len({policy.Q for policy in policies}) == 4
+def test_equal_seeds_give_equal_files_and_others_other_tables(pendulum, policies):
+    assert train(pendulum, ARM, settings(), seed=5, workers=3).digest == policies[0].digest
+    assert len({policy.Q for policy in policies}) == 3
 
 
 # The target
 
 
 @pytest.mark.parametrize(
-    ("verdicts", "chosen"),
-    [
-        ([(False, 0.2), (False, 0.5), (False, 0.3)], 1),
-        ([(False, 0.7), (True, 0.6)], 1),
-        ([(True, 0.6)], 0),
-    ],
+    ("bounds", "chosen"), [((0.2, 0.5, 0.3), 1), ((0.7, 0.95, 0.99), 1), ((0.96,), 0)]
 )
-def test_the_first_learner_that_meets_the_target_or_the_best_one_is_the_result(
-    monkeypatch, pendulum, learners, verdicts, chosen
+def test_the_first_policy_that_meets_the_target_or_the_best_one_is_the_result(
+    monkeypatch, pendulum, policies, bounds, chosen
 ):
     def tested(policy, **_):
-        met, low = verdicts[policy.learner]  # no later learner is tested
-        return shipped_policy().test.model_copy(update={"met": met, "interval": (low, 1.0)})
+        bound = bounds[policy.seed - 5]  # no later policy is tested
+        return shipped_policy().test.model_copy(update={"target": 0.9, "at_least": bound})
 
-    monkeypatch.setattr(target_module, "train", lambda *_, learner, **__: learners[learner])
-    monkeypatch.setattr(target_module, "measure_policy", tested)
-    found = train_to_target(pendulum, ARM, settings(), target=0.9, learners=3, seed=5)
-    assert found.learner == chosen
-    assert found.Q == learners[chosen].Q
-    assert ("misses the target" in found.shortfall) is not verdicts[chosen][0]
+    monkeypatch.setattr(train_module, "train", lambda *_, seed, **__: policies[seed - 5])
+    monkeypatch.setattr(train_module, "measure_survival", tested)
+    found = train_to_target(pendulum, ARM, settings(), target=0.9, attempts=3, seed=5)
+    assert found.seed == 5 + chosen
+    assert found.Q == policies[chosen].Q
+    assert ("misses the target" in found.shortfall) is (bounds[chosen] < 0.9)
 
 
-def test_each_stage_of_each_learner_is_shown_to_its_end(pendulum, learners):
+def test_each_stage_of_each_attempt_is_shown_to_its_end(pendulum, policies):
     shown = {}
 
-    def show(stage, share, text):
-        shown.setdefault(stage, []).append(share)
+    def show(stage, fraction, text):
+        shown.setdefault(stage, []).append(fraction)
 
-    given = {"target": 0.9, "learners": 2, "seed": 5, "workers": 2, "show": show}
-    found = train_to_target(pendulum, ARM, settings(), **given)
+    args = {"target": 0.9, "attempts": 2, "seed": 5, "workers": 2, "show": show}
+    found = train_to_target(pendulum, ARM, settings(), **args)
     assert set(shown) == {f"{name}{n}" for name in ("train", "select", "test") for n in ("", " 2")}
-    for shares in shown.values():
-        assert shares == sorted(shares)
-        assert shares[-1] == 1.0 > shares[0]
-    alone = learners[found.learner]
+    for fractions in shown.values():
+        assert fractions == sorted(fractions)
+        assert fractions[-1] == 1.0
+    alone = policies[found.seed - 5]
     assert found.model_copy(update={"test": None}).digest == alone.digest
-    assert found.test == measure_policy(alone, target=0.9, error=(0.025, 0.05 / 6)[found.learner])
+    assert found.test == measure_survival(alone, target=0.9, confidence=1.0 - 0.05 / 2)
 
 
 def test_a_target_that_the_test_cannot_show_is_refused(pendulum):
-    for target, learners in ((0.99, 6), (1.0, 6), (0.5, 0)):
+    for target, attempts in ((0.99, 6), (1.0, 6), (0.5, 0)):
         with pytest.raises(InputError):
-            train_to_target(pendulum, ARM, settings(), target=target, learners=learners)
+            train_to_target(pendulum, ARM, settings(), target=target, attempts=attempts)
 
 
 # The selection
 
 
-def test_the_winner_of_the_race_is_the_policy(pendulum, learners):
-    policy = learners[0]
-    best = policy.checkpoints[0]
-    assert len(policy.checkpoints) == 3
-    assert best.trials == max(each.trials for each in policy.checkpoints)
-    assert best.score == max(c.score for c in policy.checkpoints if c.trials == best.trials)
-    # The table of the policy is the running average at the moment when the winner was taken.
+def test_the_candidate_with_the_best_score_is_the_policy(pendulum, policies):
+    policy = policies[0]
+    best, *others = policy.checkpoints
+    assert len(others) == 1  # of the last 60 %: after 40 and 60 episodes
+    assert best.score >= others[0].score
+    # The table of the policy is the running average when that candidate was taken.
     plant = make_loop_params(ARM, settings(), 0.01, pendulum.parameters(), shipped_actuator())
     constants = training_config(settings(), pendulum.parameters().k)
     learner = compile_learner(settings().learning)
-    progress, averaged = new_training_state(270), np.zeros((270, 8))
+    progress, average = new_training_state(270), np.zeros((270, 8))
     selection, key = settings().selection, np.array((5, 0))
     loop = new_training_loop(plant, pendulum.parameters(), constants, learner, progress, key)
     for taken in range(1, best.episodes // selection.every + 1):
-        until = taken * selection.every
-        train_episodes(loop, until)
-        averaged += max(selection.averaging, 1.0 / taken) * (progress.tables.Q - averaged)
-    np.testing.assert_allclose(policy.table, averaged, rtol=0.0, atol=1e-12)
-
-
-def test_only_the_latest_candidates_race(pendulum):
-    late = train(pendulum, ARM, settings("selection.late=0.5"), seed=5)
-    assert {each.episodes // 20 for each in late.checkpoints} == {2, 3}
-    last = train(pendulum, ARM, settings("selection.candidates=1"), seed=5)
-    assert [each.episodes for each in last.checkpoints] == [60]
-
-
-def test_race_and_test_have_trials_of_their_own(monkeypatch, pendulum):
-    seen = set()
-    original = interface.draw_trials
-
-    def spy(count, settings, seed, stream, spread, first):
-        seen.add((seed, stream, spread))
-        return original(count, settings, seed, stream, spread, first)
-
-    monkeypatch.setattr(interface, "draw_trials", spy)
-    train_to_target(pendulum, ARM, settings(), target=0.9, learners=2, seed=5)
-    assert seen == {(5, SELECTION, settings().selection.spread), (5, TARGET_TEST, 1.0)}
-    assert TEST not in (SELECTION, TARGET_TEST)
-
-
-def test_the_test_of_a_policy_is_its_evaluation_with_other_seeds(pendulum, learners):
-    policy = learners[0]
-    test = measure_policy(policy, target=0.0)
-    setup = setup_of(policy, "model")
-    simulation = simulate("model", setup, seed=policy.seed, stream=TARGET_TEST)
-    trials = simulation.draw(test.trials)
-    simulation.run(policy, trials, range(test.trials), duration=2.0)
-    causes = Counter(TRIAL_OUTCOMES[code] for code in trials.cause.tolist())
-    assert test.causes == causes
-    assert test.survived == causes["lasted"]
+        train_episodes(loop, taken * selection.every)
+        average += max(selection.averaging, 1.0 / taken) * (progress.tables.Q - average)
+    np.testing.assert_allclose(policy.table, average, rtol=0.0, atol=1e-12)
 
 
 def test_without_candidates_the_last_table_is_kept(pendulum):
@@ -176,8 +129,8 @@ def test_without_candidates_the_last_table_is_kept(pendulum):
 # What is kept
 
 
-def test_the_learning_curve_counts_all_steps(learners):
-    policy = learners[0]
+def test_the_learning_curve_counts_all_steps(policies):
+    policy = policies[0]
     points = policy.learning_curve
     episodes, steps = [each.episodes for each in points], [each.steps for each in points]
     assert episodes == sorted(set(episodes))

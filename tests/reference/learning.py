@@ -7,8 +7,7 @@ episode has a batch of its own and is alone in it.
 
 The rules that the paper leaves open: 16 episodes run side by side, in step; each acts by the table
 as it stands before the step; then they update it, the last one first. An episode that ends gives
-its place to the next, or, where none is left, to the last of those that run. With `hold_action` an
-action lasts as long as its box, and is updated once, over all the steps that it took.
+its place to the next, or, where none is left, to the last of those that run.
 """
 
 from math import radians
@@ -190,8 +189,6 @@ def train(plant, pendulum, settings, until, seed, learner, reward=None):
             cell, action = episode.cell, episode.action
             if not failed[n]:
                 episode.cell = episode.place()
-            if s.hold_action and episode.cell == cell and not over:
-                continue
             learn(episode, cell, action, failed[n])
             episode.held, episode.gained, episode.discount = 0, 0.0, 1.0
             if not over:

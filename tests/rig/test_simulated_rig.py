@@ -5,7 +5,7 @@ import pytest
 
 from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY
-from equipoise.worlds.twin.twin import Twin
+from equipoise.worlds.twin.twin import FLANGE, Twin
 from tests.rig.in_process import ARM, PENDULUM, stand
 
 pytestmark = pytest.mark.compiled_only
@@ -86,21 +86,21 @@ def test_external_torques_are_those_of_what_hangs_on_the_flange_and_of_what_pres
     bench, clock = stand()
     wait(clock, 0.5)
     at_rest = np.array(bench.body.torques(True))
-    bodies = bench.twin.kernel.bodies
+    data = bench.twin.data
     # A weight at the flange, by the lever arms of the axes: joint 1 is vertical, joint 2 lies
     # across at the shoulder, joint 4 at the elbow.
     weight = GRAVITY * (NOMINAL.bracket_mass + NOMINAL.pendulum_mass)
     assert abs(at_rest[0]) < 0.2
-    assert at_rest[1] == pytest.approx(weight * bodies.xpos[bodies.flange, 1], abs=0.4)
+    assert at_rest[1] == pytest.approx(weight * data.xpos[FLANGE, 1], abs=0.4)
     bench.touch((0.0, 0.0, -20.0))
     wait(clock, 0.2)
     pressed = np.array(bench.body.torques(True)) - at_rest
-    data, mujoco = bench.twin.data, pytest.importorskip("mujoco")
+    mujoco, model = pytest.importorskip("mujoco"), bench.twin.model
     J = np.zeros((3, 8))
-    mujoco.mj_jacBodyCom(bench.twin.model, data, J, None, bodies.flange)
+    mujoco.mj_jacBodyCom(model, data, J, None, model.body("flange").id)
     assert pressed == pytest.approx(J[2, :7] * -20.0, abs=0.4)
     # The controller finds the force by the same lever arms, in the flange's axes.
-    R = bodies.xmat[bodies.flange].reshape(3, 3)
+    R = data.xmat[FLANGE].reshape(3, 3)
     assert R @ bench.body.wrench()[:3] == pytest.approx((0.0, 0.0, -20.0 - weight), abs=1.0)
     bench.touch((0.0, 0.0, 0.0))
     wait(clock, 0.5)

@@ -1,5 +1,7 @@
 """The twin as a whole: against closed forms, SciPy, MuJoCo, `identify` and itself."""
 
+from math import pi
+
 import mujoco
 import numpy as np
 import pytest
@@ -9,15 +11,18 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY
-from equipoise.worlds.twin.excitation import excitation
+from equipoise.worlds.twin.excitation import PERIOD, excitation
 from equipoise.worlds.twin.physics import TICK
-from equipoise.worlds.twin.twin import Twin, reset
+from equipoise.worlds.twin.twin import HISTORY_MS, Twin, reset
 
 ARM = iiwa(7)
 PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
 # An arm that does not yield: what the pendulum does to it is another matter.
 # No file of a world may say so, therefore the copy without validation.
 FIRM = TwinSettings().model_copy(update={"rotor_inertia": (1e4,)})
+EXACT = TwinSettings(
+    zero_error=0.0, encoder_age=0.0, encoder_jitter=0.0, reply_age=0.0, joint_noise=0.0
+)
 
 
 def swing(settings, theta, duration, every=1, pendulum=PENDULUM):
@@ -27,7 +32,7 @@ def swing(settings, theta, duration, every=1, pendulum=PENDULUM):
     angles = [theta]
     for _ in range(round(duration / TICK / every)):
         twin.advance(every * TICK)
-        angles.append(np.pi - twin.kernel.bodies.qpos[7])
+        angles.append(np.pi - twin.data.qpos[7])
     return np.array(angles)
 
 
@@ -94,17 +99,18 @@ def test_the_truth_is_what_mujoco_says_of_the_bodies():
 def test_a_millisecond_is_a_whole_step_of_mujoco(phi, phi_dot, moved, beyond, sticks):
     pendulum = PENDULUM._replace(coulomb=0.5, drag=0.02)
     twin = Twin(ARM, pendulum, TwinSettings(), seed=2)
-    bodies, whole, n = twin.kernel.bodies, mujoco.MjData(twin.model), len(ARM.joints)
+    state, data = twin.state, twin.data
+    whole, n = mujoco.MjData(twin.model), len(ARM.joints)
     posture = np.array(ARM.home)
     posture[5] = max(posture[5], ARM.joints[5].upper + beyond)
-    reset(twin.kernel, posture, phi, phi_dot)
+    reset(twin.state, twin.args[1][0], posture, phi, phi_dot)
     twin.send(np.array(ARM.without_held(posture)) + moved)
     ends, friction = 0, []
     for _ in range(40):
-        whole.qpos[:], whole.qvel[:], before = bodies.qpos, bodies.qvel, bodies.gravity.copy()
+        whole.qpos[:], whole.qvel[:], before = data.qpos, data.qvel, state.gravity.copy()
         twin.advance(TICK)
         # The torques now balance the gravity at the end of the millisecond.
-        whole.qfrc_applied[:n] = bodies.applied[:n] - bodies.gravity + before
+        whole.qfrc_applied[:n] = data.qfrc_applied[:n] - state.gravity + before
         mujoco.mj_step(twin.model, whole)
         assert twin.data.qpos == pytest.approx(whole.qpos, abs=1e-13)
         assert twin.data.qvel == pytest.approx(whole.qvel, abs=1e-11)
@@ -132,3 +138,71 @@ def test_after_a_reset_everything_is_as_in_a_new_twin():
     assert np.array_equal(path(used), first)
     assert np.array_equal(path(Twin(ARM, PENDULUM, TwinSettings(), seed=5, index=6)), first)
     assert not np.array_equal(path(Twin(ARM, PENDULUM, TwinSettings(), seed=5, index=7)), first)
+
+
+# Encoder and replies
+
+
+def test_the_zero_error_differs_between_trials_within_its_bounds():
+    settings = EXACT.model_copy(update={"zero_error": 0.01, "zero_offset": 0.1})
+    twin = Twin(ARM, PENDULUM, settings)
+
+    def zero(seed, index):
+        twin.set_trial(PENDULUM, seed, index)
+        return twin.state.zero
+
+    zeros = np.array([zero(5, index) for index in range(500)])
+    assert np.all(np.abs(zeros - 0.1) <= 0.01)
+    # Even in +-0.01: mean 0, standard deviation 0.0058; 500 of them.
+    assert np.mean(zeros) == pytest.approx(0.1, abs=5 * 0.0058 / np.sqrt(500))
+    assert np.std(zeros) == pytest.approx(0.01 / np.sqrt(3), rel=0.1)
+    assert zero(5, 3) == zeros[3] != zero(6, 3)
+
+
+@pytest.mark.parametrize(("age", "ticks"), [(0.0, 0), (0.001, 1), (0.0042, 5), (0.05, 50)])
+def test_a_sample_is_known_when_it_is_old_enough(age, ticks):
+    settings = EXACT.model_copy(update={"encoder_age": age, "reply_age": age})
+    twin = Twin(ARM, PENDULUM, settings)
+    state, now = twin.state, 1000
+    state.now = now
+    for tick in range(now - HISTORY_MS + 1, now + 1):
+        state.past_phi[tick % HISTORY_MS] = pi - (tick - 900) * 2 * pi / 8192
+        state.past_q[tick % HISTORY_MS] = tick + 0.1 * np.arange(6)
+    counts, counted = twin.encoder()
+    q, measured = twin.measured()
+    assert counts == now - ticks - 900
+    assert counted == measured == pytest.approx(1e-3 * (now - ticks))
+    assert q == pytest.approx(now - ticks + 0.1 * np.arange(6))
+
+
+def test_measured_joints_carry_white_noise_of_the_stated_size():
+    settings = EXACT.model_copy(update={"joint_noise": 1e-4})
+    twin = Twin(ARM, PENDULUM, settings, seed=3, index=4)
+    twin.state.past_q[:] = np.arange(6)
+    rows = np.zeros((2000, 6))
+    for tick in range(2000):
+        twin.state.now = tick
+        rows[tick], _ = twin.measured()
+    noise = (rows - np.arange(6)) / 1e-4
+    assert np.mean(noise, axis=0) == pytest.approx(np.zeros(6), abs=5 / np.sqrt(2000))
+    assert np.std(noise, axis=0) == pytest.approx(np.ones(6), abs=5 / np.sqrt(4000))
+    together = np.corrcoef(np.vstack([noise[1:].T, noise[:-1].T]))
+    assert np.max(np.abs(together - np.eye(12))) < 5 / np.sqrt(2000)
+
+
+@pytest.mark.parametrize(("size", "duration"), [(7, 10.0), (14, 3.0)])
+def test_the_excitation_starts_and_ends_at_rest_at_home_and_keeps_within_the_limits(size, duration):
+    arm = iiwa(size)
+    q = excitation(arm, duration=duration)
+    assert q.shape == (round(duration / PERIOD) + 1, 6)
+    assert q[[0, -1]] == pytest.approx(np.array([arm.home_free] * 2), abs=1e-12)
+    velocity = np.diff(q, axis=0) / PERIOD
+    acceleration = np.diff(velocity, axis=0) / PERIOD
+    assert np.abs(velocity[[0, -1]]).max() < 0.01
+    for i, joint in enumerate(arm.free_joints):
+        assert np.abs(velocity[:, i]).max() < 0.81 * joint.velocity
+        assert np.abs(acceleration[:, i]).max() < 0.81 * joint.acceleration
+    places = (
+        np.array([arm.kinematics(row).position for row in q[::10]]) - arm.kinematics(q[0]).position
+    )
+    assert np.abs(places).max() < 0.05

@@ -103,38 +103,6 @@ def test_gravity_of_the_arm_is_balanced_and_that_of_bracket_and_pendulum_is_not(
         assert unbalanced == pytest.approx(torque, abs=1e-6)
 
 
-def energy(model, data):
-    """Kinetic energy, and the potential of what the drives do not balance [J]."""
-    M = np.zeros((model.nv, model.nv))
-    mujoco.mj_forward(model, data)
-    mujoco.mj_fullM(model, data, M)
-    kinetic = 0.5 * data.qvel @ M @ data.qvel
-    carried = [model.body(name).id for name in ("flange", "pendulum")]
-    return kinetic + sum(GRAVITY * model.body_mass[i] * data.xipos[i, 2] for i in carried)
-
-
-def drift(substeps):
-    """Largest change of the energy of an arm that moves freely with its pendulum [J]."""
-    settings = TwinSettings(rotor_inertia=(0.0,), substeps=substeps)
-    model = build(iiwa(7), PENDULUM._replace(c=0.0), settings)
-    data = mujoco.MjData(model)
-    data.qpos[:] = [*iiwa(7).home, 2.0]
-    data.qvel[:] = [0.5, -0.3, 0.2, 0.4, -0.5, 0.3, 1.0, 3.0]
-    levels = [energy(model, data)]
-    for _ in range(200):
-        mujoco.mj_step(model, data, substeps)
-        levels.append(energy(model, data))
-    return np.ptp(levels), levels[0]
-
-
-def test_without_friction_energy_stays_and_its_error_falls_with_the_step():
-    (whole, level), (half, _), (quarter, _) = drift(1), drift(2), drift(4)
-    assert whole < 1e-3 * level
-    # First order: half the step, half the error.
-    assert whole / half == pytest.approx(2.0, rel=0.1)
-    assert half / quarter == pytest.approx(2.0, rel=0.1)
-
-
 def test_an_arm_of_unknown_masses_is_refused():
     arm = without_masses(iiwa(7))
     with pytest.raises(ArmError, match="mass"):

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -46,24 +45,6 @@ def world_of(world):
 
 def rig_at(server, arm=POLICY.arm):
     return CoppeliaRig("127.0.0.1", server.port, arm, 0.01)
-
-
-@contextmanager
-def started(server, folder):
-    """Run an evaluation in a process of its own."""
-    verb = ["evaluate", "--world", server.address, "--trials", "50", "--no-baselines"]
-    program = [sys.executable, "-m", "equipoise", *verb]
-    with subprocess.Popen(program, stderr=subprocess.PIPE, cwd=folder) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
-
-
-def reach(server, process, state):
-    until = time.monotonic() + 120.0
-    while not state() and process.poll() is None and time.monotonic() < until:
-        time.sleep(0.005)
 
 
 def record(world, seconds):
@@ -133,7 +114,7 @@ def test_an_arm_that_is_not_that_of_the_model_is_refused(monkeypatch):
         Scene, "sim_setJointInterval", lambda scene, joint, *_: before(scene, joint, False, [1, 1])
     )
     with CoppeliaSimServer() as server:
-        with pytest.raises(OutsideError, match=r"flange .* mm and .* degrees from its place"):
+        with pytest.raises(OutsideError, match=r"flange .* mm from its place"):
             rig_at(server)
         assert server.scene.as_left
 
@@ -156,12 +137,11 @@ def test_errors_of_the_connection_are_one_message(server, monkeypatch):
     with pytest.raises(InputError):
         Connection("no host", 23000)
     sim = Connection("127.0.0.1", server.port)
-    with pytest.raises(OutsideError, match=r"refuses getJointPosition \(object does not exist\.\)"):
+    with pytest.raises(
+        OutsideError, match=r"refuses getJointPosition \(354: .* object does not exist\.\)"
+    ):
         sim.call("getJointPosition", 12345)
-    with pytest.raises(OutsideError):
-        sim.constant("warp_drive")
     sim.close()
-    server.errors.clear()
     monkeypatch.setitem(sys.modules, "coppeliasim_zmqremoteapi_client", None)
     with pytest.raises(MissingExtraError):
         Connection("127.0.0.1", 9)
@@ -198,28 +178,15 @@ def restart(scene):
     scene.sim_startSimulation()
 
 
-def moved(alias):
-    def change(scene):
-        scene.added(alias).local[0, 3] += 1e-4
-
-    return change
-
-
-def turned(alias):
-    def change(scene):
-        scene.added(alias).q += 1e-4
-
-    return change
+def move_flange(scene):
+    scene.added("flange").local[0, 3] += 1e-4
 
 
 CHANGES = {
     "pause": Scene.sim_pauseSimulation,
     "restart": restart,
     "remove": lambda scene: scene.sim_removeObjects(scene.ours),
-    "held joint": turned("joint3"),
-    "root": moved("equipoise"),
-    "flange": moved("flange"),
-    "link": moved("link4"),
+    "flange": move_flange,
     "time step": lambda scene: scene.parameters["Float"].update({1: 0.02}),
 }
 
@@ -269,7 +236,7 @@ def test_coppeliasim_forgets_a_silent_client_and_the_world_says_so(server):
 
 
 @pytest.mark.parametrize("again", [0, 1, 2], ids=["once", "twice", "thrice"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_ctrl_c_at_any_moment_leaves_the_simulator_as_it_was(server, tmp_path, capsys, again, seed):
     rng = np.random.default_rng((seed, again))
     delays = np.cumsum([0.0, *rng.uniform(0.001, 0.15, again)])[::-1]
@@ -294,21 +261,6 @@ def test_ctrl_c_at_any_moment_leaves_the_simulator_as_it_was(server, tmp_path, c
     assert server.scene.as_left
 
 
-@pytest.mark.parametrize("gaps", [[], [0.05], [0.1, 0.1]], ids=["once", "twice", "thrice"])
-def test_ctrl_c_ends_a_process_without_a_trace(gaps, tmp_path):
-    with CoppeliaSimServer() as server, started(server, tmp_path) as process:
-        reach(server, process, lambda: server.scene.time > 0.2)
-        process.send_signal(signal.SIGINT)
-        for gap in gaps:
-            time.sleep(gap)
-            process.send_signal(signal.SIGINT)
-        _, stderr = process.communicate(timeout=30)
-        assert process.returncode == 130
-        assert b"Traceback" not in stderr
-        assert not list(tmp_path.iterdir())
-        assert server.scene.as_left
-
-
 @pytest.mark.parametrize(
     "moment",
     [
@@ -319,29 +271,15 @@ def test_ctrl_c_ends_a_process_without_a_trace(gaps, tmp_path):
     ids=["begun", "half built", "trial"],
 )
 def test_the_next_run_undoes_one_that_was_killed(moment, tmp_path):
-    with CoppeliaSimServer() as server, started(server, tmp_path) as process:
+    with CoppeliaSimServer() as server:
+        verb = ["evaluate", "--world", server.address, "--no-baselines"]
+        process = subprocess.Popen([sys.executable, "-m", "equipoise", *verb], cwd=tmp_path)
         server.watch = lambda _: moment(server.scene) and process.kill()
         process.wait(60)
         server.watch = lambda _: None
         assert server.scene.ours
         rig_at(server).close()
         assert server.scene.as_left
-
-
-@pytest.mark.parametrize("built", range(1, 19))
-def test_a_client_whose_scene_another_one_removes_while_it_is_built_leaves_no_object(built):
-    with CoppeliaSimServer() as server:
-        scene = server.scene
-
-        def watch(_):
-            *earlier, newest = scene.ours or [0]
-            if len(earlier) == built and scene.things[newest].parent < 0:
-                scene.sim_removeObjects(earlier)
-
-        server.watch = watch
-        with pytest.raises(OutsideError, match="object does not exist"):
-            rig_at(server)
-        assert scene.as_left
 
 
 @pytest.mark.parametrize("rest", ["", "host:port", "host:99999", "host/scene", "u@host"])
@@ -356,10 +294,10 @@ def test_a_wrong_address_is_refused(rest):
 def test_train_runs_there_and_its_policy_says_so(server, tmp_path, capsys):
     out = tmp_path / "policy.json"
     few = ["episode_duration=0.3", "episodes=4"]
-    less = ["every=2", "round_trials=10", "rounds=1", "duration=0.5", "test_trials=20"]
+    less = ["every=2", "trials=4", "duration=0.5", "test_trials=20"]
     chosen = [f"learning.{one}" for one in few] + [f"selection.{one}" for one in less]
     words = [word for one in chosen for word in ("--set", one)]
-    small = ["--target", "0", "--learners", "1", "--json", "--out", str(out)]
+    small = ["--target", "0", "--attempts", "1", "--json", "--out", str(out)]
     main(["train", "--world", server.address, *small, *words])
     assert json.loads(capsys.readouterr().out)["episodes"] == 4
     assert json.loads(out.read_text())["provenance"]["inputs"]["world"] == server.address

@@ -30,8 +30,7 @@ FEW = [
     "learning.episodes=6",
     "learning.episode_duration=0.5",
     "selection.every=3",
-    "selection.round_trials=10",
-    "selection.rounds=1",
+    "selection.trials=4",
     "selection.duration=0.5",
 ]
 
@@ -39,7 +38,7 @@ FEW = [
 @pytest.mark.full
 @pytest.mark.parametrize("actuator", [IDEAL_ACTUATOR, shipped_actuator()])
 def test_an_episode_in_a_world_teaches_what_it_teaches_compiled(actuator):
-    settings = resolve(overrides=["learning.hold_action=true"])
+    settings = resolve()
     config = training_config(settings, PENDULUM.parameters().k)._replace(episodes=1)
     kernel, boxes = compile_learner(settings.learning), settings.boxes.count
     for seed in range(3):

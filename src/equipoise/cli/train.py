@@ -32,10 +32,10 @@ class Learning(Options):
     episodes: Annotated[int | None, Field(ge=1)] = None
     """Number of episodes; by default the paper's 10,000."""
     target: Annotated[float | None, Field(ge=0.0, le=1.0)] = None
-    """Share of 60 s trials to survive, with 95 % confidence; by default 0.99, or 0 without a
-    selection. 0 accepts the first policy."""
-    learners: Annotated[int, Field(ge=1)] = 6
-    """Maximum number of trainings to meet the target, each with its own random numbers."""
+    """Probability to survive a 60 s trial, shown with 95 % confidence; by default 0.99, or 0
+    without a selection. 0 accepts the first policy."""
+    attempts: Annotated[int, Field(ge=1)] = 6
+    """Maximum number of trainings to meet the target; the seed increases by one each time."""
 
 
 @verb
@@ -49,14 +49,13 @@ def train(
     random: opt.Random,
     files: opt.Files,
 ) -> None:
-    """Train a policy by Q-learning, or by another learner.
+    """Train a policy by Q-learning, or by another algorithm.
 
     PENDULUM is from equipoise identify; by default the shipped one. Trains
-    again, at most --learners times, until a policy meets the target in held-out
+    again, at most --attempts times, until a policy meets the target in held-out
     trials. Exit code 1: none meets it; the best policy is written and marked.
     """
-    from equipoise.learning.target import TARGET, train_to_target
-    from equipoise.learning.train import check_task
+    from equipoise.learning.train import TARGET, check_task, train_to_target
     from equipoise.model.pendulum import read_pendulum
 
     named = {f"learning.{n}": getattr(learning, n) for n in ("learner", "reward", "episodes")}
@@ -73,7 +72,7 @@ def train(
             arm,
             settings,
             target=target,
-            learners=learning.learners,
+            attempts=learning.attempts,
             actuator=given,
             world=plant.world,
             seed=random.seed,
@@ -86,7 +85,6 @@ def train(
         test=best.test,
         policy=out,
         seed=best.seed,
-        learner=best.learner,
         episodes=best.episodes,
         steps=best.steps,
         warnings=[best.shortfall],

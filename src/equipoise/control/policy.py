@@ -196,31 +196,33 @@ class Checkpoint(Value):
 
 
 class TargetTest(Value):
-    """Trials of a selected policy that chose nothing, on the plant of its training."""
+    """Held-out trials of a selected policy on the plant of its training."""
 
     target: Share
-    """Required share of trials that last [-]."""
-    met: bool
-    """Whether the lower end of the interval reaches the target; zero needs nothing."""
+    """Required probability to survive a trial [-]; 0 without a requirement."""
     duration: Number
     """Length of a trial [s]."""
     trials: Count
     """Number of trials."""
     survived: Count
     """Number of trials survived."""
-    interval: tuple[Share, Share]
-    """Interval of the share [-], of 95 % confidence over all learners of one command. Its bounds
-    hold although the test stopped as soon as they decided (`equipoise.learning.select`)."""
+    at_least: Share
+    """Lower bound of the probability to survive a trial [-], exact for each attempt, with 95 %
+    confidence over all attempts of one command."""
     causes: dict[Outcome, Count]
     """Number of trials by their outcome."""
 
+    @property
+    def met(self) -> bool:
+        """Whether the lower bound reaches the target."""
+        return self.at_least >= self.target
+
     def __str__(self) -> str:
         """Return the result in one line."""
-        low, high = (format_share(end) for end in self.interval)
         target = f"; target {format_share(self.target)}" if self.target else ""
         return (
-            f"{self.survived:,} of {self.trials:,} trials lasted {self.duration:g} s "
-            f"(95 %: {low} to {high}){target}"
+            f"{self.survived:,} of {self.trials:,} trials survived {self.duration:g} s "
+            f"(at least {format_share(self.at_least)}, 95 % confidence){target}"
         )
 
 
@@ -257,8 +259,6 @@ class TabularPolicy(Artefact):
     """Resolved settings of the training."""
     seed: Seed
     """Master seed."""
-    learner: Count
-    """Number of the learner among those of that seed."""
     episodes: Count
     """Episodes trained."""
     steps: Count
@@ -266,7 +266,7 @@ class TabularPolicy(Artefact):
     learning_curve: tuple[LearningPoint, ...]
     """Course of the training."""
     checkpoints: tuple[Checkpoint, ...]
-    """Candidates of the selection, the chosen one first; empty if the last table was taken."""
+    """Candidates of the selection, the best first; empty if the last table was taken."""
     test: TargetTest | None = None
     """Test of the selected policy; None if it was not tested."""
 

@@ -1,29 +1,29 @@
-"""Training of one learner for a pendulum and an arm, and the selection of its policy.
+"""Training of a table for a pendulum and an arm, and the selection of its policy.
 
 The episodes run in one compiled loop (`equipoise.learning.episodes`). Candidates are the greedy
-policies of the running average of the later tables. They race on common trials
-(`equipoise.learning.select`), and the winner becomes the policy. Equal seeds give equal bits, for
-any number of workers. `equipoise.learning.target` trains learners until one meets a target.
+policies of the running average of the later tables; the best one in common trials
+(`equipoise.learning.select`) becomes the policy. Equal seeds give equal bits, for any number of
+workers. `train_to_target` trains one seed after the other until a policy meets a target.
 """
 
 from math import inf
-from typing import Any
+from typing import Annotated, Any, Final
 
 import numpy as np
+from pydantic import Field
 
 from equipoise import paper
 from equipoise.arguments import Workers, checked
 from equipoise.arrays import Array
-from equipoise.artefacts import Count, Seed, StrPath
+from equipoise.artefacts import Seed, Share, StrPath
 from equipoise.control.grid import make_grid
 from equipoise.control.policy import (
-    Checkpoint,
     LearningPoint,
     TabularPolicy,
     greedy_accelerations,
 )
 from equipoise.errors import InputError
-from equipoise.executors import Show, running
+from equipoise.executors import Show, counted
 from equipoise.learning.choice import (
     compile_learner,
     load_learner,
@@ -44,7 +44,7 @@ from equipoise.learning.episodes import (
     train_episodes,
 )
 from equipoise.learning.learner import UpdateParams
-from equipoise.learning.select import race
+from equipoise.learning.select import check_target, measure_survival, score_tables
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, read_actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.resolve import read_arm
@@ -58,6 +58,13 @@ from equipoise.worlds.interface import predicted
 from equipoise.worlds.reachability import check_releases
 from equipoise.worlds.trials import Trial
 
+ATTEMPTS: Final = 6
+"""Maximum number of trainings of `train_to_target` by default."""
+TARGET: Final = 0.99
+"""Required probability to survive a trial, by default [-]."""
+ERROR: Final = 0.05
+"""Probability that a command accepts any policy below its target [-]."""
+
 
 @checked
 def train(
@@ -68,14 +75,10 @@ def train(
     actuator: Actuator | StrPath | None = None,
     world: str = MODEL,
     seed: Seed = 0,
-    learner: Count = 0,
     workers: Workers = 1,
     show: Show = lambda *_: None,
 ) -> TabularPolicy:
-    """Train one learner, and select its best policy; `train_to_target` tests it, too.
-
-    Candidates are the greedy policies of the running average in the last part of the training;
-    equal ones are one candidate.
+    """Train a table, and select the best policy of its training; `train_to_target` tests it, too.
 
     Args:
         pendulum: The identified pendulum, or its file; by default the one that ships.
@@ -87,12 +90,11 @@ def train(
         world: World of the episodes: `model`, the compiled plant; or a twin, or an address of
             CoppeliaSim, one episode after the other. Selection and test run on the plant.
         seed: Master seed.
-        learner: Index of the learner, each with its own random numbers.
         workers: Number of threads of the trials; the result does not depend on it.
         show: Called with the progress of the stages `train` and `select`.
 
     Returns:
-        The policy, with its learning curve and the results of its race.
+        The policy, with its learning curve and the results of its candidates.
 
     Raises:
         InputError: The world takes no such actuator.
@@ -105,34 +107,27 @@ def train(
     settings = settings.model_copy(update={"learning": with_digests(settings.learning)})
     rule, episodes = settings.selection, settings.learning.episodes
     setup = Setup(pendulum, arm, settings, response, paper.STEP)
-    training = _Training(setup, world, seed, learner)
-    averaged, found = np.zeros_like(training.tables.Q), dict[bytes, tuple[int, Array]]()
-    every = rule.every or max(1, episodes // 200)  # points of a curve without candidates
+    training = _Training(setup, world, seed)
+    Q = training.tables.Q
+    average, candidates = np.zeros_like(Q), list[tuple[int, Array]]()
+    every = rule.every or max(1, episodes // 50)  # points of a curve without candidates
     curve: list[LearningPoint] = []
     while (ended := training.totals[ENDED]) < episodes:
         point = training.run(min(ended + every, episodes))
         curve.append(point)
-        share = max(rule.averaging, 1.0 / len(curve))
-        averaged += share * (training.tables.Q - averaged)
+        average += max(rule.averaging, 1.0 / len(curve)) * (Q - average)
         if rule.every and point.episodes > (1.0 - rule.late) * episodes:
-            accelerations = greedy_accelerations(averaged).tobytes()
-            found.setdefault(accelerations, (point.episodes, averaged.copy()))
-            if len(found) > rule.candidates:
-                del found[next(iter(found))]
-        text = f"mean episode: {point.duration:.1f} s"
-        show(stage_of("train", learner), point.episodes / episodes, text)
-    chosen, results = training.tables.Q, tuple[Checkpoint, ...]()
-    if found:
-        taken = list(found.values())
-        order = race(
-            setup,
-            [(n, greedy_accelerations(Q)) for n, Q in taken],
-            seed=seed,
-            workers=workers,
-            running=running(stage_of("select", learner), show),
-        )
-        chosen = taken[order[0][0]][1]
-        results = tuple(result for _, result in order)
+            candidates.append((point.episodes, average.copy()))
+        show("train", point.episodes / episodes, f"mean episode: {point.duration:.1f} s")
+    results = score_tables(
+        setup,
+        [(n, greedy_accelerations(table)) for n, table in candidates],
+        seed=seed,
+        workers=workers,
+        done=counted("select", rule.trials * len(candidates), show),
+    )
+    order = sorted(range(len(results)), key=lambda i: -results[i].score)
+    chosen = candidates[order[0]][1] if order else Q
     return TabularPolicy(
         actions=paper.ACTIONS,
         Q=tuple(tuple(row) for row in chosen.tolist()),
@@ -143,17 +138,87 @@ def train(
         actuator=response,
         settings=settings,
         seed=seed,
-        learner=learner,
         episodes=training.totals[ENDED],
         steps=training.totals[STEPS],
         learning_curve=tuple(curve),
-        checkpoints=results,
+        checkpoints=tuple(results[i] for i in order),
     )
 
 
-def stage_of(name: str, learner: int) -> str:
-    """Return the name of a stage; each learner has its own ones."""
-    return f"{name} {learner + 1}" if learner else name
+@checked
+def train_to_target(
+    pendulum: Pendulum | StrPath | None = None,
+    arm: Arm | StrPath | None = None,
+    settings: Settings | None = None,
+    *,
+    target: Share = TARGET,
+    attempts: Annotated[int, Field(ge=1)] = ATTEMPTS,
+    actuator: Actuator | StrPath | None = None,
+    world: str = MODEL,
+    seed: Seed = 0,
+    workers: Workers = 1,
+    show: Show = lambda *_: None,
+) -> TabularPolicy:
+    """Train with one seed after the other, until a policy meets a target in held-out trials.
+
+    A policy below the target is accepted with a probability of at most 5 %, over all attempts.
+
+    Args:
+        pendulum: The identified pendulum; as in `train`.
+        arm: The arm; as in `train`.
+        settings: Resolved settings; as in `train`.
+        target: Required probability to survive a trial: the lower bound of the test reaches it.
+        attempts: Maximum number of trainings; the seed increases by one each time.
+        actuator: Actuator of the arm; as in `train`.
+        world: World of the episodes; as in `train`.
+        seed: Master seed of the first attempt.
+        workers: Number of threads of the trials; the result does not depend on it.
+        show: Called with the progress of the stages `train`, `select` and `test`.
+
+    Returns:
+        The first tested policy that meets the target; if none does, the one with the highest lower
+        bound.
+
+    Raises:
+        InputError: The test has too few trials for the target, even without a failure.
+        SettingsError: No controller saves as many of the releases as the target needs.
+    """
+    pendulum, arm, settings = read_pendulum(pendulum), read_arm(arm), settings or Settings()
+    confidence = 1.0 - ERROR / attempts
+    check_target(target, settings.selection, confidence)
+    check_task(pendulum, settings, actuator, world=world, target=target)
+    tested: list[TabularPolicy] = []
+    for attempt in range(attempts):
+        policy = train(
+            pendulum,
+            arm,
+            settings,
+            actuator=actuator,
+            world=world,
+            seed=seed + attempt,
+            workers=workers,
+            show=_of_attempt(attempt, show),
+        )
+        test = measure_survival(
+            policy,
+            target=target,
+            confidence=confidence,
+            workers=workers,
+            done=counted(_stage("test", attempt), settings.selection.test_trials, show),
+        )
+        tested.append(policy.model_copy(update={"test": test}))
+        if test.met:
+            return tested[-1]
+    return max(tested, key=lambda policy: policy.test.at_least if policy.test else 0.0)
+
+
+def _of_attempt(attempt: int, show: Show) -> Show:
+    return lambda stage, *state: show(_stage(stage, attempt), *state)
+
+
+def _stage(name: str, attempt: int) -> str:
+    """Return the name of a stage; each attempt has its own ones."""
+    return f"{name} {attempt + 1}" if attempt else name
 
 
 def check_task(
@@ -210,9 +275,9 @@ def actuator_in(world: str, settings: Settings, given: Actuator | StrPath | None
 
 
 class _Training:
-    """Episodes of one learner."""
+    """Episodes of one training."""
 
-    def __init__(self, setup: Setup, world: str, seed: int, learner: int) -> None:
+    def __init__(self, setup: Setup, world: str, seed: int) -> None:
         settings = setup.settings
         self._learning = settings.learning
         plant = PlantSimulation(MODEL, setup, seed=seed, stream=TRAINING_NOISE)
@@ -221,7 +286,7 @@ class _Training:
         state = new_training_state(settings.boxes.count, load_learner(settings.learning).tables)
         self.tables, self._state = state.tables, state
         # The boxes do not resolve speeds below the limit; selection finds tables that respect it.
-        params, key = plant.params._replace(speed_limit=inf), np.array((seed, learner))
+        params, key = plant.params._replace(speed_limit=inf), np.array((seed, 0))
         self._loop: Any = new_training_loop(params, plant.pendulum, config, kernel, state, key)
         self._elsewhere: ClosedLoop | None = None
         if world != MODEL:
@@ -294,7 +359,7 @@ def training_config(settings: Settings, k: float) -> TrainingConfig:
         gamma=learning.gamma,
         epsilon_initial=learning.epsilon_initial,
         epsilon_until=learning.epsilon_until,
-        hold_action=learning.hold_action,
+        hold_action=False,
         update=UpdateParams(
             alpha_initial=learning.alpha_initial,
             alpha_decay=learning.alpha_decay,

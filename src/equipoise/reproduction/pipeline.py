@@ -24,8 +24,7 @@ from equipoise.errors import ArmError
 from equipoise.executors import Show, available_cores, counted
 from equipoise.identification.recording import Trajectory, read_swing, write_swing
 from equipoise.identification.swing import identify
-from equipoise.learning.target import TARGET, train_to_target
-from equipoise.learning.train import train
+from equipoise.learning.train import TARGET, train, train_to_target
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.resolve import read_arm
 from equipoise.model.worlds import IDEAL, MODEL
@@ -45,9 +44,8 @@ from equipoise.worlds.evaluation import evaluate
 
 QUICK: Final = {
     "learning.episodes": 5000,
-    "selection.candidates": 16,
-    "selection.round_trials": 64,
-    "selection.rounds": 5,
+    "selection.trials": 16,
+    "selection.test_trials": 200,
     "selection.duration": 20.0,
     "evaluation.trials": 50,
     "evaluation.duration": 20.0,

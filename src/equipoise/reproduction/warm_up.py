@@ -18,7 +18,7 @@ from equipoise.errors import OutsideError
 from equipoise.executors import Show
 from equipoise.identification.swing import identify
 from equipoise.jit import disabled, kernel_folder, watching_compilation
-from equipoise.learning.target import train_to_target
+from equipoise.learning.train import train_to_target
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.reproduction.synthetic_swing import synthetic_swing
@@ -33,8 +33,7 @@ SECONDS: Final = 0.5
 LITTLE: Final = {
     "learning.episodes": 40,
     "selection.every": 20,
-    "selection.rounds": 1,
-    "selection.round_trials": 2,
+    "selection.trials": 2,
     "selection.duration": SECONDS,
     "selection.test_trials": 2,
     "evaluation.trials": 2,
@@ -48,7 +47,7 @@ REFRESH: Final = 0.2
 def train_a_little() -> None:
     """Identify, train, evaluate and run on the plants."""
     pendulum = identify(synthetic_swing())
-    train_to_target(pendulum, iiwa(7), changed(Settings(), LITTLE), target=0.0, learners=1)
+    train_to_target(pendulum, iiwa(7), changed(Settings(), LITTLE), target=0.0, attempts=1)
     policy = shipped_policy()
     for world in (MODEL, IDEAL):
         evaluate(policy, changed(policy.settings, LITTLE), world=world)

@@ -21,7 +21,7 @@ from equipoise.model.worlds import TwinSettings
 from equipoise.worlds.twin.hand import Hand, HandParams, Side, draw_hand_params
 from equipoise.worlds.twin.physics import TICK, rod_centre, rod_inertia
 from equipoise.worlds.twin.simulated_arm import SimulatedArm
-from equipoise.worlds.twin.twin import TrueState, Twin, advance
+from equipoise.worlds.twin.twin import FLANGE, ROD, TrueState, Twin
 
 PRESS: Final = 0.1
 """Duration of a press of the button [s]."""
@@ -210,16 +210,9 @@ class SimulatedRig(Bench):
         """Number of joints of the arm."""
         self.twin = Twin(arm, pendulum, settings, seed=seed)
         self.twin.reset(q, phi)
-        self.body = SimulatedArm(self.twin, arm, settings)
+        self.body = SimulatedArm(self.twin)
         """Arm that an emulated robot moves and measures."""
-        bodies = self.twin.kernel.bodies
-        mechanism = Mechanism(
-            self.twin.data,
-            bodies.flange,
-            bodies.pendulum,
-            self.joints,
-            self._step,
-        )
+        mechanism = Mechanism(self.twin.data, FLANGE, ROD, self.joints, self._step)
         super().__init__(mechanism, pendulum, settings, seed=seed, start=start)
 
     def truth(self) -> TrueState:
@@ -228,4 +221,4 @@ class SimulatedRig(Bench):
 
     def _step(self) -> None:
         self.body.tick()
-        advance(self.twin.kernel, 1)
+        self.twin.advance(TICK)

@@ -110,7 +110,6 @@ def policy(of, recipe="robust", unvisited=7):
         actuator=IDEAL_ACTUATOR if recipe == "paper" else shipped_actuator(),
         settings=settings,
         seed=0,
-        learner=0,
         episodes=10_000,
         steps=400_000,
         learning_curve=tuple(curve),

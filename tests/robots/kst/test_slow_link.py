@@ -9,13 +9,7 @@ from equipoise.model.actuator import AMPLITUDE, CYCLE, INTERVAL_WIDTH, speed_of_
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.worlds import TwinSettings
 from equipoise.robots.kst.plugin import T1_SPEED, flange_speed
-from equipoise.worlds.twin.servo_model import (
-    make_servo_params,
-    new_servo_state,
-    send,
-    serve,
-    start,
-)
+from equipoise.worlds.twin.servo_model import new_servo, send, serve, start
 
 WORLD = TwinSettings(transport=0.0, transport_jitter=0.0)
 IIWA = {size: iiwa(size) for size in (7, 14)}
@@ -34,18 +28,17 @@ def peak_of_the_cabinet(speed, period_ms):
     A joint turns evenly; a setpoint comes each period. The drive is perfect.
     """
     arm = IIWA[7]
-    servo, cabinet, n = make_servo_params(arm, WORLD), new_servo_state(7), 7
+    servo, n = new_servo(arm, WORLD), 7
     q, dq, nothing, force = (np.zeros(n) for _ in range(4))
-    start(cabinet, q)
+    start(servo, q)
     peaks = []
     for ms in range(1500):
-        cabinet.clock[0] = ms
         if ms % period_ms == 0:
-            send(cabinet, servo, np.full(n, speed * ms * 1e-3), 0, 0)
-        serve(cabinet, servo, q, dq, nothing, force)
-        dq[:] = cabinet.wanted
+            send(servo, np.full(n, speed * ms * 1e-3), ms, 0, 0)
+        serve(servo, ms, q, dq, nothing, force)
+        dq[:] = servo.velocity
         q += 1e-3 * dq
-        peaks.append(abs(cabinet.wanted[0]))
+        peaks.append(abs(servo.velocity[0]))
     return max(peaks[750:])
 
 

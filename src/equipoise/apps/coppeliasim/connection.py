@@ -5,7 +5,6 @@ again, and raises a bare `Exception` for an error of CoppeliaSim. `Connection` l
 call, and raises the errors of Equipoise.
 """
 
-import re
 import time
 from typing import Any, Final
 
@@ -13,26 +12,21 @@ from equipoise.artefacts import shortened
 from equipoise.errors import InputError, LinkError, OutsideError, import_optional
 from equipoise.printable import printable
 
-PATIENCE: Final = 10.0
-"""Longest duration of a call [s]; CoppeliaSim answers within a step of its simulation, or within a
-pass of its idle loop, an eighth of a second."""
 FORGOTTEN: Final = 60.0
 """Silence after which CoppeliaSim forgets a client, and no longer stops for its steps [s]."""
-LUA_PLACE: Final = r"^(\S+:)?\d+: (in )?(sim\.\w+: )?|_=NL=_.*"
-"""Place in Lua code with which an error of CoppeliaSim begins: file, line and function; and the
-lines after its first one."""
 
 
 class Connection:
     """Connection to a CoppeliaSim that runs its ZeroMQ remote API."""
 
-    def __init__(self, host: str, port: int, patience: float = PATIENCE) -> None:
+    def __init__(self, host: str, port: int, patience: float = 10.0) -> None:
         """Connect.
 
         Args:
             host: Name or address of the machine.
             port: Port of the server.
-            patience: Longest duration of a call [s].
+            patience: Longest duration of a call [s]; CoppeliaSim answers within a step of its
+                simulation, or within a pass of its idle loop, an eighth of a second.
 
         Raises:
             MissingExtraError: The client is not installed.
@@ -41,35 +35,23 @@ class Connection:
         """
         self.host, self.port, self.address = host, port, f"{host}:{port}"
         self._patience = patience
-        made = import_optional("coppeliasim_zmqremoteapi_client", "coppeliasim").RemoteAPIClient
-        zmq = import_optional("zmq", "coppeliasim")
-        self._error, self._silence = zmq.ZMQError, zmq.Again
+        client = import_optional("coppeliasim_zmqremoteapi_client", "coppeliasim")
+        zmq = self._zmq = import_optional("zmq", "coppeliasim")
         try:
-            self._client: Any = made(host, port, verbose=0)
-        except self._error as error:
+            self._client: Any = client.RemoteAPIClient(host, port, verbose=0)
+        except zmq.ZMQError as error:
             raise InputError(f"{self.address} is no address ({error})") from None
         self._client.timeout = FORGOTTEN
         socket = self._client.socket
-        for option, value in ((zmq.SNDTIMEO, round(1e3 * patience)), (zmq.LINGER, 0)):
-            socket.setsockopt(option, value)
+        socket.setsockopt(zmq.SNDTIMEO, round(1e3 * patience))
+        socket.setsockopt(zmq.LINGER, 0)
         self._receive, socket.recv = socket.recv, self._receive_in_time
-        try:
-            self._constants: Any = self._guarded("require", self._client.require, "sim")
-        except BaseException:
-            self.close()
-            raise
+        self.constants: Any = self._guarded("require", self._client.require, "sim")
+        """Constants of `sim`, as attributes."""
 
     def close(self) -> None:
         """Close the socket; nothing can be called afterwards."""
         self._client.socket.close()
-
-    def constant(self, name: str) -> Any:
-        """Return a constant of `sim`.
-
-        Raises:
-            LinkError: CoppeliaSim does not know it.
-        """
-        return self._guarded(name, getattr, self._constants, name)
 
     def call(self, name: str, *arguments: Any) -> Any:
         """Call a function of `sim`.
@@ -83,7 +65,7 @@ class Connection:
 
         Raises:
             OutsideError: CoppeliaSim reports an error.
-            LinkError: It does not answer, or not by its protocol.
+            LinkError: It does not answer.
         """
         return self._guarded(name, self._client.call, f"sim.{name}", arguments)
 
@@ -91,7 +73,7 @@ class Connection:
         self._until, self._answered = time.monotonic() + self._patience, False
         try:
             return function(*arguments)
-        except self._silence:
+        except self._zmq.Again:
             self.close()  # a request without an answer blocks the socket
             if self._answered:
                 raise OutsideError(
@@ -102,19 +84,11 @@ class Connection:
                 f"no CoppeliaSim answers at {self.address} within {self._patience:g} s; start it, "
                 "with its ZMQ remote API server (after a crash it may listen on the next port)"
             ) from None
-        except self._error as error:
-            message = f"the connection to {self.address} failed: {error}; build the world again"
-            raise LinkError(message) from None
-        except Exception as error:
-            text = printable(shortened(re.sub(LUA_PLACE, "", str(error)), 300))
-            if type(error) is not Exception:
-                raise LinkError(
-                    f"what answers at {self.address} does not speak the protocol of CoppeliaSim "
-                    f"4.7 ({type(error).__name__}: {text}); check host and port"
-                ) from None
+        except Exception as error:  # the client raises this class for an error of CoppeliaSim
+            text = printable(shortened(str(error).split("_=NL=_")[0], 300))
             raise OutsideError(
-                f"the CoppeliaSim at {self.address} refuses {name} ({text}); if another program "
-                "changed the scene, end that program, and start again"
+                f"the CoppeliaSim at {self.address} refuses {name} ({text}); check the address; if "
+                "another program changed the scene, end that program, and start again"
             ) from None
         except BaseException:
             self.close()  # Ctrl-C: the answer is still to come
@@ -123,6 +97,6 @@ class Connection:
     def _receive_in_time(self) -> bytes:
         """Receive a reply, which may be a request to wait, by the deadline of the call."""
         if not self._client.socket.poll(max(1e3 * (self._until - time.monotonic()), 0.0)):
-            raise self._silence
+            raise self._zmq.Again
         self._answered = True
         return self._receive()

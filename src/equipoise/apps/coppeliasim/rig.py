@@ -1,6 +1,11 @@
 """Control of a CoppeliaSim: its scene, the parameters of its simulation, and its steps.
 
-Everything that is built is below one dummy, which carries the user's parameters: a run that was
+No scene file is needed: base, links, joints, flange and pendulum are created one by one below one
+dummy, with all joints at zero. The limits of the joints follow at home: CoppeliaSim moves a joint
+into its limits, and those of some arms exclude zero. A joint of CoppeliaSim turns about its z axis.
+All joints are kinematic: they are set, and nothing moves or collides by itself.
+
+The dummy carries the user's parameters: a run that was
 killed is undone by the next one. Another program may stop the simulation, or change it or its
 objects. Then its time does not advance by one step at a time, or the flange is not where the
 kinematics say: an error, never the end of a trial.
@@ -11,7 +16,7 @@ import signal
 import threading
 import time
 import weakref
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, Final
 
@@ -19,20 +24,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from equipoise.apps.coppeliasim.connection import FORGOTTEN, Connection
-from equipoise.apps.coppeliasim.scene import build_scene
 from equipoise.arrays import Array
 from equipoise.errors import InputError, OutsideError
 from equipoise.model.arms.arm import Arm
+from equipoise.model.arms.chain import rotation_from_rpy, turned_to
+from equipoise.model.arms.scene import SHORTEST, SIZES, sizes_for
 from equipoise.rig.signals import SIGNALS, handled_signals
 
 Parameters = list[tuple[str, int, Any]]
 """Type, number and value of parameters of the simulation."""
-
 TAG: Final = "equipoise"
 """Tag of the data of our root object, in the simulator: the user's parameters, as JSON."""
-TOLERANCE: Final = 1e-6
-"""Largest difference of the flange from the kinematics, in position [m] and rotation [-]; 1e-15
-was measured in CoppeliaSim 4.10.0."""
 
 
 class CoppeliaRig:
@@ -59,34 +61,28 @@ class CoppeliaRig:
         """
         sim = self.sim = Connection(host, port)
         self._arm, self._period, self._time, self._steps = arm, period, 0.0, 0
-        try:
-            earlier = _roots(sim)
-            if not earlier and sim.call("getSimulationState") != sim.constant("simulation_stopped"):
-                raise OutsideError(
-                    f"the CoppeliaSim at {sim.address} runs a simulation; stop it, or give the "
-                    "address of another one"
-                )
-            stop(sim)
-            changed: Parameters = [
-                ("Int32", sim.constant("intparam_idle_fps"), 0),
-                ("Bool", sim.constant("boolparam_realtime_simulation"), False),
-                ("Float", sim.constant("floatparam_simulation_time_step"), period),
-            ]
-            before = [(kind, key, sim.call(f"get{kind}Param", key)) for kind, key, _ in changed]
-            before = next(iter(earlier.values()), before)
-        except BaseException:
-            sim.close()
-            raise
+        earlier, constants = _roots(sim), sim.constants
+        if not earlier and sim.call("getSimulationState") != constants.simulation_stopped:
+            raise OutsideError(
+                f"the CoppeliaSim at {sim.address} runs a simulation; stop it, or give the "
+                "address of another one"
+            )
+        stop(sim)
+        changed: Parameters = [
+            ("Int32", constants.intparam_idle_fps, 0),
+            ("Bool", constants.boolparam_realtime_simulation, False),
+            ("Float", constants.floatparam_simulation_time_step, period),
+        ]
+        before = [(kind, key, sim.call(f"get{kind}Param", key)) for kind, key, _ in changed]
+        before = next(iter(earlier.values()), before)
         with _deferred_signals() as caught:
             root = sim.call("createDummy", 0.02)
             sim.call("writeCustomStringData", root, TAG, json.dumps(before))
             self.close = weakref.finalize(self, _give_back, sim, root, before)
             """Ends the simulation, as when the object is dropped."""
             try:
-                _remove(sim, earlier)
-                _set_parameters(sim, changed)
-                self._scene = build_scene(sim, arm, root)
-                self._free = [self._scene.joints[i] for i in arm.free]
+                _undo(sim, earlier, changed)
+                self._joints, self._flange, self._spindle = build_scene(sim, arm, root)
                 self.place(arm.home_free)
                 if caught:
                     raise KeyboardInterrupt
@@ -132,34 +128,114 @@ class CoppeliaRig:
         Raises:
             OutsideError: The flange is not where the kinematics of the arm say.
         """
-        for hinge, angle in zip(self._free, q, strict=True):
+        for hinge, angle in zip(self._arm.without_held(self._joints), q, strict=True):
             self.sim.call("setJointPosition", hinge, angle)
-        pose = np.array(self.sim.call("getObjectPose", self._scene.flange))
+        pose = np.array(self.sim.call("getObjectPose", self._flange))
         position, R = pose[:3], Rotation.from_quat(pose[3:]).as_matrix()
         expected = self._arm.kinematics(q)
+        # Distance [m] and rotation [-]; 1e-15 was measured in CoppeliaSim 4.10.0.
         away = np.append(position - expected.position, R - expected.rotation)
-        if not np.abs(away).max() < TOLERANCE:
-            degrees = np.degrees(Rotation.from_matrix(R @ expected.rotation.T).magnitude())
+        if not np.abs(away).max() < 1e-6:
             raise OutsideError(
                 f"the flange in the CoppeliaSim at {self.sim.address} is "
-                f"{1e3 * np.linalg.norm(away[:3]):.3g} mm and {degrees:.3g} degrees from its place "
-                "in the model: another program moved the arm, or CoppeliaSim built another one; "
-                "end that program, and start again"
+                f"{1e3 * np.linalg.norm(away[:3]):.3g} mm from its place in the model, or turned: "
+                "another program moved the arm, or CoppeliaSim built another one; end that "
+                "program, and start again"
             )
         return position, R
 
     def swing(self, phi: float) -> None:
         """Set the angle of the pendulum from upright [rad]."""
-        self.sim.call("setJointPosition", self._scene.spindle, phi)
+        self.sim.call("setJointPosition", self._spindle, phi)
 
     def joints(self) -> Array:
         """Return the positions of all joints [rad], shape (n,)."""
-        return np.array([self.sim.call("getJointPosition", hinge) for hinge in self._scene.joints])
+        return np.array([self.sim.call("getJointPosition", hinge) for hinge in self._joints])
+
+
+def build_scene(sim: Connection, arm: Arm, root: int) -> tuple[list[int], int, int]:
+    """Build arm and pendulum at home; return the handles of all joints, flange and spindle.
+
+    Args:
+        sim: Connection; its simulation is stopped.
+        arm: The arm.
+        root: Handle of the dummy below which everything is built.
+
+    Raises:
+        OutsideError: CoppeliaSim reports an error.
+    """
+    sim.call("setObjectAlias", root, "equipoise")
+    hand = 2.0 * sizes_for(arm).hand
+    base = _transform((0.0, 0.0, -0.01))
+    parent = _shape(sim, "base", "cuboid", (0.3, 0.3, 0.02), base, root)  # [m]
+    frame, joints = np.eye(4), list[int]()
+    steps = [*(joint.xyz for joint in arm.joints[1:]), arm.flange_xyz]
+    for number, (joint, step) in enumerate(zip(arm.joints, steps, strict=True), 1):
+        frame = frame @ _transform(joint.xyz, rotation_from_rpy(joint.rpy))
+        hinge = _joint(sim, f"joint{number}", frame, joint.axis, parent)
+        length = float(np.linalg.norm(step))
+        kind, size, middle = "spheroid", (hand, hand, hand), np.eye(4)
+        if length > SHORTEST:
+            kind, size = "cylinder", (hand, hand, length)
+            middle = _transform(0.5 * np.array(step), turned_to(np.array(step)))
+        parent = _shape(sim, f"link{number}", kind, size, frame @ middle, hinge)
+        joints.append(hinge)
+    frame = frame @ _transform(arm.flange_xyz, rotation_from_rpy(arm.flange_rpy))
+    flange = _add(sim, "Dummy", (0.02,), "flange", frame, parent)
+    frame = frame @ _transform(arm.pivot, arm.kinematics(arm.home_free).rotation.T)
+    spindle = _joint(sim, "phi", frame, (0.0, 1.0, 0.0), parent)
+    sim.call("setJointInterval", spindle, True, (-np.pi, 2.0 * np.pi))
+    size = (2.0 * SIZES.rod, 2.0 * SIZES.rod, SIZES.rod_length)
+    middle = _transform((0.0, 0.0, 0.5 * SIZES.rod_length))
+    _shape(sim, "pendulum", "cylinder", size, frame @ middle, spindle)
+    for hinge, joint, q in zip(joints, arm.joints, arm.home, strict=True):
+        sim.call("setJointPosition", hinge, q)
+        sim.call("setJointInterval", hinge, False, (joint.lower, joint.upper - joint.lower))
+    return joints, flange, spindle
+
+
+def _transform(xyz: Sequence[float] | Array, R: Array | None = None) -> Array:
+    """Return the transform of a place and a rotation, shape (4, 4)."""
+    T = np.eye(4)
+    T[:3, 3] = xyz
+    if R is not None:
+        T[:3, :3] = R
+    return T
+
+
+def _joint(sim: Connection, alias: str, T: Array, axis: Sequence[float], parent: int) -> int:
+    """Create a revolute joint about an axis of the frame T; return its handle."""
+    kind, mode = sim.constants.joint_revolute, sim.constants.jointmode_kinematic
+    turn = _transform((0.0, 0.0, 0.0), turned_to(np.array(axis)))
+    return _add(sim, "Joint", (kind, mode, 0, (0.15, 0.02)), alias, T @ turn, parent)
+
+
+def _shape(
+    sim: Connection, alias: str, kind: str, size: Sequence[float], T: Array, parent: int
+) -> int:
+    """Create a static primitive shape at T; return its handle."""
+    shape = getattr(sim.constants, f"primitiveshape_{kind}")
+    handle = _add(sim, "PrimitiveShape", (shape, size, 0), alias, T, parent)
+    sim.call("setObjectInt32Param", handle, sim.constants.shapeintparam_respondable, 0)
+    sim.call("setObjectInt32Param", handle, sim.constants.shapeintparam_static, 1)
+    return handle
+
+
+def _add(
+    sim: Connection, kind: str, args: Sequence[object], alias: str, T: Array, parent: int
+) -> int:
+    """Create an object below its parent, with which it is removed; return its handle."""
+    handle = sim.call(f"create{kind}", *args)
+    sim.call("setObjectParent", handle, parent, True)
+    sim.call("setObjectAlias", handle, alias)
+    pose = (*T[:3, 3].tolist(), *Rotation.from_matrix(T[:3, :3]).as_quat())
+    sim.call("setObjectPose", handle, pose)
+    return handle
 
 
 def stop(sim: Connection) -> None:
     """Stop the simulation, if it runs; CoppeliaSim then restores its initial state."""
-    stopped, until = sim.constant("simulation_stopped"), time.monotonic() + 10.0
+    stopped, until = sim.constants.simulation_stopped, time.monotonic() + 10.0
     if sim.call("getSimulationState") == stopped:
         return
     sim.call("stopSimulation")
@@ -171,22 +247,20 @@ def stop(sim: Connection) -> None:
         time.sleep(0.005)
 
 
-def _set_parameters(sim: Connection, values: Parameters) -> None:
-    for kind, parameter, value in values:
-        sim.call(f"set{kind}Param", parameter, value)
-
-
 def _roots(sim: Connection) -> dict[int, Parameters]:
     """Return the root objects of Equipoise, with the parameters that the user had set."""
-    whole, every = sim.constant("handle_scene"), sim.constant("handle_all")
+    whole, every = sim.constants.handle_scene, sim.constants.handle_all
     parentless = sim.call("getObjectsInTree", whole, every, 2)
     texts = {root: sim.call("readCustomStringData", root, TAG) for root in parentless}
     return {root: json.loads(text) for root, text in texts.items() if text}
 
 
-def _remove(sim: Connection, roots: dict[int, Parameters]) -> None:
+def _undo(sim: Connection, roots: Iterable[int], values: Parameters) -> None:
+    """Remove root objects with all below them, and set parameters."""
     for root in roots:
         sim.call("removeObjects", sim.call("getObjectsInTree", root))
+    for kind, parameter, value in values:
+        sim.call(f"set{kind}Param", parameter, value)
 
 
 def _give_back(sim: Connection, root: int, before: Parameters) -> None:
@@ -198,8 +272,7 @@ def _give_back(sim: Connection, root: int, before: Parameters) -> None:
         try:
             if not (roots := _roots(sim)).keys() - {root}:  # no later client took it over
                 stop(sim)
-                _set_parameters(sim, before)
-                _remove(sim, roots)
+                _undo(sim, roots, before)
         finally:
             sim.close()
 

@@ -11,7 +11,7 @@ CoppeliaSim advances in `step` alone. There is one scene: trials run one after t
 """
 
 import re
-from typing import ClassVar, Final
+from typing import ClassVar
 
 import numpy as np
 
@@ -23,9 +23,6 @@ from equipoise.errors import SettingsError
 from equipoise.model.pendulum import step as pendulum_step
 from equipoise.model.worlds import World
 from equipoise.worlds import ExternalLoop, Setup, Simulation
-
-PORT: Final = 23000
-"""Default port of CoppeliaSim's server of the ZeroMQ remote API."""
 
 
 def read_address(text: str) -> tuple[str, int]:
@@ -39,7 +36,7 @@ def read_address(text: str) -> tuple[str, int]:
         ('localhost', 23000)
     """
     found = re.fullmatch(r"coppeliasim://([\w.-]+|\[[\da-fA-F:]+\])(?::(\d{1,5}))?/?", text)
-    port = int((found and found[2]) or PORT)
+    port = int((found and found[2]) or 23000)  # the default of CoppeliaSim
     if found is None or not 0 < port < 2**16:
         form = "coppeliasim://HOST:PORT"
         raise SettingsError(f"{quoted(text)} is no address of CoppeliaSim; expected {form}")

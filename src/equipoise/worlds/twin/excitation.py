@@ -19,8 +19,6 @@ from equipoise.model.arms.arm import Arm
 
 PERIOD: Final = 0.005
 """Time between two setpoints [s]: half a control step."""
-DURATION: Final = 10.0
-"""Duration of a record [s]."""
 TOP_SPEED: Final = np.array([0.45, 0.3, 0.4, 1.0, 1.0, 1.0])
 """Top speed of each free joint, from the base on [rad/s]; the load falls towards the flange."""
 FAST: Final = np.array([16.0, 14.5, 30.0, 12.0, 10.0, 11.0])
@@ -30,7 +28,7 @@ SLOW: Final = np.array([6.4, 5.8, 5.2, 4.8, 4.0, 4.4])
 """Angular frequency of the slower sine [rad/s]; the pendulum's own, 8.4 rad/s, lies between."""
 
 
-def excitation(arm: Arm, duration: float = DURATION, period: float = PERIOD) -> Array:
+def excitation(arm: Arm, duration: float = 10.0, period: float = PERIOD) -> Array:
     """Return setpoints around home that move every free joint, from rest to rest.
 
     Args:
@@ -51,7 +49,7 @@ def excitation(arm: Arm, duration: float = DURATION, period: float = PERIOD) -> 
     velocity = np.gradient(motion, period, axis=0)
     acceleration = np.gradient(velocity, period, axis=0)
     limits = np.array([(joint.velocity, joint.acceleration) for joint in arm.free_joints]).T
-    limits *= 0.8  # share of the limits that the motion may use
+    limits *= 0.8  # margin
     most = np.minimum(TOP_SPEED, limits[0]) / np.abs(velocity).max(axis=0)
     motion *= np.minimum(most, limits[1] / np.abs(acceleration).max(axis=0))
     q = arm.home_free + motion

@@ -23,8 +23,6 @@ Side = Literal["front", "back"]
 STIFFNESS: Final = 200.0
 """Stiffness omega of a grip [rad/s]: it yields by w2 / omega^2, 0.1 deg, to a pendulum held
 level."""
-FORCE: Final = 10.0
-"""Maximum force of a hand at the middle of the rod [N]. Assumed."""
 TONES: Final = 8
 """Number of sines in a tremor."""
 RANGES: Final = {
@@ -64,11 +62,6 @@ class HandParams(NamedTuple):
     push: float
     """Change of rate at the release [rad/s]; zero for a clean one."""
 
-    @property
-    def clumsy(self) -> bool:
-        """Whether the hand pushes or drags."""
-        return self.push != 0.0 or self.opening > RANGES["opening"][1]
-
 
 def draw_hand_params(
     random: np.random.Generator, *, side: Side | None = None, clumsy: float = 0.25
@@ -83,25 +76,23 @@ def draw_hand_params(
     size, weights = random.uniform(*RANGES["tremor"]), random.uniform(0.5, 1.0, TONES)
     tremor = size * (weights / np.linalg.norm(weights)) * sqrt(2.0)
     drift = random.uniform(*RANGES["drift"]) * np.array([0.6, 0.4])
-    either: Side = "front" if random.random() < 0.5 else "back"
+    drawn: Side = "front" if random.random() < 0.5 else "back"
     kind = random.random()
-    fumbled, pushed = kind < clumsy, kind < 0.5 * clumsy
-    opening = random.uniform(*(RANGES["dragging"] if fumbled and not pushed else RANGES["opening"]))
+    pushes, drags = kind < 0.5 * clumsy, 0.5 * clumsy <= kind < clumsy
+    opening = random.uniform(*RANGES["dragging" if drags else "opening"])
     push = random.uniform(*RANGES["push"]) * (1.0 if random.random() < 0.5 else -1.0)
+    lifting, holding = random.uniform(*RANGES["lifting"]), random.uniform(*RANGES["holding"])
+    tones = random.uniform(*RANGES["tremor frequency"], TONES)
+    slow = random.uniform(*RANGES["drift frequency"], 2)
     return HandParams(
-        side=either if side is None else side,
-        lifting=float(random.uniform(*RANGES["lifting"])),
-        holding=float(random.uniform(*RANGES["holding"])),
-        frequency=2.0
-        * pi
-        * np.r_[
-            random.uniform(*RANGES["tremor frequency"], TONES),
-            random.uniform(*RANGES["drift frequency"], 2),
-        ],
+        side=side or drawn,
+        lifting=lifting,
+        holding=holding,
+        frequency=2.0 * pi * np.r_[tones, slow],
         amplitude=np.r_[tremor, drift],
         phase=random.uniform(0.0, 2.0 * pi, TONES + 2),
-        opening=float(opening),
-        push=float(push) if pushed else 0.0,
+        opening=opening,
+        push=push if pushes else 0.0,
     )
 
 
@@ -115,9 +106,9 @@ class Hand:
             inertia: Moment of inertia of the pendulum about its spindle [kg m^2].
             reach: Distance from the spindle to the grip [m].
         """
-        self._inertia, self._most = inertia, FORCE * reach
+        self._inertia, self._most = inertia, 10.0 * reach  # assumed: a hand exerts up to 10 N
         self._manner: HandParams | None = None
-        self._begin = self._duration = self._from = self._to = 0.0
+        self._begin = self._from = self._to = 0.0
         self._opens: float | None = None
         self._pushes: list[tuple[float, float]] = []
 
@@ -130,10 +121,6 @@ class Hand:
     def idle(self) -> bool:
         """Whether the hand neither touches nor pushes the pendulum."""
         return self._manner is None and not self._pushes
-
-    def arrives(self) -> float:
-        """Return the time at which the hand reaches its goal [s]."""
-        return self._begin + self._duration
 
     def lift(self, now: float, phi: float, manner: HandParams) -> None:
         """Grip the pendulum and bring it upright.
@@ -186,29 +173,28 @@ class Hand:
         pull = 0.0
         if self._manner is not None:
             opens = now if self._opens is None else self._opens
-            share = 1.0 - (now - opens) / self._manner.opening
-            if share <= 0.0:
+            grip = 1.0 - (now - opens) / self._manner.opening
+            if grip <= 0.0:
                 self._manner = self._opens = None
             else:
                 place, speed = self._place(now, self._manner)
-                pull = share * (STIFFNESS**2 * (place - phi) + 2.0 * STIFFNESS * (speed - phi_dot))
+                pull = grip * (STIFFNESS**2 * (place - phi) + 2.0 * STIFFNESS * (speed - phi_dot))
         if self._pushes:
             self._pushes = [push for push in self._pushes if now - push[0] < PUSH_TIME]
             for begin, rate in self._pushes:
-                share = max(now - begin, 0.0) / PUSH_TIME
-                pull += rate / PUSH_TIME * (1.0 - cos(2.0 * pi * share))
+                passed = max(now - begin, 0.0) / PUSH_TIME
+                pull += rate / PUSH_TIME * (1.0 - cos(2.0 * pi * passed))
         return min(max(self._inertia * pull, -self._most), self._most)
 
     def _grip(self, now: float, phi: float, to: float, manner: HandParams) -> None:
         self._manner, self._opens = manner, None
-        self._begin, self._duration = now, manner.lifting
-        self._from, self._to = phi, to
+        self._begin, self._from, self._to = now, phi, to
 
     def _place(self, now: float, manner: HandParams) -> tuple[float, float]:
         """Return the hand's angle [rad] and rate [rad/s]: minimum jerk, then still."""
-        s = min(max((now - self._begin) / self._duration, 0.0), 1.0)
+        s = min(max((now - self._begin) / manner.lifting, 0.0), 1.0)
         way = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-        speed = 30.0 * s**2 * (1.0 - s) ** 2 / self._duration
+        speed = 30.0 * s**2 * (1.0 - s) ** 2 / manner.lifting
         tremor = manner.frequency * (now - self._begin) + manner.phase
         off = float(manner.amplitude @ np.sin(tremor))
         off_dot = float((manner.amplitude * manner.frequency) @ np.cos(tremor))

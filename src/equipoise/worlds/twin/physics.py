@@ -8,16 +8,23 @@ its free swing determines its length::
 
 Nothing collides: a trial ends before anything could. The bodies have no shapes, whose poses MuJoCo
 would compute in each step.
+
+Kernels call MuJoCo's C functions by their names, which `load_library` makes known: cached machine
+code contains no address. They read and write the arrays of `mjData` as fields of one record.
 """
 
-import copy
+import ctypes
 import functools
 from math import copysign
+from pathlib import Path
 from typing import Any, Final
 
+import numba
 import numpy as np
+from llvmlite import binding
 
 from equipoise.arrays import Array
+from equipoise.jit import disabled
 from equipoise.model.arms.arm import Arm, Inertial
 from equipoise.model.arms.chain import Triple
 from equipoise.model.arms.scene import SIZES, scene
@@ -31,12 +38,6 @@ TICK: Final = 1e-3
 DRY_TIME: Final = 0.002
 """Time constant with which dry friction stops the pendulum [s]; the least that MuJoCo takes for
 steps of a millisecond. With its default of 20 ms a sticking pendulum creeps."""
-END_TIME: Final = 0.005
-"""Time constant with which the end of a joint's range stops it [s]; with MuJoCo's default of 20 ms
-a joint at full speed overshoots by 3 degrees."""
-TOLERANCE: Final = 1e-14
-"""Tolerance of the solver. MuJoCo's 1e-8 is relative to the inertia of the whole arm; the dry
-friction of a pendulum of 0.15 kg can be smaller and would be lost."""
 
 
 def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any:
@@ -50,9 +51,16 @@ def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any
     Raises:
         ArmError: The masses of the arm's links are not known.
     """
-    outward, bracket, m = settings.pivot_outward, settings.bracket_mass, settings.pendulum_mass
-    model = copy.copy(_loaded(arm, outward, bracket, m))
-    n = len(arm.joints)
+    n, bracket = len(arm.joints), settings.bracket_mass
+    arm = arm.model_copy(update={"pivot": pivot(arm, settings.pivot_outward)})
+    spec = _weighed(arm)
+    if bracket > 0.0:
+        _weigh(spec.body("flange"), bar_inertial(bracket, np.array(arm.pivot)))
+    _weigh(spec.body("pendulum"), rod_inertial(pendulum.w2, settings.pendulum_mass))
+    phi = spec.joint("phi")
+    phi.solref_friction = [DRY_TIME, 1.0]
+    phi.solimp_friction = [0.999, 0.999, *phi.solimp_friction[2:]]  # MuJoCo's default is 0.9
+    model = spec.compile()
     model.dof_armature[:n] = rotor_inertias(settings, n)
     model.opt.timestep = TICK / settings.substeps
     set_pendulum(model, mujoco().MjData(model), pendulum)
@@ -90,21 +98,6 @@ def set_friction(model: Any, phi: int, pendulum: PendulumParameters, mass: float
     # MuJoCo's torque is -(damping + dampingpoly |rate|) rate.
     model.dof_damping[phi], model.dof_dampingpoly[phi, 0] = pendulum.c * I, pendulum.drag * I
     model.dof_frictionloss[phi] = pendulum.coulomb * I
-
-
-@functools.lru_cache(maxsize=8)
-def _loaded(arm: Arm, outward: float, bracket: float, m: float) -> Any:
-    """Return the model with the drawing's pendulum of mass m [kg], without rotors, for `build`."""
-    arm = arm.model_copy(update={"pivot": pivot(arm, outward)})
-    spec = _weighed(arm)
-    if bracket > 0.0:
-        _weigh(spec.body("flange"), bar_inertial(bracket, np.array(arm.pivot)))
-    # A rod as long as the drawn one, until `set_pendulum`.
-    _weigh(spec.body("pendulum"), rod_inertial(1.5 * GRAVITY / SIZES.rod_length, m))
-    phi = spec.joint("phi")
-    phi.solref_friction = [DRY_TIME, 1.0]
-    phi.solimp_friction = [0.999, 0.999, *phi.solimp_friction[2:]]  # MuJoCo's default is 0.9
-    return spec.compile()
 
 
 def rod_centre(w2: float) -> float:
@@ -194,7 +187,9 @@ def _weighed(arm: Arm) -> Any:
     spec = scene(arm)
     spec.memory = 1 << 17  # [bytes]; a chain without contacts needs little
     spec.compiler.boundmass, spec.compiler.boundinertia = 0.0, 0.0
-    spec.option.tolerance = TOLERANCE
+    # MuJoCo's 1e-8 is relative to the inertia of the whole arm; the dry friction of a pendulum of
+    # 0.15 kg can be smaller and would be lost.
+    spec.option.tolerance = 1e-14
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     off = mj.mjtDisableBit
     # A diverging state must be visible, not reset; the pendulum's damping needs no implicit step.
@@ -207,8 +202,9 @@ def _weighed(arm: Arm) -> Any:
     for number, (joint, link) in enumerate(zip(arm.joints, arm.link_inertials(), strict=True), 1):
         body = spec.body(f"frame {number}")
         body.gravcomp = 1.0
-        hinge = spec.joint(joint.name)
-        hinge.solref_limit = [END_TIME, 1.0]
+        # Time constant [s] and damping of the end of the range; with MuJoCo's default of 20 ms a
+        # joint at full speed overshoots by 3 degrees.
+        spec.joint(joint.name).solref_limit = [0.005, 1.0]
         _weigh(body, link)
     return spec
 
@@ -219,3 +215,68 @@ def _weigh(body: Any, link: Inertial) -> None:
     body.explicitinertial = True
     body.mass, body.ipos = link.mass, link.com
     body.fullinertia = [xx, yy, zz, xy, xz, yz]
+
+
+@functools.cache
+def load_library() -> ctypes.CDLL:
+    """Load MuJoCo's C library for kernels, with its profiler off.
+
+    MuJoCo reads a clock at the start and the end of each stage of a step, a sixth of the step.
+    """
+    path = next(Path(mujoco().__file__).parent.glob("*mujoco.*"))
+    binding.load_library_permanently(str(path))
+    library = ctypes.CDLL(str(path))
+    ctypes.c_void_p.in_dll(library, "mjcb_time").value = None
+    return library
+
+
+def _c_function(name: str, *more: Any) -> Any:
+    """Return a C function of MuJoCo for kernels.
+
+    Args:
+        name: Its name.
+        more: Numba types of its arguments after the addresses of model and data.
+    """
+    if disabled():
+        return lambda *values: load_library()[name](*map(ctypes.c_void_p, map(int, values)))
+    intp = numba.types.intp
+    return numba.types.ExternalFunction(name, numba.types.void(intp, intp, *more))
+
+
+# ruff: noqa: N816  (the names are MuJoCo's)
+# Quantities that depend on positions and velocities: the whole, and its stages in their order.
+mj_step1 = _c_function("mj_step1")
+mj_kinematics = _c_function("mj_kinematics")
+mj_comPos = _c_function("mj_comPos")
+mj_crb = _c_function("mj_crb")
+mj_factorM = _c_function("mj_factorM")
+mj_comVel = _c_function("mj_comVel")
+mj_passive = _c_function("mj_passive")
+mj_rne = _c_function("mj_rne", numba.intc, numba.intp)  # no accelerations; address of the result
+# Accelerations under the applied forces, and integration: the whole, and its stages.
+mj_step2 = _c_function("mj_step2")
+mj_fwdAcceleration = _c_function("mj_fwdAcceleration")
+mj_Euler = _c_function("mj_Euler")
+mj_solveM = _c_function("mj_solveM", numba.intp, numba.intp, numba.intc)  # result, forces, number
+
+
+def arrays_of(data: Any) -> Any:
+    """Return the arrays of `mjData` that kernels use, as one record, shape (1,).
+
+    Args:
+        data: State of MuJoCo, which has to outlive the record: it owns the memory.
+    """
+    bodies = ("xpos", "xmat", "xipos", "xaxis", "xanchor", "cvel", "subtree_com")
+    joints = ("qpos", "qvel", "qacc", "qacc_smooth", "qacc_warmstart")
+    forces = ("qfrc_applied", "qfrc_bias")
+    arrays = sorted((getattr(data, name).ctypes.data, name) for name in bodies + joints + forces)
+    start = arrays[0][0]
+    fields = np.dtype(
+        {
+            "names": [name for _, name in arrays],
+            "formats": [(np.float64, getattr(data, name).shape) for _, name in arrays],
+            "offsets": [address - start for address, _ in arrays],
+        }
+    )
+    memory: Any = (ctypes.c_char * fields.itemsize).from_address(start)
+    return np.frombuffer(memory, np.dtype((np.record, fields)))

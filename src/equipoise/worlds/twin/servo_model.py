@@ -21,76 +21,50 @@ not published. The model ignores bracket and pendulum. The held joint runs throu
 """
 
 from math import floor
-from typing import Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
-from equipoise.arrays import Array, IntArray
-from equipoise.jit import called, inlined
+from equipoise.arrays import Array
+from equipoise.jit import inlined
 from equipoise.model.actuator import AMPLITUDE, INTERVAL_WIDTH, Actuator, lag_share, shaped_step
 from equipoise.model.arms.arm import Arm
 from equipoise.model.random import TWIN, philox, uniform
-from equipoise.model.worlds import Inner, TwinSettings, rotor_inertias
+from equipoise.model.worlds import TwinSettings, rotor_inertias
 from equipoise.worlds.twin.physics import TICK, mass_matrix
 
-VELOCITY, PD = range(2)
-INNERS: Final[tuple[Inner, ...]] = ("velocity", "pd")
 SLOTS: Final = 512
 """Maximum transport time of a setpoint [ms]: twice the longest transport."""
 
-# Entries of `ServoState.clock`.
-NOW, NEWEST, SATURATED = range(3)
+
+def servo_type(n: int) -> np.dtype[Any]:
+    """Return the type of a servo of `n` joints: a record of its constants and its state."""
+    return np.dtype(
+        [
+            ("pd", "?"),  # whether the drives control the position
+            ("cycle", "i8"),  # cycle of the servo's loop [ms]
+            ("shaped", "?"),  # whether the loop shapes its steps
+            ("rate", "f8"),  # reciprocal of the time to the destination [1/s]
+            ("gain", "f8"),  # (1 - exp(-h / T)) / h of `velocity` [1/s]
+            ("omega", "f8"),  # natural frequency of `pd` [rad/s]
+            ("M", "f8", (n, n)),  # mass matrix of the links, without the rotors [kg m^2]
+            ("rotors", "f8", n),  # inertias of the rotors [kg m^2]
+            ("limit", "f8", n),  # limits of the torques on the links [N m]
+            ("transport", "f8"),  # time from sending to use [ms]
+            ("jitter", "f8"),  # maximum deviation of a transport from that [ms]
+            ("newest", "i8"),  # arrival of the newest setpoint [ms]
+            ("arriving", "f8", (SLOTS, n)),  # setpoint of each millisecond, NaN without one [rad]
+            ("target", "f8", n),  # setpoint in force [rad]
+            ("destination", "f8", n),  # destination set by the servo's loop [rad]
+            ("velocity", "f8", n),  # velocity that the drives follow [rad/s]
+            ("ddq", "f8", n),  # accelerations commanded by the drives [rad/s^2]
+        ],
+        align=True,
+    )
 
 
-class ServoParams(NamedTuple):
-    """Constants of the servo; all arrays are over all joints of the arm."""
-
-    inner: int
-    """VELOCITY or PD."""
-    cycle: int
-    """Cycle of the servo's loop [ms]."""
-    shaped: bool
-    """Whether the loop shapes its steps."""
-    rate: float
-    """Reciprocal of the time to the destination [1/s]."""
-    share: float
-    """Share of a change that passes the drives' lag in a millisecond, per second [1/s]."""
-    stiffness: float
-    """omega^2 of `pd` [1/s^2]."""
-    damping: float
-    """2 omega of `pd` [1/s]."""
-    inertia: Array
-    """M of the links, without the rotors, shape (n, n) [kg m^2]."""
-    rotors: Array
-    """Inertias of the rotors, shape (n,) [kg m^2]."""
-    torque: Array
-    """Limits of the torques on the links [N m], shape (n,)."""
-    transport: float
-    """Time from sending to use [ms]."""
-    jitter: float
-    """Maximum deviation of a transport from that [ms]."""
-
-
-class ServoState(NamedTuple):
-    """State of the servo, changed in place."""
-
-    clock: IntArray
-    """Time [ms]; arrival of the newest setpoint [ms]; number of drive cycles with a torque at its
-    limit; shape (3,)."""
-    arriving: Array
-    """Setpoint that arrives in each millisecond, NaN without one, shape (SLOTS, n) [rad]."""
-    target: Array
-    """The setpoint in force [rad], shape (n,)."""
-    destination: Array
-    """Destination set by the servo's loop [rad], shape (n,)."""
-    wanted: Array
-    """Velocity that the drives follow [rad/s], shape (n,)."""
-    pull: Array
-    """Scratch array: accelerations commanded by the drives [rad/s^2], shape (n,)."""
-
-
-def make_servo_params(arm: Arm, settings: TwinSettings) -> ServoParams:
-    """Return the constants of the servo of an arm.
+def new_servo(arm: Arm, settings: TwinSettings) -> np.record:
+    """Return the record of an arm's servo, for `start`.
 
     Args:
         arm: The arm.
@@ -99,20 +73,20 @@ def make_servo_params(arm: Arm, settings: TwinSettings) -> ServoParams:
     Raises:
         ArmError: The masses of the arm's links are not known.
     """
-    return ServoParams(
-        inner=INNERS.index(settings.inner),
-        cycle=round(settings.cycle / TICK),
-        shaped=settings.shaped,
-        rate=1.0 / (settings.reach_time or settings.cycle),
-        share=float(lag_share(settings.lag)) / TICK,
-        stiffness=settings.pd_frequency**2,
-        damping=2.0 * settings.pd_frequency,
-        inertia=mass_matrix(arm),
-        rotors=rotor_inertias(settings, len(arm.joints)),
-        torque=np.array([joint.torque for joint in arm.joints]),
-        transport=settings.transport / TICK,
-        jitter=settings.transport_jitter / TICK,
-    )
+    n = len(arm.joints)
+    servo: Any = np.zeros(1, np.dtype((np.record, servo_type(n))))[0]
+    servo.pd = settings.inner == "pd"
+    servo.cycle = round(settings.cycle / TICK)
+    servo.shaped = settings.shaped
+    servo.rate = 1.0 / (settings.reach_time or settings.cycle)
+    servo.gain = lag_share(settings.lag) / TICK
+    servo.omega = settings.pd_frequency
+    servo.M = mass_matrix(arm)
+    servo.rotors = rotor_inertias(settings, n)
+    servo.limit = [joint.torque for joint in arm.joints]
+    servo.transport = settings.transport / TICK
+    servo.jitter = settings.transport_jitter / TICK
+    return servo
 
 
 def equivalent_actuator(settings: TwinSettings) -> Actuator:
@@ -130,91 +104,73 @@ def equivalent_actuator(settings: TwinSettings) -> Actuator:
     return Actuator.assumed(kind, delay=settings.transport, lag=lag, cycle=cycle)
 
 
-def new_servo_state(n: int) -> ServoState:
-    """Return the state of a servo for `n` joints, for `start`."""
-    rows = (np.zeros(n) for _ in range(4))
-    return ServoState(np.zeros(3, np.int64), np.zeros((SLOTS, n)), *rows)
-
-
-@called
-def start(state: ServoState, q: Array) -> None:
+@inlined
+def start(servo: np.record, q: Array) -> None:
     """Start a servo at time zero that holds the joints at their positions.
 
     Args:
-        state: Changed in place.
-        q: All joints [rad], shape (n,) or longer.
+        servo: Changed in place.
+        q: All joints [rad], shape (n,).
     """
-    state.clock[:] = 0
-    state.arriving[:] = np.nan
-    for i in range(len(state.target)):
-        state.target[i] = state.destination[i] = q[i]
-        state.wanted[i] = 0.0
+    servo.newest = 0
+    servo.arriving[:] = np.nan
+    servo.velocity[:] = 0.0
+    for i in range(len(servo.target)):
+        servo.target[i] = servo.destination[i] = q[i]
 
 
 @inlined
-def send(state: ServoState, servo: ServoParams, q: Array, seed: int, index: int) -> None:
+def send(servo: np.record, q: Array, now: int, seed: int, index: int) -> None:
     """Send a setpoint.
 
     Args:
-        state: Changed in place.
-        servo: Constants.
+        servo: Changed in place.
         q: All joints [rad], shape (n,).
+        now: The time [ms].
         seed: Master seed.
         index: Number of the trial.
     """
-    clock = state.clock
-    now = clock[NOW]
     late = uniform(philox(seed, now, index, 0, TWIN)[0], -servo.jitter, servo.jitter)
     # Rounded to the nearest millisecond, so that the mean equals the transport time.
     arrival = now + max(floor(servo.transport + late + 0.5), 0)
-    clock[NEWEST] = max(clock[NEWEST], arrival)
-    slot = clock[NEWEST] % SLOTS
+    servo.newest = max(servo.newest, arrival)
     for i in range(len(q)):
-        state.arriving[slot, i] = q[i]
+        servo.arriving[servo.newest % SLOTS, i] = q[i]
 
 
 @inlined
-def serve(
-    state: ServoState, servo: ServoParams, q: Array, dq: Array, gravity: Array, force: Array
-) -> None:
+def serve(servo: np.record, now: int, q: Array, dq: Array, gravity: Array, force: Array) -> None:
     """Set the torques of the millisecond that begins.
 
     Args:
-        state: Changed in place.
-        servo: Constants.
+        servo: Changed in place.
+        now: The time [ms].
         q: Joint positions [rad], all joints first, shape (n,) or longer.
         dq: Their velocities [rad/s], likewise.
         gravity: Torques that balance the arm's own gravity [N m].
         force: Receives the torques of the drives [N m].
     """
-    clock, arriving, target = state.clock, state.arriving, state.target
-    destination, wanted, pull = state.destination, state.wanted, state.pull
-    inertia, torque = servo.inertia, servo.torque
-    n = len(target)
-    now = clock[NOW]
-    slot = now % SLOTS
-    if not np.isnan(arriving[slot, 0]):
+    n, slot = len(servo.target), now % SLOTS
+    if not np.isnan(servo.arriving[slot, 0]):
         for i in range(n):
-            target[i] = arriving[slot, i]
-            arriving[slot, i] = np.nan
+            servo.target[i] = servo.arriving[slot, i]
+            servo.arriving[slot, i] = np.nan
     if now % servo.cycle == 0:
         for i in range(n):
-            step = target[i] - q[i]
+            step = servo.target[i] - q[i]
             if servo.shaped:
                 step = shaped_step(step, AMPLITUDE, INTERVAL_WIDTH)
-            destination[i] = q[i] + step
-            wanted[i] = step * servo.rate
+            servo.destination[i] = q[i] + step
+            servo.velocity[i] = step * servo.rate
+    omega = servo.omega
     for i in range(n):
-        if servo.inner == PD:
-            pull[i] = servo.stiffness * (destination[i] - q[i]) - servo.damping * dq[i]
+        if servo.pd:
+            servo.ddq[i] = omega**2 * (servo.destination[i] - q[i]) - 2.0 * omega * dq[i]
         else:
-            pull[i] = servo.share * (wanted[i] - dq[i])
-    saturated = 0
+            servo.ddq[i] = servo.gain * (servo.velocity[i] - dq[i])
     for i in range(n):
-        wish = gravity[i]
+        torque = gravity[i]
         for j in range(n):
-            wish += inertia[i, j] * pull[j]
-        given = min(max(wish, -torque[i]), torque[i])
-        saturated = saturated if given == wish else 1
-        force[i] = given + servo.rotors[i] * pull[i]
-    clock[SATURATED] += saturated
+            torque += servo.M[i, j] * servo.ddq[j]
+        on_link = min(max(torque, -servo.limit[i]), servo.limit[i])
+        force[i] = on_link + servo.rotors[i] * servo.ddq[i]

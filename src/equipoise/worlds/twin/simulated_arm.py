@@ -17,12 +17,12 @@ from typing import Final
 import numpy as np
 
 from equipoise.arrays import Array
-from equipoise.model.arms.arm import Arm
+from equipoise.jit import kernel
 from equipoise.model.physics_engine import mujoco
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.random import TWIN, normal_pair, philox
 from equipoise.worlds.twin.physics import build_bare
-from equipoise.worlds.twin.servo_model import NEWEST, NOW, send
-from equipoise.worlds.twin.twin import Twin, noise
+from equipoise.worlds.twin.servo_model import send
+from equipoise.worlds.twin.twin import FLANGE, Twin
 
 BRAKING: Final = 40
 """Braking time of the drives before they hold the arm [ms]: five times their lag."""
@@ -33,27 +33,30 @@ TORQUE_NOISE: Final = 0.05
 """Standard deviation of the noise on a measured torque [N m]. Assumed."""
 
 
+@kernel
+def add_noise(twin: np.record, sigma: float, stream: int, values: Array) -> None:
+    """Add the noise of this millisecond to measurements of the joints.
+
+    Args:
+        twin: Record of the twin, with time, seed and index of the trial.
+        sigma: Standard deviation of the noise.
+        stream: One of the twin's streams of random numbers, counted from its first.
+        values: Changed in place, shape (n,).
+    """
+    for i in range(len(values)):
+        words = philox(twin.seed, twin.now, twin.index, 1 + i, TWIN + stream)
+        values[i] += sigma * normal_pair(words[0], words[1])[0]
+
+
 class SimulatedArm:
     """The arm behind an emulated controller; angles of all joints [rad], shape (n,)."""
 
-    def __init__(self, twin: Twin, arm: Arm, settings: TwinSettings) -> None:
-        """Wrap the arm of a twin, held at its position.
-
-        Args:
-            twin: The twin.
-            arm: Its arm.
-            settings: Its settings.
-
-        Raises:
-            ArmError: The masses of the arm's links are not known.
-        """
-        self.arm = arm
+    def __init__(self, twin: Twin) -> None:
+        """Wrap the arm of a twin, held at its position."""
+        self.arm = twin.arm
         """Its description."""
-        self._twin, self._n = twin, len(arm.joints)
-        self._joint_noise = settings.joint_noise
-        self._mj = mujoco()
-        self._bare = build_bare(arm)
-        self._bare_data = self._mj.MjData(self._bare)
+        self._twin, self._bare = twin, build_bare(twin.arm)
+        self._bare_data = mujoco().MjData(self._bare)
         self._braking = 0
         self.running = False
         """Whether a servo runs."""
@@ -62,8 +65,8 @@ class SimulatedArm:
 
     def measured(self) -> tuple[float, ...]:
         """Return the measured joints [rad]."""
-        q = self._twin.kernel.bodies.qpos[: self._n].copy()
-        noise(self._twin.kernel, self._joint_noise, 2, q)
+        q = self._twin.data.qpos[:-1].copy()
+        add_noise(self._twin.state, self._twin.state.joint_noise, 2, q)
         return tuple(q.tolist())
 
     def torques(self, external: bool) -> tuple[float, ...]:
@@ -73,16 +76,14 @@ class SimulatedArm:
             external: Whether to return external torques, by the controller's model of the bare arm:
                 those of bracket, pendulum and contacts. Otherwise return those on the links.
         """
-        kernel, n = self._twin.kernel, self._n
-        acceleration = self._twin.data.qacc[:n]
-        torques = kernel.bodies.applied[:n] - kernel.servo.rotors * acceleration
+        state, data, bare = self._twin.state, self._twin.data, self._bare_data
+        torques = data.qfrc_applied[:-1] - state.servo.rotors * data.qacc[:-1]
         if external:
-            bare = self._bare_data
-            bare.qpos[:], bare.qvel[:] = kernel.bodies.qpos[:n], kernel.bodies.qvel[:n]
-            bare.qacc[:] = acceleration
-            self._mj.mj_inverse(self._bare, bare)
-            torques = bare.qfrc_inverse + kernel.bodies.gravity - torques
-        noise(kernel, TORQUE_NOISE, 3, torques)
+            bare.qpos[:], bare.qvel[:] = data.qpos[:-1], data.qvel[:-1]
+            bare.qacc[:] = data.qacc[:-1]
+            mujoco().mj_inverse(self._bare, bare)
+            torques = bare.qfrc_inverse + state.gravity - torques
+        add_noise(self._twin.state, TORQUE_NOISE, 3, torques)
         return tuple(torques.tolist())
 
     def wrench(self) -> tuple[float, ...]:
@@ -90,24 +91,23 @@ class SimulatedArm:
 
         The controller derives both from the external torques, by least squares.
         """
-        twin, bodies = self._twin, self._twin.kernel.bodies
-        jacobian = np.zeros((6, twin.model.nv))
-        self._mj.mj_jacBody(twin.model, twin.data, jacobian[:3], jacobian[3:], bodies.flange)
-        wrench = np.linalg.lstsq(jacobian[:, : self._n].T, self.torques(external=True))[0]
-        return tuple(
-            (wrench.reshape(2, 3) @ bodies.xmat[bodies.flange].reshape(3, 3)).ravel().tolist()
-        )
+        model, data = self._twin.model, self._twin.data
+        jacobian = np.zeros((6, model.nv))
+        flange = model.body("flange").id
+        mujoco().mj_jacBody(model, data, jacobian[:3], jacobian[3:], flange)
+        wrench = np.linalg.lstsq(jacobian[:, :-1].T, self.torques(external=True))[0]
+        R = data.xmat[FLANGE].reshape(3, 3)
+        return tuple((wrench.reshape(2, 3) @ R).ravel().tolist())
 
     def flange(self) -> tuple[float, ...]:
         """Return the pose of the flange in the base: x, y, z [mm], a, b, c [rad].
 
         R = Rz(a) Ry(b) Rx(c), KUKA's convention.
         """
-        bodies = self._twin.kernel.bodies
-        R = bodies.xmat[bodies.flange].reshape(3, 3)
+        R = self._twin.data.xmat[FLANGE].reshape(3, 3)
         a, c = atan2(R[1, 0], R[0, 0]), atan2(R[2, 1], R[2, 2])
         b = atan2(-R[2, 0], hypot(R[0, 0], R[1, 0]))
-        x, y, z = (1e3 * bodies.xpos[bodies.flange]).tolist()
+        x, y, z = (1e3 * self._twin.data.xpos[FLANGE]).tolist()
         return x, y, z, a, b, c
 
     def servo(self, running: bool) -> None:
@@ -133,8 +133,8 @@ class SimulatedArm:
         if not np.isfinite(wanted).all():
             self.stop("a target that is not finite")
         elif self.running:
-            twin = self._twin.kernel
-            send(twin.servo_state, twin.servo, wanted, twin.key[0], twin.key[1])
+            state = self._twin.state
+            send(state.servo, wanted, state.now, state.seed, state.index)
 
     def stop(self, why: str) -> None:
         """Brake, and ignore targets until `set_free`, as after an emergency stop.
@@ -152,13 +152,13 @@ class SimulatedArm:
     def tick(self) -> None:
         """Prepare the next millisecond."""
         if self._braking:
-            self._twin.kernel.servo_state.target[:] = self._twin.kernel.bodies.qpos[: self._n]
+            self._twin.state.servo.target[:] = self._twin.data.qpos[:-1]
             self._braking -= 1
 
     def _brake(self) -> None:
         """Drop the setpoints in transport, and come to rest."""
-        twin = self._twin.kernel
-        twin.servo_state.arriving[:] = np.nan
-        twin.servo_state.clock[NEWEST] = twin.servo_state.clock[NOW]
-        moves = np.abs(twin.bodies.qvel[: self._n]).max() > REST_RATE
+        state = self._twin.state
+        state.servo.arriving[:] = np.nan
+        state.servo.newest = state.now
+        moves = np.abs(self._twin.data.qvel[:-1]).max() > REST_RATE
         self._braking = BRAKING if moves else 0

@@ -6,127 +6,74 @@ millisecond, so that the true state can be read at any time.
 
 The pendulum's angle in the engine, as the encoder's, is relative to the flange; phi in the truth
 is in space. They differ by the flange's rotation about the spindle.
+
+Encoder and joints are sampled each millisecond, and available after an age: the delay of the
+board's line or of the robot's reply. Repeated reads return the same sample: its errors depend on
+its own time.
 """
 
 from collections.abc import Sequence
-from importlib import import_module
-from math import atan2, copysign
-from typing import Any, NamedTuple
+from math import atan2, ceil, copysign, pi
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from equipoise.arrays import Array, IntArray
-from equipoise.jit import called, inlined
+from equipoise.arrays import Array
+from equipoise.jit import inlined, kernel
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
+from equipoise.model.encoder import counts_from_theta
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.random import TWIN, normal_pair, philox
+from equipoise.model.physics_engine import mujoco
+from equipoise.model.random import TWIN, normal_pair, philox, uniform
 from equipoise.model.worlds import TwinSettings
-from equipoise.worlds.twin.engine import Engine, call, engine
-from equipoise.worlds.twin.physics import TICK, build, set_pendulum
-from equipoise.worlds.twin.sensors import (
-    HISTORY_MS,
-    Sensors,
-    encoder,
-    encoder_zero,
-    make_sensors,
-    reply,
-)
-from equipoise.worlds.twin.servo_model import (
-    NOW,
-    SATURATED,
-    ServoParams,
-    ServoState,
-    make_servo_params,
-    new_servo_state,
-    send,
-    serve,
-    start,
-)
+from equipoise.settings import GRAVITY
+from equipoise.worlds.twin import physics
+from equipoise.worlds.twin.physics import TICK
+from equipoise.worlds.twin.servo_model import new_servo, send, serve, servo_type, start
+
+HISTORY_MS: Final = 128
+"""Length of the sensors' history [ms], above the maximum age."""
+LINK, FLANGE, ROD = 1, -2, -1
+"""First link of the arm, the flange and the pendulum among the bodies of the engine."""
 
 
-class Bodies(NamedTuple):
-    """Views of MuJoCo's arrays of a model's state."""
-
-    qpos: Array
-    """All joints of the arm, then phi relative to the flange [rad]."""
-    qvel: Array
-    """Their velocities [rad/s]."""
-    applied: Array
-    """Torques of the drives, and the dry friction of the pendulum [N m]."""
-    gravity: Array
-    """Torques that balance the arm's own gravity, from `balance` [N m], shape (n,)."""
-    smooth: Array
-    """Accelerations under all forces but those of constraints [rad/s^2]."""
-    acceleration: Array
-    """Accelerations [rad/s^2]."""
-    warmstart: Array
-    """Initial guess of the engine's solver [rad/s^2]."""
-    lower: Array
-    """Lower ends of the joints' ranges [rad], shape (n,)."""
-    upper: Array
-    """Upper ends [rad], likewise."""
-    xpos: Array
-    """Origins of the bodies [m], shape (n, 3)."""
-    xmat: Array
-    """Their rotations, row by row, shape (n, 9)."""
-    cvel: Array
-    """Angular velocity [rad/s], then linear at the tree's centre of mass [m/s], shape (n, 6)."""
-    centre: Array
-    """Centre of mass of the tree below each body [m], shape (n, 3)."""
-    axis: Array
-    """Axes of the joints, shape (n + 1, 3)."""
-    anchor: Array
-    """Points on them [m], likewise."""
-    mass_centre: Array
-    """Centres of mass of the bodies [m], shape (n, 3)."""
-    mass: Array
-    """Masses of the arm's links [kg], shape (n,)."""
-    weight: Array
-    """Acceleration of gravity [m/s^2], shape (3,)."""
-    root: int
-    """First body of the arm; each of its joints has one."""
-    flange: int
-    """The flange."""
-    pendulum: int
-    """The pendulum."""
-    friction: Array
-    """Dry friction of the pendulum, a row of the engine's constraints: maximum torque [N m],
-    regularization [1/(kg m^2)] and damping [1/s]."""
-    torque: Array
-    """Unit torque on the pendulum, shape (n + 1,)."""
-    response: Array
-    """Scratch array: accelerations under it [1/(kg m^2)], likewise."""
-    torque_address: int
-    """Address of `torque`."""
-    response_address: int
-    """Address of `response`."""
-
-
-class TwinKernel(NamedTuple):
-    """A twin as kernels take it: constants, and the state, which they change in place."""
-
-    engine: Engine
-    """The engine's functions, model and data."""
-    substeps: int
-    """Steps of the engine in a millisecond."""
-    bodies: Bodies
-    """State of the bodies."""
-    servo: ServoParams
-    """Constants of the servo."""
-    servo_state: ServoState
-    """Its state, and the time."""
-    sensors: Sensors
-    """Encoder and replies."""
-    home: Array
-    """All joints at x = 0 [rad], shape (n,)."""
-    free: IntArray
-    """Numbers of the free joints, shape (6,)."""
-    home_x: float
-    """Position of the flange at home along base x [m]."""
-    setpoint: Array
-    """Scratch array: all joints of a setpoint [rad], shape (n,)."""
-    key: IntArray
-    """Master seed and number of the trial, which determine all random numbers, shape (2,)."""
+def twin_type(n: int) -> np.dtype[Any]:
+    """Return the type of a twin of `n` joints: a record of its constants and its state."""
+    return np.dtype(
+        [
+            ("model_address", "i8"),  # model of the engine
+            ("data_address", "i8"),  # state of the engine; one thread at a time may use it
+            ("substeps", "i8"),  # steps of the engine in a millisecond
+            ("seed", "i8"),  # master seed
+            ("index", "i8"),  # number of the trial
+            ("now", "i8"),  # time [ms]
+            ("home", "f8", n),  # all joints at x = 0 [rad]
+            ("home_x", "f8"),  # position of the flange at home along base x [m]
+            ("free", "i8", FREE_JOINTS),  # numbers of the free joints
+            ("lower", "f8", n),  # lower ends of the joints' ranges [rad]
+            ("upper", "f8", n),  # upper ends [rad]
+            ("mass", "f8", n),  # masses of the links [kg]
+            ("gravity", "f8", n),  # torques that balance the arm's own gravity [N m]
+            ("setpoint", "f8", n),  # the newest setpoint of all joints [rad]
+            ("servo", servo_type(n)),
+            # The row of dry friction among the constraints of the engine.
+            ("F", "f8"),  # maximum torque [N m]
+            ("R", "f8"),  # regularization [1/(kg m^2)]
+            ("B", "f8"),  # damping [1/s]
+            ("torque", "f8", n + 1),  # unit torque on the pendulum
+            ("response", "f8", n + 1),  # accelerations under it [1/(kg m^2)]
+            # Encoder and replies. A sample is at its time modulo `HISTORY_MS`.
+            ("counts_per_rev", "f8"),  # encoder counts per revolution
+            ("zero", "f8"),  # encoder zero offset of the trial [rad]
+            ("encoder_age", "i8"),  # age of the newest count [ms]
+            ("encoder_jitter", "f8"),  # maximum error of a count's time stamp [s]
+            ("reply_age", "i8"),  # age of the newest measured joints [ms]
+            ("joint_noise", "f8"),  # standard deviation of the noise on a measured joint [rad]
+            ("past_phi", "f8", HISTORY_MS),  # angles of the pendulum relative to the flange [rad]
+            ("past_q", "f8", (HISTORY_MS, FREE_JOINTS)),  # free joints [rad]
+        ],
+        align=True,
+    )
 
 
 class TrueState(NamedTuple):
@@ -143,78 +90,75 @@ class TrueState(NamedTuple):
 
 
 @inlined
-def balance(bodies: Bodies) -> None:
+def balance(twin: np.record, data: np.record) -> None:
     """Set the torques that balance the arm's own gravity; the drives apply the change at once."""
-    axis, anchor, centre, mass = bodies.axis, bodies.anchor, bodies.mass_centre, bodies.mass
-    gravity, applied, root = bodies.gravity, bodies.applied, bodies.root
-    gx, gy, gz = bodies.weight[0], bodies.weight[1], bodies.weight[2]
     # Mass and first moment of the links beyond the joint.
-    m, sx, sy, sz = 0.0, 0.0, 0.0, 0.0
-    for i in range(len(mass) - 1, -1, -1):
-        own = mass[i]
-        m += own
-        sx += own * centre[root + i, 0]
-        sy += own * centre[root + i, 1]
-        sz += own * centre[root + i, 2]
-        x, y, z = sx - m * anchor[i, 0], sy - m * anchor[i, 1], sz - m * anchor[i, 2]
-        torque = -(
-            axis[i, 0] * (y * gz - z * gy)
-            + axis[i, 1] * (z * gx - x * gz)
-            + axis[i, 2] * (x * gy - y * gx)
-        )
-        applied[i] += torque - gravity[i]
-        gravity[i] = torque
+    m, sx, sy = 0.0, 0.0, 0.0
+    for i in range(len(twin.mass) - 1, -1, -1):
+        m += twin.mass[i]
+        sx += twin.mass[i] * data.xipos[LINK + i, 0]
+        sy += twin.mass[i] * data.xipos[LINK + i, 1]
+        x, y = sx - m * data.xanchor[i, 0], sy - m * data.xanchor[i, 1]
+        torque = data.xaxis[i, 0] * (y * GRAVITY) - data.xaxis[i, 1] * (x * GRAVITY)
+        data.qfrc_applied[i] += torque - twin.gravity[i]
+        twin.gravity[i] = torque
 
 
 @inlined
-def within_limits(bodies: Bodies) -> bool:
+def within_limits(twin: np.record, data: np.record) -> bool:
     """Return whether no end of a joint's range acts."""
-    q, lower, upper = bodies.qpos, bodies.lower, bodies.upper
+    q = data.qpos
     inside = True
-    for i in range(len(lower)):
-        inside &= (lower[i] < q[i]) & (q[i] < upper[i])
+    for i in range(len(twin.lower)):
+        inside &= (twin.lower[i] < q[i]) & (q[i] < twin.upper[i])
     return inside
 
 
 @inlined
-def update(twin: TwinKernel, inside: bool) -> None:
+def update(twin: np.record, data: np.record, inside: bool) -> None:
     """Compute what depends on positions and velocities, and balance the arm's gravity.
 
     Args:
-        twin: Changed in place.
+        twin: Record of the twin; changed in place.
+        data: The engine's arrays, likewise.
         inside: Whether no end of a joint's range acts.
     """
-    engine = twin.engine
+    model, state = twin.model_address, twin.data_address
     if inside:
-        for stage in engine.update:
-            call(stage, (engine.model, engine.data))
-        call(engine.bias, (engine.model, engine.data, 0, engine.forces))
+        physics.mj_kinematics(model, state)
+        physics.mj_comPos(model, state)
+        physics.mj_crb(model, state)
+        physics.mj_factorM(model, state)
+        physics.mj_comVel(model, state)
+        physics.mj_passive(model, state)
+        physics.mj_rne(model, state, 0, data.qfrc_bias.ctypes.data)
     else:
-        call(engine.before, (engine.model, engine.data))
-    balance(twin.bodies)
+        physics.mj_step1(model, state)
+    balance(twin, data)
 
 
 @inlined
-def integrate(twin: TwinKernel, inside: bool) -> None:
+def integrate(twin: np.record, data: np.record, inside: bool) -> None:
     """Advance positions and velocities by a step of the engine.
 
     Args:
-        twin: Changed in place.
+        twin: Record of the twin; changed in place.
+        data: The engine's arrays, likewise.
         inside: Argument of the last `update`. Outside, the engine's solver computes all forces of
             constraints. Inside, dry friction is the only one.
     """
-    engine, n = twin.engine, len(twin.home)
+    model, state = twin.model_address, twin.data_address
     if inside:
-        call(engine.accelerate, (engine.model, engine.data))
-        apply_dry_friction(twin)
-        call(engine.integrate, (engine.model, engine.data))
+        physics.mj_fwdAcceleration(model, state)
+        apply_dry_friction(twin, data)
+        physics.mj_Euler(model, state)
     else:
-        twin.bodies.applied[n] = 0.0
-        call(engine.after, (engine.model, engine.data))
+        data.qfrc_applied[len(twin.home)] = 0.0
+        physics.mj_step2(model, state)
 
 
 @inlined
-def apply_dry_friction(twin: TwinKernel) -> None:
+def apply_dry_friction(twin: np.record, data: np.record) -> None:
     r"""Compute the accelerations with dry friction, those of the engine's solver for one row.
 
     The friction f minimises the cost of MuJoCo's dual problem within the maximum F:
@@ -226,121 +170,129 @@ def apply_dry_friction(twin: TwinKernel) -> None:
     pendulum slides on, and it remains.
 
     Args:
-        twin: Changed in place.
+        twin: Record of the twin; changed in place.
+        data: The engine's arrays, likewise.
     """
-    bodies, engine, n = twin.bodies, twin.engine, len(twin.home)
-    smooth, acceleration, response = bodies.smooth, bodies.acceleration, bodies.response
-    most, R, B = bodies.friction[0], bodies.friction[1], bodies.friction[2]
-    f = bodies.applied[n]
-    slope = R * f + smooth[n] + B * bodies.qvel[n]
+    n = len(twin.home)
+    f = data.qfrc_applied[n]
+    slope = twin.R * f + data.qacc_smooth[n] + twin.B * data.qvel[n]
     for i in range(n + 1):
-        acceleration[i] = smooth[i]
-    if f != -copysign(most, slope):
-        addresses = bodies.response_address, bodies.torque_address
-        call(engine.solve, (engine.model, engine.data, *addresses, 1))
-        bodies.applied[n] = min(max(f - slope / (response[n] + R), -most), most)
+        data.qacc[i] = data.qacc_smooth[i]
+    if f != -copysign(twin.F, slope):
+        addresses = twin.response.ctypes.data, twin.torque.ctypes.data
+        physics.mj_solveM(twin.model_address, twin.data_address, addresses[0], addresses[1], 1)
+        new = min(max(f - slope / (twin.response[n] + twin.R), -twin.F), twin.F)
+        data.qfrc_applied[n] = new
         for i in range(n + 1):
-            acceleration[i] += response[i] * (bodies.applied[n] - f)
+            data.qacc[i] += twin.response[i] * (new - f)
 
 
-@called
-def reset(twin: TwinKernel, q: Array, phi: float, phi_dot: float) -> None:
+@kernel
+def reset(twin: np.record, data: np.record, q: Array, phi: float, phi_dot: float) -> None:
     """Set time to zero, the arm at rest and held at its position.
 
     The history is that of a pendulum that moved at the same rate.
 
     Args:
-        twin: Changed in place.
+        twin: Record of the twin; changed in place.
+        data: The engine's arrays, likewise.
         q: All joints [rad], shape (n,).
         phi: Angle of the pendulum from upright, relative to the flange [rad].
         phi_dot: Its rate [rad/s].
     """
-    bodies, free, past = twin.bodies, twin.free, twin.sensors
-    n = len(q)
+    n = len(twin.home)
     for i in range(n):
-        bodies.qpos[i] = q[i]
-    bodies.qpos[n] = phi
-    bodies.qvel[:] = 0.0
-    bodies.qvel[n] = phi_dot
-    bodies.applied[:] = 0.0
-    bodies.gravity[:] = 0.0
-    bodies.warmstart[:] = 0.0
-    start(twin.servo_state, q)
+        data.qpos[i] = q[i]
+    data.qpos[n] = phi
+    data.qvel[:] = 0.0
+    data.qvel[n] = phi_dot
+    data.qfrc_applied[:] = 0.0
+    data.qacc_warmstart[:] = 0.0
+    twin.gravity[:] = 0.0
+    twin.now = 0
+    start(twin.servo, q)
     for tick in range(1 - HISTORY_MS, 1):
-        past.phi[tick % HISTORY_MS] = phi + tick * TICK * phi_dot
+        twin.past_phi[tick % HISTORY_MS] = phi + tick * TICK * phi_dot
         for i in range(FREE_JOINTS):
-            past.q[tick % HISTORY_MS, i] = q[free[i]]
-    update(twin, within_limits(bodies))
+            twin.past_q[tick % HISTORY_MS, i] = q[twin.free[i]]
+    update(twin, data, within_limits(twin, data))
 
 
 @inlined
-def advance(twin: TwinKernel, ticks: int) -> None:
+def advance(twin: np.record, data: np.record, ticks: int) -> None:
     """Advance by a number of milliseconds.
 
     Args:
-        twin: Changed in place.
+        twin: Record of the twin; changed in place.
+        data: The engine's arrays, likewise.
         ticks: Number of milliseconds.
     """
-    bodies, state, servo, free = twin.bodies, twin.servo_state, twin.servo, twin.free
-    qpos, qvel, applied, gravity = bodies.qpos, bodies.qvel, bodies.applied, bodies.gravity
-    clock, past_phi, past_q = state.clock, twin.sensors.phi, twin.sensors.q
-    n, inside = len(twin.home), within_limits(bodies)
+    inside = within_limits(twin, data)
     for _ in range(ticks):
-        serve(state, servo, qpos, qvel, gravity, applied)
+        serve(twin.servo, twin.now, data.qpos, data.qvel, twin.gravity, data.qfrc_applied)
         for _ in range(twin.substeps):
-            integrate(twin, inside)
-            inside = within_limits(bodies)
-            update(twin, inside)
-        clock[NOW] += 1
-        slot = clock[NOW] % HISTORY_MS
-        past_phi[slot] = qpos[n]
+            integrate(twin, data, inside)
+            inside = within_limits(twin, data)
+            update(twin, data, inside)
+        twin.now += 1
+        slot = twin.now % HISTORY_MS
+        twin.past_phi[slot] = data.qpos[len(twin.home)]
         for i in range(FREE_JOINTS):
-            past_q[slot, i] = qpos[free[i]]
+            twin.past_q[slot, i] = data.qpos[twin.free[i]]
 
 
 @inlined
-def send_free(twin: TwinKernel, q: Array) -> None:
+def send_free(twin: np.record, q: Array) -> None:
     """Send a setpoint of the free joints [rad], shape (6,), now; the held joint stays."""
-    for i in range(len(twin.home)):
-        twin.setpoint[i] = twin.home[i]
     for i in range(FREE_JOINTS):
         twin.setpoint[twin.free[i]] = q[i]
-    send(twin.servo_state, twin.servo, twin.setpoint, twin.key[0], twin.key[1])
-
-
-@called
-def noise(twin: TwinKernel, sigma: float, stream: int, values: Array) -> None:
-    """Add the noise of this millisecond to measurements of the joints.
-
-    Args:
-        twin: The time, the seed and the index of the trial.
-        sigma: Standard deviation of the noise.
-        stream: One of the twin's streams of random numbers, counted from its first.
-        values: Changed in place, shape (n,).
-    """
-    for i in range(len(values)):
-        words = philox(twin.key[0], twin.servo_state.clock[NOW], twin.key[1], 1 + i, TWIN + stream)
-        values[i] += sigma * normal_pair(words[0], words[1])[0]
+    send(twin.servo, twin.setpoint, twin.now, twin.seed, twin.index)
 
 
 @inlined
-def truth(twin: TwinKernel) -> TrueState:
+def encoder(twin: np.record) -> tuple[float, float]:
+    """Return the newest encoder counts, and their time stamp [s]."""
+    tick = twin.now - twin.encoder_age
+    theta = pi - (twin.past_phi[tick % HISTORY_MS] + twin.zero)
+    word = philox(twin.seed, tick, twin.index, 0, TWIN)[1]
+    stamp = tick * TICK + uniform(word, -twin.encoder_jitter, twin.encoder_jitter)
+    return counts_from_theta(theta, twin.counts_per_rev, 1.0), stamp
+
+
+@kernel
+def reply(twin: np.record, q: Array) -> float:
+    """Write the newest measured free joints into q [rad], shape (6,), and return their time [s]."""
+    tick = twin.now - twin.reply_age
+    w0, w1, w2, w3 = philox(twin.seed, tick, twin.index, 0, TWIN + 2)
+    v0, v1, _, _ = philox(twin.seed, tick, twin.index, 0, TWIN + 3)
+    noise = (*normal_pair(w0, w1), *normal_pair(w2, w3), *normal_pair(v0, v1))
+    for i in range(FREE_JOINTS):
+        q[i] = twin.past_q[tick % HISTORY_MS, i] + twin.joint_noise * noise[i]
+    return tick * TICK
+
+
+@kernel
+def truth(twin: np.record, data: np.record) -> TrueState:
     """Return the true state of flange and pendulum."""
-    bodies = twin.bodies
-    xpos, xmat, cvel, centre = bodies.xpos, bodies.xmat, bodies.cvel, bodies.centre
-    flange, rod, root = bodies.flange, bodies.pendulum, bodies.root
-    y, z = xpos[flange, 1] - centre[root, 1], xpos[flange, 2] - centre[root, 2]
-    x_dot = cvel[flange, 3] + cvel[flange, 1] * z - cvel[flange, 2] * y
+    xpos, xmat, cvel, centre = data.xpos, data.xmat, data.cvel, data.subtree_com[LINK]
+    y, z = xpos[FLANGE, 1] - centre[1], xpos[FLANGE, 2] - centre[2]
+    x_dot = cvel[FLANGE, 3] + cvel[FLANGE, 1] * z - cvel[FLANGE, 2] * y
     # The rod's direction d turns with omega: its change is omega x d.
-    dx, dy, dz = xmat[rod, 2], xmat[rod, 5], xmat[rod, 8]
-    wx, wy, wz = cvel[rod, 0], cvel[rod, 1], cvel[rod, 2]
+    dx, dy, dz = xmat[ROD, 2], xmat[ROD, 5], xmat[ROD, 8]
+    wx, wy, wz = cvel[ROD, 0], cvel[ROD, 1], cvel[ROD, 2]
     change_x, change_z = wy * dz - wz * dy, wx * dy - wy * dx
     return TrueState(
-        xpos[flange, 0] - twin.home_x,
+        xpos[FLANGE, 0] - twin.home_x,
         x_dot,
         atan2(dx, dz),
         (change_x * dz - change_z * dx) / (dx * dx + dz * dz),
     )
+
+
+@kernel
+def advance_twin(twin: Any, data: Any, ticks: int) -> None:
+    """Advance the twin of `Twin.args` by a number of milliseconds."""
+    advance(twin[0], data[0], ticks)
 
 
 class Twin:
@@ -358,7 +310,6 @@ class Twin:
         *,
         seed: int = 0,
         index: int = 0,
-        servo: ServoParams | None = None,
     ) -> None:
         """Build a twin, at home and with the pendulum hanging.
 
@@ -368,28 +319,40 @@ class Twin:
             settings: The world's numbers.
             seed: Master seed of jitter, noise and the error of the encoder's zero.
             index: Number of the trial.
-            servo: Constants of the servo (default: computed).
 
         Raises:
             ArmError: The masses of the arm's links are not known.
         """
-        self._arm, self._settings = arm, settings
-        self.model = build(arm, pendulum, settings)
-        self.data = import_module("mujoco").MjData(self.model)
-        self.kernel = TwinKernel(
-            engine=engine(self.model, self.data),
-            substeps=settings.substeps,
-            bodies=_bodies(self.model, self.data, len(arm.joints)),
-            servo=make_servo_params(arm, settings) if servo is None else servo,
-            servo_state=new_servo_state(len(arm.joints)),
-            sensors=make_sensors(settings, seed, index),
-            home=np.array(arm.home),
-            free=np.array(arm.free),
-            home_x=float(arm.kinematics(arm.home_free).position[0]),
-            setpoint=np.zeros(len(arm.joints)),
-            key=np.array([seed, index]),
-        )
-        _read_dry_friction(self.model, self.data, self.kernel)
+        physics.load_library()
+        self.arm, self._settings, n = arm, settings, len(arm.joints)
+        self.model = physics.build(arm, pendulum, settings)
+        """The engine's model."""
+        self.model.body_gravcomp[:] = 0.0  # `balance` takes a tenth of the time
+        self.data = mujoco().MjData(self.model)
+        """The engine's state."""
+        own: Any = np.zeros(1, np.dtype((np.record, twin_type(n))))
+        self.args = own, physics.arrays_of(self.data)
+        """Constants and state, see `twin_type`, and the engine's arrays, as arguments of kernels:
+        one record each. As an array of one it takes a microsecond, by itself it takes forty."""
+        self.state = state = own[0]
+        """Constants and state."""
+        # The addresses of MuJoCo's structures have no public name.
+        state.model_address, state.data_address = self.model._address, self.data._address
+        state.substeps = settings.substeps
+        state.home = state.setpoint = arm.home
+        state.home_x = arm.kinematics(arm.home_free).position[0]
+        state.free = arm.free
+        state.lower, state.upper = self.model.jnt_range[:n].T
+        state.mass = self.model.body_mass[LINK : LINK + n]
+        state.servo = new_servo(arm, settings)
+        state.torque[n] = 1.0
+        state.counts_per_rev = settings.counts_per_rev
+        # Rounded up, but for the rounding of a whole number of milliseconds.
+        state.encoder_age = ceil(settings.encoder_age / TICK - 1e-9)
+        state.encoder_jitter = settings.encoder_jitter
+        state.reply_age = ceil(settings.reply_age / TICK - 1e-9)
+        state.joint_noise = settings.joint_noise
+        self.set_trial(pendulum, seed, index)
         self.reset()
 
     def set_trial(self, pendulum: PendulumParameters, seed: int, index: int) -> None:
@@ -400,11 +363,16 @@ class Twin:
             seed: Master seed of jitter, noise and the error of the encoder's zero.
             index: Number of the trial.
         """
-        twin = self.kernel
-        set_pendulum(self.model, self.data, pendulum)
-        _read_dry_friction(self.model, self.data, twin)
-        twin.key[:] = seed, index
-        twin.sensors.zero[0] = encoder_zero(self._settings, seed, index)
+        state, data = self.state, self.data
+        state.seed, state.index = seed, index
+        word, error = philox(seed, 0, index, 0, TWIN + 1)[0], self._settings.zero_error
+        state.zero = self._settings.zero_offset + float(uniform(word, -error, error))
+        physics.set_pendulum(self.model, data, pendulum)
+        data.qpos[:-1] = state.home
+        mujoco().mj_step1(self.model, data)
+        state.F, state.R, state.B = self.model.dof_frictionloss[-1], 0.0, 0.0
+        if state.F > 0.0:  # the only constraint at home
+            state.R, state.B = data.efc_R[0], data.efc_KBIP[0, 1]
 
     def reset(
         self, q: Sequence[float] | Array | None = None, phi: float = np.pi, phi_dot: float = 0.0
@@ -416,89 +384,33 @@ class Twin:
             phi: Angle of the pendulum from upright, relative to the flange [rad].
             phi_dot: Its rate [rad/s].
         """
-        posture = self.kernel.home if q is None else self._arm.with_held(q)
-        reset(self.kernel, posture, float(phi), float(phi_dot))
+        posture = np.array(self.state.home) if q is None else self.arm.with_held(q)
+        reset(self.state, self.args[1][0], posture, float(phi), float(phi_dot))
 
     @property
     def now(self) -> float:
         """The time [s]."""
-        return float(self.kernel.servo_state.clock[NOW]) * TICK
-
-    @property
-    def saturated(self) -> int:
-        """Number of milliseconds with a drive at its torque limit."""
-        return int(self.kernel.servo_state.clock[SATURATED])
+        return float(self.state.now) * TICK
 
     def send(self, q: Sequence[float] | Array) -> None:
         """Send a setpoint of the free joints [rad], shape (6,), now."""
-        send_free(self.kernel, np.array(q, np.float64))
+        send_free(self.state, np.array(q, np.float64))
 
     def advance(self, seconds: float) -> None:
         """Advance time, in whole milliseconds [s]."""
-        advance(self.kernel, round(seconds / TICK))
+        advance_twin(*self.args, round(seconds / TICK))
 
     def encoder(self) -> tuple[float, float]:
         """Return the newest encoder counts and their time stamp [s]."""
-        twin = self.kernel
-        index = twin.key[1]
-        counts, stamp = encoder(twin.sensors, self._tick, twin.key[0], index)
+        counts, stamp = encoder(self.state)
         return float(counts), float(stamp)
 
     def measured(self) -> tuple[Array, float]:
         """Return the newest measured free joints [rad], shape (6,), and their time [s]."""
-        twin, q = self.kernel, np.zeros(FREE_JOINTS)
-        stamp = reply(twin.sensors, self._tick, twin.key[0], twin.key[1], q)
+        q = np.zeros(FREE_JOINTS)
+        stamp = reply(self.state, q)
         return q, float(stamp)
 
     def truth(self) -> TrueState:
         """Return the true state of flange and pendulum."""
-        return TrueState(*map(float, truth(self.kernel)))
-
-    @property
-    def _tick(self) -> int:
-        return int(self.kernel.servo_state.clock[NOW])
-
-
-def _bodies(model: Any, data: Any, n: int) -> Bodies:
-    root, flange, pendulum = (model.body(name).id for name in ("frame 1", "flange", "pendulum"))
-    model.body_gravcomp[:] = 0.0  # `balance` takes a tenth of the time
-    torque, response = np.append(np.zeros(n), 1.0), np.zeros(n + 1)
-    return Bodies(
-        qpos=data.qpos,
-        qvel=data.qvel,
-        applied=data.qfrc_applied,
-        gravity=np.zeros(n),
-        smooth=data.qacc_smooth,
-        acceleration=data.qacc,
-        warmstart=data.qacc_warmstart,
-        lower=model.jnt_range[:n, 0].copy(),
-        upper=model.jnt_range[:n, 1].copy(),
-        xpos=data.xpos,
-        xmat=data.xmat,
-        cvel=data.cvel,
-        centre=data.subtree_com,
-        axis=data.xaxis,
-        anchor=data.xanchor,
-        mass_centre=data.xipos,
-        mass=model.body_mass[root : root + n].copy(),
-        weight=model.opt.gravity,
-        root=root,
-        flange=flange,
-        pendulum=pendulum,
-        friction=np.zeros(3),
-        torque=torque,
-        response=response,
-        torque_address=torque.ctypes.data,
-        response_address=response.ctypes.data,
-    )
-
-
-def _read_dry_friction(model: Any, data: Any, twin: TwinKernel) -> None:
-    """Read the row of dry friction from the constraints of the engine at home."""
-    twin.bodies.qpos[: len(twin.home)] = twin.home
-    call(twin.engine.before, (twin.engine.model, twin.engine.data))
-    kinds, most = data.efc_type, model.dof_frictionloss[-1]
-    rows = np.flatnonzero(kinds == import_module("mujoco").mjtConstraint.mjCNSTR_FRICTION_DOF)
-    twin.bodies.friction[:] = 0.0
-    for row in rows:
-        twin.bodies.friction[:] = most, data.efc_R[row], data.efc_KBIP[row, 1]
+        return TrueState(*map(float, truth(self.state, self.args[1][0])))

@@ -14,7 +14,6 @@ from equipoise.safety.trial import new_trial_monitor, trial_safety
 from equipoise.worlds.interface import ClosedLoop, Measurement, Setup, Simulation
 from equipoise.worlds.plant import scaled
 from equipoise.worlds.trials import Trial, Trials, draw_trials
-from equipoise.worlds.twin.servo_model import make_servo_params
 from equipoise.worlds.twin.trial import (
     TwinTrial,
     advance_trial,
@@ -41,8 +40,6 @@ class TwinSimulation(Simulation):
         super().__init__(world, setup, seed=seed, stream=stream)
         numbers = self.twin = self.numbers = world.settings
         arm, settings, actuator, h = setup.arm, setup.settings, setup.actuator, setup.h
-        self.servo = make_servo_params(arm, numbers)
-        """Constants of the servo."""
         self.params = make_controller_params(
             arm, settings, actuator, self.pendulum, h=h, counts_per_rev=numbers.counts_per_rev
         )
@@ -89,21 +86,18 @@ class TwinLoop(ClosedLoop):
         """Build the twin, and allocate the controller."""
         arm, nominal = simulation.setup.arm, simulation.pendulum
         self._simulation = simulation
-        self._twin = Twin(arm, nominal, simulation.numbers, servo=simulation.servo)
+        self._twin = Twin(arm, nominal, simulation.numbers)
         self.params, self.controller = simulation.params, new_controller_state()
-        twin, q = self._twin.kernel, np.zeros(FREE_JOINTS)
         monitor = new_trial_monitor(arm, simulation.safety)
-        # The twin owns the memory of the engine and has to outlive its trials.
-        self._trial: Any = new_twin_handle(
-            TwinTrial(twin, self.params, self.controller, q, monitor)
-        )
+        q = np.zeros(FREE_JOINTS)
+        self._trial: Any = new_twin_handle(TwinTrial(self.params, self.controller, q, monitor))
         self._state = np.zeros(4)
 
     def run(self, policy: PolicyKernel, trial: Trial, max_steps: int) -> tuple[int, int, float]:
         """Run a trial of a compiled policy; see `trial.run_trial`."""
         self._set(trial)
         _, _, phi, phi_dot = trial.start
-        result = run_trial(self._trial, policy, phi, phi_dot, max_steps)
+        result = run_trial(self._trial, *self._twin.args, policy, phi, phi_dot, max_steps)
         self._state[:] = self._twin.truth()
         return result
 
@@ -111,7 +105,7 @@ class TwinLoop(ClosedLoop):
         """Release the pendulum under the conditions of a trial."""
         self._set(trial)
         _, _, phi, phi_dot = trial.start
-        release(self._trial, phi, phi_dot)
+        release(self._trial, *self._twin.args, phi, phi_dot)
         self._state[:], self.now, self.tracked = self._twin.truth(), 0.0, 0.0
 
     def _set(self, trial: Trial) -> None:
@@ -119,20 +113,19 @@ class TwinLoop(ClosedLoop):
         varied = scaled(simulation.pendulum, own.inertia_factor, own.friction_factor)
         self.pendulum = pendulum_on(simulation.setup.pendulum, simulation.numbers, varied)
         self._twin.set_trial(self.pendulum, simulation.seed, trial.number)
-        self.zero = float(self._twin.kernel.sensors.zero[0])
+        self.zero = float(self._twin.state.zero)
 
     def step(self, u: float) -> int:
         """Advance by one tick with u [m/s^2], and return the cause of the failure."""
         self.controller.u[0] = u
         x_dot = self._state[1]
-        cause = int(advance_trial(self._trial, self._state))
+        cause = int(advance_trial(self._trial, *self._twin.args, self._state))
         self.tracked, self.now = float(self._state[1] - x_dot) / self.params.h, self._twin.now
         return cause
 
     def push(self, rate: float) -> None:
         """Push the pendulum, which changes its rate [rad/s]."""
-        bodies = self._twin.kernel.bodies
-        bodies.qvel[len(self._twin.kernel.home)] += rate
+        self._twin.data.qvel[-1] += rate
 
     def state(self) -> Array:
         """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
@@ -140,8 +133,7 @@ class TwinLoop(ClosedLoop):
 
     def joints(self) -> Array:
         """Return the true positions of all joints [rad], shape (n,)."""
-        bodies = self._twin.kernel.bodies
-        return bodies.qpos[: len(self._twin.kernel.home)].copy()
+        return self._twin.data.qpos[:-1].copy()
 
     def measurement(self) -> Measurement:
         """Return the newest measurements."""
