@@ -8,9 +8,9 @@ import os
 import equipoise as eq
 
 
-def show(stage: str, share: float | None, state: str) -> None:
+def show(stage: str, fraction: float | None, state: str) -> None:
     """Print the progress of the training on one line."""
-    print(f"\r{stage} {share or 0:4.0%} {state:40}", end="", flush=True)
+    print(f"\r{stage} {fraction or 0:4.0%} {state:40}", end="", flush=True)
 
 
 cores = len(os.sched_getaffinity(0))

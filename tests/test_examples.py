@@ -69,11 +69,3 @@ def test_a_run_on_the_twin_is_kept(example, tmp_path):
     run = RunLog.load(tmp_path / "run.mcap")
     assert run.conditions.world == "twin:nominal"
     assert run.conditions.policy == shipped_policy().digest
-
-
-@pytest.mark.parametrize("name", SAY)
-def test_an_example_says_how_it_is_run_and_promises_no_package_index(name):
-    text = (EXAMPLES / name).read_text()
-    assert f"\npython examples/{name}" in text
-    # `uv run` and `pipx run` would ask an index for the package, which is on none.
-    assert "# ///" not in text

@@ -157,27 +157,6 @@ def test_the_reference_has_every_name_that_a_guest_needs():
     assert set(re.findall(r"`([A-Z][a-z]\w+)`", "".join(texts))) <= classes
 
 
-def code_lines(text):
-    """Number of lines that are neither empty nor comment nor docstring."""
-    text = re.sub(r'^\s*""".*?"""$', "", text, flags=re.MULTILINE | re.DOTALL)
-    return len(re.findall(r"^\s*[^\s#].*$", text, re.MULTILINE))
-
-
-def test_the_first_page_counts_the_lines_of_the_examples():
-    page = (ROOT / "docs" / "index.md").read_text()
-    found = re.findall(r"^\| \[(\w+)\].* \| (\d+) \|", page, re.MULTILINE)
-    python = (text for page in GUESTS for _, text in blocks(page, "python"))
-    own = {text.split(maxsplit=2)[1]: text for text in python if text.startswith("# ")}
-    assert {part: int(lines) for part, lines in found} == {
-        "policy": code_lines(own["own_policy.py"].partition("class")[0]),
-        "reward": code_lines(own["own_reward.py"]),
-        "arm": code_lines(own["my_arm.py"]),
-        "learner": code_lines(own["own_learner.py"]),
-        "world": code_lines(own["own_world.py"]),
-        "robot": code_lines((ROOT / "tests/guest/guest/robot.py").read_text()),
-    }
-
-
 # The commands themselves.
 
 ELSEWHERE = {

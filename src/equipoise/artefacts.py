@@ -6,7 +6,7 @@ detects corruption, not forgery, and does not cover the provenance). NaN, infini
 other fields are rejected. Files are written atomically.
 """
 
-import glob
+import errno
 import hashlib
 import json
 import os
@@ -15,8 +15,8 @@ import re
 import reprlib
 import sys
 import threading
-from collections.abc import Generator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Generator, Iterable, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -342,62 +342,49 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
 def temporary_name(path: Path) -> Path:
     """Return a hidden path in the folder of a file, unique to this process and thread."""
-    return _hidden(path, f"{os.getpid()}.{threading.get_ident()}.tmp")
-
-
-def _hidden(path: Path, end: str) -> Path:
     # File systems limit names to 255 bytes, so a long name is truncated.
-    return path.with_name(f".{os.fsdecode(os.fsencode(path.name)[:150])}.{end}")
+    name = os.fsdecode(os.fsencode(path.name)[:150])
+    return path.with_name(f".{name}.{os.getpid()}.{threading.get_ident()}.tmp")
 
 
 @contextmanager
-def claimed(path: Path) -> Generator[bool]:
-    """Reserve the name of a file, so that two processes never write the same one.
+def reserved(paths: Iterable[Path], *, replace: bool = False) -> Generator[None]:
+    """Reserve the names of files, so that no other process writes them.
 
-    The reservation is a lock on a hidden file beside it, which the system releases when the process
-    ends in any way. It removes the temporary files of a killed process.
+    A reservation is a lock on a hidden file beside, which the system releases when the process ends
+    in any way.
 
-    Yields:
-        Whether no other process has reserved the name.
+    Args:
+        paths: The files; missing folders are created.
+        replace: Whether existing files are accepted.
 
     Raises:
-        OutsideError: The folder cannot be created or written.
+        FileExistsError: A file exists, or another process writes it.
+        OSError: A folder cannot be written.
     """
-    folder, marker = path.absolute().parent, path.with_name(f".{path.name}.claim")
-    try:
-        is_new = not folder.exists()
-        folder.mkdir(parents=True, exist_ok=True)
-        file = marker.open("ab")
-    except OSError as error:
-        raise OutsideError(
-            f"{folder} takes no file for {path} ({error.strerror}); give another name, or make room"
-        ) from None
-    with file:
-        # Without a name it is that of a process which has just ended.
-        free = lock(file) and os.fstat(file.fileno()).st_nlink > 0
-        for leftover in folder.glob(f"{glob.escape(_hidden(path, '').name)}*.tmp"):
+    with ExitStack() as locks:
+        for path in paths:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            marker = path.with_name(f".{path.name}.lock")
+            file = locks.enter_context(marker.open("ab"))
+            free = lock(file) and os.fstat(file.fileno()).st_nlink > 0
             if free:
-                leftover.unlink(missing_ok=True)
-        try:
-            yield free
-        finally:
-            with suppress(OSError):
-                if free:
-                    marker.unlink()
-                if is_new:
-                    folder.rmdir()  # where it is still empty
+                locks.callback(marker.unlink)
+            if not free or (path.exists() and not replace):
+                raise FileExistsError(errno.EEXIST, "taken", str(path))
+        yield
 
 
 def lock(file: BinaryIO) -> bool:
     """Lock a file until it is closed; return whether no other process had locked it."""
-    try:
-        import fcntl
+    import fcntl
 
+    try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except (ImportError, OSError):
-        return True  # this system, or the disk, has no file locks
+    except OSError:
+        return True  # this disk has no file locks
     return True
 
 

@@ -13,8 +13,8 @@ from typing import TypeVar
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 Show = Callable[[str, float | None, str], None]
-"""Callback for the progress of a stage, also from other threads: its name, the completed share from
-0 to 1 (None while it is unknown), and its state in a few words."""
+"""Callback for the progress of a stage, also from other threads: its name, the completed fraction
+(None while it is unknown), and its state in a few words."""
 
 
 def completed(

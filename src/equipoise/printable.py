@@ -8,12 +8,7 @@ Escaping is idempotent.
 import re
 from collections.abc import Mapping
 from math import floor, log10
-from typing import Any, Final
-
-SPACES: Final = "\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}\N{THIN SPACE}"
-"""Spaces in texts of Equipoise, which `str.isprintable` rejects."""
-LAYOUT: Final = "\n\t"
-"""Line breaks and tabs, which are kept in multi-line text."""
+from typing import Any
 
 
 def printable(text: str, *, layout: bool = False) -> str:
@@ -29,7 +24,10 @@ def printable(text: str, *, layout: bool = False) -> str:
     """
     if text.isprintable():
         return text
-    kept = SPACES + LAYOUT if layout else SPACES
+    # Spaces in texts of Equipoise, which `str.isprintable` rejects.
+    kept = "\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}\N{THIN SPACE}"
+    if layout:
+        kept += "\n\t"
     return "".join(
         one if one.isprintable() or one in kept else one.encode("unicode_escape").decode()
         for one in text

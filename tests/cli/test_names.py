@@ -1,7 +1,5 @@
-"""Names of files: second calls, calls at the same time, and calls that were killed."""
+"""Names of files: second calls, calls at the same time, and calls that fail."""
 
-import os
-import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -9,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from equipoise.artefacts import claimed, temporary_name
 from equipoise.control.policy import shipped_policy
 from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
@@ -75,11 +72,6 @@ def test_a_name_that_is_given_is_kept_for_its_file(equipoise, refused, tmp_path)
     run = ("deploy", "--duration=0.3", "--out=mine.mcap")
     assert equipoise(*run).code == 0
     refused(*run, saying="mine.mcap exists; give another name, or --force to replace it")
-    with claimed(tmp_path / "mine.mcap"):
-        refused(*run, "--force", saying="another command is writing mine.mcap")
-    with claimed(tmp_path / "board"):
-        link = ("--encoder-link", "board")
-        refused("rig", "emulate", *link, saying="another command is writing board")
     assert equipoise(*run, "--force", "--seed=1").code == 0
     assert RunLog.load(tmp_path / "mine.mcap").conditions.seed == 1
 
@@ -102,44 +94,13 @@ def test_commands_at_the_same_time_lose_nothing(together, swing, tmp_path):
     assert RunLog.load(tmp_path / "named.mcap").conditions.seed in (1, 2)
 
 
-KILLED = """
-import sys
-from pathlib import Path
-from equipoise.artefacts import claimed, temporary_name
-path = Path("run.mcap")
-with claimed(path) as free:
-    temporary_name(path).touch()
-    print(free, flush=True)
-    sys.stdin.read()
-"""
-
-
-@pytest.mark.skipif(os.name != "posix", reason="there are no file locks")
-def test_the_name_of_a_killed_process_is_free_and_what_it_left_is_removed(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    path = Path("run.mcap")
-    with subprocess.Popen(
-        [sys.executable, "-c", KILLED], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as process:
-        assert process.stdout.readline() == b"True\n"
-        with claimed(path) as free:
-            assert not free
-        assert len(contents(tmp_path)) == 2
-        process.send_signal(signal.SIGKILL)
-    other = temporary_name(Path("run-2.mcap"))
-    other.touch()
-    with claimed(path) as free:
-        assert free
-    assert contents(tmp_path).keys() == {str(other)}
-
-
 def test_a_verb_that_fails_leaves_neither_file_nor_folder(equipoise, tmp_path):
     ran = equipoise("reproduce", "--swing", "none.csv", "--out", "deep/report")
     assert ran.code == 2
     assert not list(tmp_path.iterdir())
     (tmp_path / "file").touch()
     ran = equipoise("deploy", "--out", "file/run.mcap")
-    assert (ran.code, "takes no file for file/run.mcap" in ran.err) == (3, True)
+    assert (ran.code, "error: file exists" in ran.err) == (2, True)
     ran = equipoise("deploy", "--out", "a" * 300 + ".mcap")
     assert (ran.code, "File name too long" in ran.err) == (3, True)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]

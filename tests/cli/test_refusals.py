@@ -20,7 +20,7 @@ REFUSED = {
     ("reproduce", "--swing", "none.csv", "--out", "full"): "none.csv",
     ("refine", "small.json", "none.mcap", "--out", "taken.json"): "none.mcap",
     ("log", "export", "none.mcap", "--out", "full"): "none.mcap",
-    ("evaluate", "--out", "folder.json"): "is a folder",
+    ("evaluate", "--out", "folder.json"): "folder.json exists",
     ("reproduce", "--out", "full"): "is not empty",
     ("log", "export", "cut.mcap", "--video", "x.gif"): ".webp",
     # Kinds of files

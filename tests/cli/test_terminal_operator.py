@@ -112,18 +112,6 @@ def test_a_question_is_answered_by_a_line_which_is_shown(seat):
         assert console.read_input() == ["x"]
 
 
-def test_what_was_mistyped_can_be_taken_back(seat):
-    terminal, console = seat()
-    with single_keys():
-        console.notify(OperatorMessage("checklist", "Type estop.", ("estop",)))
-        terminal.shows()
-        terminal.type("\x7festpo\x7f\x7f")
-        assert console.read_input() == []
-        assert terminal.shows() == "estpo\b \b\b \b"
-        terminal.type("op\n")
-        assert console.read_input() == ["estop"]
-
-
 def test_an_angle_in_passing_gives_way_to_what_is_told(seat):
     terminal, console = seat()
     with single_keys():

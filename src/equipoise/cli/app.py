@@ -8,14 +8,10 @@ from equipoise.cli.deploy import deploy
 from equipoise.cli.doctor import doctor
 from equipoise.cli.emulate import emulate
 from equipoise.cli.evaluate import evaluate
-from equipoise.cli.identify import identify
+from equipoise.cli.identify import identify, record, refine
 from equipoise.cli.logs import explain, export
 from equipoise.cli.pages import console, play, show
-from equipoise.cli.record import record
-from equipoise.cli.refine import refine
-from equipoise.cli.reproduce import reproduce
-from equipoise.cli.train import train
-from equipoise.cli.warm_up import warm_up
+from equipoise.cli.train import reproduce, train, warm_up
 
 group = partial(
     typer.Typer,

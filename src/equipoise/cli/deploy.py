@@ -3,22 +3,19 @@
 One program for a simulated run, an emulated rig and a real rig.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
 from equipoise.cli import options as opt
+from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
-from equipoise.cli.verb import Options, command, verb
 from equipoise.errors import InputError
 from equipoise.user_code import guest_code
 
 if TYPE_CHECKING:
-    from equipoise.rig.config import RigSettings
     from equipoise.rig.request import RunRequest
 
 
@@ -73,44 +70,41 @@ def deploy(
         raise InputError("--excite moves a simulated arm; give it --arm and --pendulum alone")
     if not on_a_rig and on_rig != OnRig():
         raise InputError("--dry-run, --max-speed and --identify need --robot")
-    identified = ("-actuator.json",) if on_rig.identify else ()
-    read = policy, task.pendulum, rig.rig
-    place = partial(files.file, output, "run.mcap", *read, suffix=".mcap", beside=identified)
     if on_a_rig:
-        _run_on_rig(output, policy, run, task, rig, on_rig, place)
+        _run_on_rig(output, policy, run, task, rig, on_rig, files)
         return
 
     from equipoise.model.worlds import read_world
     from equipoise.outcomes import Outcome
-    from equipoise.rig import simulate
+    from equipoise.rig.simulate import excite, simulate_run
     from equipoise.worlds import setup_of
 
-    common: Any = {"world": run.world, "seed": run.seed}
+    world, seed = run.world, run.seed
     if run.excite:
-        arm, _ = opt.read_arm(task.arm or "iiwa7"), read_world(run.world)
-        length, made, out = run.duration or 10.0, dict[str, str](), place()
+        arm, _ = opt.read_arm(task.arm or "iiwa7"), read_world(world)
+        out = files.file(output, "run.mcap", task.pendulum, suffix=".mcap")
+        length = run.duration or 10.0
         with output.busy("moving the arm"):
-            log = simulate.excite(arm, pendulum=task.pendulum, duration=length, **common)
+            log = excite(arm, pendulum=task.pendulum, duration=length, world=world, seed=seed)
+        code, then, inputs = 0, command("identify", out), dict[str, str]()
     else:
-        chosen = task.read(policy)
-        setup_of(chosen, run.world, actuator=task.actuator)
-        out = place()
+        chosen, actuator = task.read(policy), task.actuator
+        setup_of(chosen, world, actuator=actuator)
+        out = files.file(output, "run.mcap", policy, task.pendulum, suffix=".mcap")
         output.warn(chosen.shortfall)
         with output.busy("running"):
-            log = simulate.simulate_run(
-                chosen, actuator=task.actuator, duration=run.duration, **common
+            log = simulate_run(
+                chosen, world=world, actuator=actuator, duration=run.duration, seed=seed
             )
-        made = {"policy": log.conditions.policy}
-    log.save(out, command="deploy", inputs=made)
-    then = command("log explain", out)
-    if run.excite:
-        then = command("identify", out)
+        code, then = int(log.outcome != Outcome.LASTED), command("log explain", out)
+        inputs = {"policy": log.conditions.policy}
+    log.save(out, command="deploy", inputs=inputs)
     output.result(
         outcome=log.outcome,
         lasted_s=log.lasted,
         run=out,
         world=log.conditions.world,
-        code=0 if run.excite else int(log.outcome != Outcome.LASTED),
+        code=code,
         then=then,
     )
 
@@ -126,47 +120,37 @@ def _request(
     from equipoise.control.bound_policy import BoundPolicy
     from equipoise.identification.actuator import identify_actuator
     from equipoise.model.actuator import read_actuator
-    from equipoise.rig.config import world_of
+    from equipoise.rig.config import RigSettings, read_rig, world_of
     from equipoise.rig.request import RunRequest
 
     if run.world != Run().world:
         raise InputError("--world is for a simulated run; leave it out, or leave out the rig")
-    described = _described(rig, task)
+    described = read_rig(rig.rig)
+    if task.arm is not None:
+        arm: dict[str, object] = {"arm": task.arm}
+        if Path(task.arm).suffix.lower() == ".toml":
+            fields = {"arm", "held", "tip", "acceleration_deg", "home_deg", "pivot_mm"}
+            arm = read_rig(Path(task.arm)).model_dump(include=fields)
+        described = RigSettings.model_validate({**dict(described), **arm})
     robot = rig.robot or described.robot
     if robot is None:
         raise InputError("the rig names no robot; give --robot")
-    encoder = rig.encoder if world_of(robot) else rig.encoder or described.encoder
     chosen = task.read(policy)
     if isinstance(chosen, BoundPolicy):
         chosen = replace(chosen, arm=described.described_arm)
     output.warn(chosen.shortfall)
-    given = task.actuator
-    actuator = chosen.actuator if given is None else read_actuator(given)
     return RunRequest(
         chosen,
-        actuator,
+        chosen.actuator if task.actuator is None else read_actuator(task.actuator),
         described,
         robot,
-        encoder,
+        rig.encoder if world_of(robot) else rig.encoder or described.encoder,
         run.duration or 60.0,
         max_speed=on_rig.max_speed,
         dry_run=on_rig.dry_run,
         seed=run.seed,
         identify=identify_actuator if on_rig.identify else None,
     )
-
-
-def _described(rig: opt.Rig, task: opt.Task) -> "RigSettings":
-    """Return the description of the rig, with the arm of `--arm`."""
-    from equipoise.rig.config import RigSettings, read_rig
-
-    described, arm = read_rig(rig.rig), {"arm": task.arm}
-    if task.arm is None:
-        return described
-    if Path(task.arm).suffix.lower() == ".toml":
-        fields = ("arm", "held", "tip", "acceleration_deg", "home_deg", "pivot_mm")
-        arm = read_rig(Path(task.arm)).model_dump(include=set(fields))
-    return RigSettings.model_validate({**dict(described), **arm})
 
 
 def _run_on_rig(
@@ -176,7 +160,7 @@ def _run_on_rig(
     task: opt.Task,
     rig: opt.Rig,
     on_rig: OnRig,
-    place: Callable[[], Path],
+    files: opt.Files,
 ) -> None:
     """Run on an emulated or a real rig, write the log, and print the result."""
     from equipoise.cli.terminal_operator import TerminalOperator, single_keys
@@ -193,7 +177,9 @@ def _run_on_rig(
         require(check_fit(request.policy, request.actuator, request.settings))
         with guest_code(f"the driver of {request.robot}"):
             devices = connect(request)  # nothing is opened before the run
-    out = place()
+    identified = ("-actuator.json",) if on_rig.identify else ()
+    read = policy, task.pendulum, rig.rig
+    out = files.file(output, "run.mcap", *read, suffix=".mcap", beside=identified)
     if world_of(request.robot):
         with signals() as stopped, guest_code(f"the driver of {request.robot}"):
             end = run_virtually(request, out, TerminalOperator(output, stopped), rig=devices)
@@ -201,23 +187,17 @@ def _run_on_rig(
         with single_keys():
             operator = TerminalOperator(output)
             end = run_in_processes(request, out, operator, operator.live)
-    actuator = None
+    actuator, then = None, command("log explain", out)
     if end.identified is not None:
-        actuator = out.with_name(out.stem + "-actuator.json")
+        actuator = out.with_name(f"{out.stem}-actuator.json")
         end.identified.save(actuator, command="deploy", inputs={})
-    then = command("log explain", out)
     if end.outcome is Outcome.DRY_RUN:
         moving = on_rig.model_copy(update={"dry_run": False})
         then = command("deploy", policy, run, rig, moving, task)
     elif end.outcome is Outcome.UNIDENTIFIED and actuator is not None:
         pendulum = opt.file_of(request.policy.pendulum.digest, shipped_pendulum())
         arm = task.arm or rig.rig or opt.name_of(request.policy.arm)
-        then = command(
-            "train",
-            task.pendulum or pendulum,
-            arm=arm,
-            actuator=actuator,
-        )
+        then = command("train", task.pendulum or pendulum, arm=arm, actuator=actuator)
     output.result(
         outcome=end.outcome,
         reason=end.reason,

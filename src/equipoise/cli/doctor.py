@@ -5,8 +5,8 @@ from typing import Annotated
 from pydantic import Field
 
 from equipoise.cli import options as opt
+from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output
-from equipoise.cli.verb import Options, command, verb
 from equipoise.errors import InputError
 
 

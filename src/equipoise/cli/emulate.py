@@ -7,8 +7,8 @@ import time
 from pathlib import Path
 
 from equipoise.cli import options as opt
+from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
-from equipoise.cli.verb import Options, command, verb
 
 
 class Emulated(Options):
@@ -51,8 +51,7 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
         output.stream.flush()
 
     settings = read_world(emulated.world).settings
-    if (link := emulated.encoder_link) is not None:
-        opt.Files(out=link, force=True).file(output, "", suffix=link.suffix.lower())
+    link = emulated.encoder_link
     emulation = Emulation(
         emulated.robot,
         opt.read_arm(emulated.arm),

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import Field
 
 from equipoise.cli import options as opt
+from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output
-from equipoise.cli.verb import Options, command, verb
 from equipoise.errors import InputError
+from equipoise.settings import changed
 
 if TYPE_CHECKING:
-    from equipoise.worlds.evaluation import Summary, TrialResults
+    from equipoise.worlds.evaluation import TrialResults
 
 
 class Report(opt.Files):
@@ -62,22 +63,33 @@ def evaluate(
     from equipoise.control.bound_policy import BUILT_IN
     from equipoise.executors import counted
     from equipoise.worlds import setup_of
-    from equipoise.worlds.evaluation import evaluate, trials_for
+    from equipoise.worlds.evaluation import (
+        CLAIM_CONFIDENCE,
+        allowed_failures,
+        evaluate,
+        lower_bound,
+        trials_for,
+    )
 
-    chosen = task.read(policy)
-    given = {"trials": trials.trials, "duration": trials.duration}
-    if trials.claim is not None:
-        given["trials"] = trials.trials or trials_for(trials.claim)
-        check_claim(given["trials"], trials.claim)
-    changes = {name: value for name, value in given.items() if value is not None}
-    settings = chosen.settings.evaluation
-    changed = settings.model_validate({**dict(settings), **changes})
-    settings = chosen.settings.model_copy(update={"evaluation": changed})
+    chosen, claim = task.read(policy), trials.claim
+    count = trials.trials
+    if count is None and claim is not None:
+        count = trials_for(claim)
+    changes = {"evaluation.trials": count, "evaluation.duration": trials.duration}
+    known = {name: value for name, value in changes.items() if value is not None}
+    settings = changed(chosen.settings, known)
+    count = settings.evaluation.trials
+    if claim is not None and allowed_failures(count, claim) < 0:
+        least = ceil(log(1.0 - CLAIM_CONFIDENCE) / log(claim))
+        raise InputError(
+            f"{count:,} trials cannot grant a claim of {claim:g}, even if all survive; give "
+            f"--trials {least} or more"
+        )
     setup_of(chosen, trials.world, settings, task.actuator)
     out = files.out and files.file(output, "", policy, task.pendulum)
     output.warn(chosen.shortfall)
-    with_baselines = not trials.no_baselines and trials.claim is None
-    total = changed.trials * (1 + len(BUILT_IN) * with_baselines)
+    with_baselines = not trials.no_baselines and claim is None
+    total = count * (1 + len(BUILT_IN)) if with_baselines else count
     with output.progress() as show:
         evaluation = evaluate(
             chosen,
@@ -92,56 +104,30 @@ def evaluate(
     if out is not None:
         inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
         evaluation.save(out, command="evaluate", inputs=inputs)
-    fields = _trial_fields(evaluation.results)
+    fields: dict[str, Any] = _trial_fields(evaluation.results)
     code = int(fields["median_s"] < evaluation.duration)
-    if trials.claim is not None:
-        verdict = claim_fields(evaluation.results.summary(), trials.claim)
-        fields, code = verdict | fields, int(not verdict["granted"])
-    world = trials.world if trials.world.startswith("twin:") else None
+    if claim is not None:
+        bound = lower_bound(fields["survived"], count, CLAIM_CONFIDENCE)
+        granted = bound >= claim
+        verdict: dict[str, Any] = {"granted": granted, "claim": claim, "bound_95": bound}
+        fields = verdict | {"allowed_failures": allowed_failures(count, claim)} | fields
+        code = int(not granted)
+    twin = trials.world if trials.world.startswith("twin:") else None
     output.result(
         **fields,
         duration_s=evaluation.duration,
         world=evaluation.world,
         arm=evaluation.arm,
         seed=evaluation.seed,
-        baselines={each.name: _trial_fields(each) for each in evaluation.baselines},
+        baselines={one.name: _trial_fields(one) for one in evaluation.baselines},
         file=out,
         code=code,
-        then=command("deploy", policy, task, world=world),
+        then=command("deploy", policy, task, world=twin),
     )
 
 
 def _trial_fields(results: "TrialResults") -> dict[str, Any]:
     """Return the summary of trials as fields of a result."""
-    found = results.summary()
-    counts = {name: getattr(found, name) for name in ("survived", "trials", "rate", "outcomes")}
-    return counts | {"interval_95": found.interval, "median_s": found.median}
-
-
-def check_claim(trials: int, claim: float) -> None:
-    """Check that trials can grant a claim.
-
-    Raises:
-        InputError: They are too few, even if all survive.
-    """
-    from equipoise.worlds.evaluation import CLAIM_CONFIDENCE, allowed_failures
-
-    if allowed_failures(trials, claim) < 0:
-        least = ceil(log(1.0 - CLAIM_CONFIDENCE) / log(claim))
-        raise InputError(
-            f"{trials:,} trials cannot grant a claim of {claim:g}, even if all survive; give "
-            f"--trials {least} or more"
-        )
-
-
-def claim_fields(found: "Summary", claim: float) -> dict[str, Any]:
-    """Return the verdict on a claim as fields of a result."""
-    from equipoise.worlds.evaluation import CLAIM_CONFIDENCE, allowed_failures, lower_bound
-
-    bound = lower_bound(found.survived, found.trials, CLAIM_CONFIDENCE)
-    return {
-        "granted": bound >= claim,
-        "claim": claim,
-        "bound_95": bound,
-        "allowed_failures": allowed_failures(found.trials, claim),
-    }
+    summary = results.summary()
+    counts = {name: getattr(summary, name) for name in ("survived", "trials", "rate", "outcomes")}
+    return counts | {"interval_95": summary.interval, "median_s": summary.median}

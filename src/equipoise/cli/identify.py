@@ -1,15 +1,17 @@
-"""`equipoise identify`: identifies a pendulum from a swing, or an actuator from a run log."""
+"""Verbs that identify pendulum and arm: `equipoise identify`, `refine` and `rig record`."""
 
+from contextlib import closing
 from math import degrees
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 
 from equipoise.cli import options as opt
+from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output
-from equipoise.cli.verb import Options, command, verb
 from equipoise.errors import InputError
+from equipoise.user_code import guest_code
 
 
 class Swing(Options):
@@ -110,4 +112,94 @@ def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:
         warnings=list(filter(None, [run.damage])),
         actuator=out,
         then=command("train", pendulum, arm=arm, actuator=out),
+    )
+
+
+@verb
+def refine(output: Output, policy: Path, run: Path, *, files: opt.Files) -> None:
+    """Compare a run log with the model of a policy, and write what has changed.
+
+    POLICY is the table that ran, RUN is a log from equipoise deploy.
+    Identifies w2 and the actuator again, and writes those that left their
+    intervals: the pendulum (refined.json), and the actuator beside it.
+    """
+    from equipoise.control.policy import TabularPolicy
+    from equipoise.identification.refine import inspect
+    from equipoise.logs.run_log import load_run
+    from equipoise.model.actuator import shipped_actuator
+    from equipoise.model.pendulum import shipped_pendulum
+
+    table = TabularPolicy.load(policy)
+    log = load_run(run)
+    out = files.file(output, "refined.json", policy, run, beside=("-actuator.json",))
+    output.warn(log.damage)
+    with output.busy("identifying again"):
+        findings = inspect(table, log)
+    inputs = {"policy": table.digest, "run": log.digest}
+    paths: dict[str, Any] = {}
+    pendulum = opt.file_of(table.pendulum.digest, shipped_pendulum())
+    actuator = opt.file_of(table.actuator.digest, shipped_actuator())
+    if findings.pendulum.digest != table.pendulum.digest:
+        paths["pendulum"] = pendulum = out
+        findings.pendulum.save(out, command="refine", inputs=inputs)
+    if findings.actuator.digest != table.actuator.digest:
+        paths["actuator"] = actuator = out.with_name(out.stem + "-actuator.json")
+        findings.actuator.save(actuator, command="refine", inputs=inputs)
+    arm = opt.name_of(table.arm)
+    then = command("train", pendulum, arm=arm, actuator=actuator)
+    output.result(
+        findings.fit,
+        **findings.response,
+        moved=list(findings.moves.values()) or ["nothing"],
+        warnings=findings.warnings,
+        **paths,
+        then=then if paths else "",
+    )
+
+
+class Recording(Options):
+    """The recording."""
+
+    encoder: str
+    """Address of the encoder, e.g. serial:///dev/ttyACM0."""
+    duration: Annotated[float, Field(ge=1.0, le=600.0)] = 30.0
+    """Maximum duration from the release [s]."""
+    counts_per_rev: int | None = None
+    """Encoder counts per revolution, after x4."""
+
+
+@verb
+def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
+    """Record a free swing of the pendulum from its encoder (swing.csv).
+
+    Hold the pivot still. Let the pendulum hang, lift it, hold it, release it.
+    The angle is shown meanwhile. Ctrl-C ends the recording without a file.
+    """
+    from equipoise.identification.recording import write_swing
+    from equipoise.rig.clocks import SystemClock
+    from equipoise.rig.connection import open_encoder
+    from equipoise.robots.encoder.swing import record_swing
+
+    clock = SystemClock()
+    sensor = open_encoder(recording.encoder, clock, counts_per_rev=recording.counts_per_rev)
+    out = files.file(output, "swing.csv", suffix=".csv")
+    driver = guest_code(f"the driver of {recording.encoder}")
+    with output.busy("connecting") as rename, driver, closing(sensor):
+        sensor.connect()
+        swing, missing = record_swing(
+            sensor,
+            clock,
+            recording.duration,
+            tell=lambda instruction: output.tell(f"  {instruction}"),
+            show=lambda theta: rename(f"{degrees(theta):+7.1f} deg"),
+        )
+    write_swing(out, swing)
+    output.result(
+        samples=len(swing.time),
+        duration_s=float(swing.time[-1]),
+        missing=missing,
+        rejected=sensor.rejected,
+        counts_per_rev=sensor.counts_per_rev,
+        recording=out,
+        then=command("identify", out),
     )

@@ -1,24 +1,128 @@
-"""Options that several verbs share, in groups, and the values that they name."""
+"""Verbs of the command line, and the options that several of them share.
+
+A verb is a function that takes an `Output`, arguments by position, and groups of options by
+keyword. A field of a group is an option, its docstring the help text, and the first line of the
+group's docstring the title above it. `verb` makes the flat signature that typer reads, adds
+`--json`, and ends an interruption with its exit code. A help text lists the names of a table of
+`TABLES` by {NAME}.
+"""
 
 import os
+import shlex
+import signal
 from collections.abc import Callable, Iterable
-from contextlib import ExitStack, suppress
-from itertools import count
+from contextlib import suppress
+from importlib.metadata import entry_points
+from inspect import Parameter, Signature, getdoc, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Final, get_args, get_type_hints
 
-from pydantic import Field
+import typer
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from rich.markup import escape
 
-from equipoise.artefacts import claimed
-from equipoise.cli.output import Output
-from equipoise.cli.verb import Options
-from equipoise.errors import InputError
+from equipoise.artefacts import reserved
+from equipoise.cli.output import Output, complain, signals
+from equipoise.errors import INTERRUPTED, InputError
+from equipoise.learning.rewards import REWARDS
+from equipoise.model.worlds import WORLDS
+from equipoise.settings import RECIPES, Friction
 
 if TYPE_CHECKING:
     from equipoise.artefacts import Artefact
     from equipoise.control.policy import TaskPolicy
     from equipoise.model.arms.arm import Arm
     from equipoise.settings import Settings
+
+TABLES: Final = {
+    "arms": sorted(entry_points(group="equipoise.arms").names),
+    "frictions": get_args(Friction),
+    "recipes": RECIPES,
+    "rewards": REWARDS,
+    "worlds": WORLDS,
+}
+"""Names that help texts list; each table is light to import."""
+
+
+class Options(BaseModel):
+    """Group of options."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+def verb(function: Callable[..., None]) -> Callable[..., None]:
+    """Return a verb with the flat signature that typer reads."""
+    hints, parameters = get_type_hints(function), list[Parameter]()
+    groups: dict[str, type[Options]] = {}
+
+    def add(name: str, kind: Any, default: Any, declaration: Any) -> None:
+        annotation = Annotated[kind, declaration]
+        parameters.append(
+            Parameter(name, Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
+        )
+
+    for name, parameter in signature(function).parameters.items():
+        kind = hints[name]
+        if parameter.kind is Parameter.KEYWORD_ONLY:
+            groups[name] = kind
+            title = (getdoc(kind) or "").partition("\n")[0].rstrip(".")
+            kinds = get_type_hints(kind)  # without the bounds
+            for field, info in kind.model_fields.items():
+                names = {table: ", ".join(TABLES[table]) for table in TABLES}
+                text = escape((info.description or "").format_map(names))
+                option = typer.Option(_name(field), help=text, rich_help_panel=title)
+                default = Parameter.empty if info.is_required() else info.default
+                add(field, kinds[field], default, option)
+        elif kind is not Output:
+            argument = typer.Argument(metavar=name.upper(), show_default=False)
+            add(name, kind, parameter.default, argument)
+    json = typer.Option("--json", help="Print one JSON object and nothing else.")
+    add("as_json", bool, False, json)
+
+    def run(*, as_json: bool, **args: Any) -> None:
+        try:
+            for name, group in groups.items():
+                args[name] = group(**{field: args.pop(field) for field in group.model_fields})
+            output = Output(as_json)
+            with signals(raising=True) as output.stopped, output.reserved_names:
+                function(output, **args)
+        except ValidationError as error:
+            fault = error.errors()[0]
+            raise InputError(f"{_name(str(fault['loc'][-1]))}: {fault['msg']}") from None
+        except KeyboardInterrupt:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing interrupts the clean-up
+            complain("interrupted")
+            raise typer.Exit(INTERRUPTED) from None
+
+    run.__name__, run.__doc__, run.__annotations__ = function.__name__, function.__doc__, {}
+    run.__signature__ = Signature(parameters)  # pyright: ignore[reportFunctionMemberAccess]
+    return run
+
+
+def command(verb: str, *arguments: object, **options: object) -> str:
+    """Return the next command to try, as typed after `equipoise`.
+
+    Args:
+        verb: The verb.
+        arguments: Arguments, without those that are None; of a group of options, those that differ
+            from the defaults.
+        options: Further options by their fields; None is left out.
+    """
+    words, fields = verb.split(), dict[str, object]()
+    for argument in arguments:
+        if isinstance(argument, Options):
+            fields |= argument.model_dump(exclude_defaults=True)
+        elif argument is not None:
+            words.append(str(argument))
+    for field, value in (fields | options).items():
+        for one in value if isinstance(value, list) else [value]:
+            if one is not None:
+                words += [_name(field)] if one is True else [_name(field), str(one)]
+    return shlex.join(words)
+
+
+def _name(field: str) -> str:
+    return "--" + field.rstrip("_").replace("_", "-")
 
 
 Seed = Annotated[int, Field(ge=0, lt=2**32)]
@@ -135,67 +239,63 @@ class Files(Options):
             beside: Ends of the names of further files, after the stem.
 
         Raises:
-            InputError: The name has another suffix, or a file exists, is read, or is being written.
-            OutsideError: The folder cannot be written.
+            InputError: The name has another suffix, or a file exists or is read.
+            OSError: It cannot be written.
         """
-        read = [one for one in inputs if one and os.path.exists(one)]
+        read = [path for path in inputs if path and os.path.exists(path)]
 
-        def refusal(out: Path, claims: ExitStack) -> str:
+        def reserve(out: Path) -> None:
             if out.suffix.lower() != suffix:
-                return f"{out} is to be written; give a name that ends in {suffix}"
-            for path in (out, *(out.with_name(out.stem + end) for end in beside)):
-                if not claims.enter_context(claimed(path)):
-                    return f"another command is writing {path}; give another name"
-                if path.is_dir():
-                    return f"{path} is a folder; give the name of a file to write"
+                raise InputError(f"{out} is to be written; give a name that ends in {suffix}")
+            paths = [out, *(out.with_name(out.stem + end) for end in beside)]
+            for path in paths if self.out or self.force else ():
                 if path.exists() and any(map(path.samefile, read)):
-                    return f"{path} is read and would be written over; give another name"
-                if os.path.lexists(path) and not self.force:
-                    return f"{path} exists; give another name, or --force to replace it"
-            return ""
+                    raise InputError(f"{path} is read and would be written over; give another name")
+            output.reserved_names.enter_context(reserved(paths, replace=self.force))
 
-        return self._reserve(output, Path(default), refusal)
+        return self._reserve(output, Path(default), reserve)
 
     def folder(self, output: Output, default: Path) -> Path:
-        """Return the folder to write, which may be new; it is reserved as a file is.
+        """Return the folder to write; it is created, and removed if it stays empty.
 
         Raises:
-            InputError: It has files that shall not be replaced, or is being written.
-            OutsideError: It is a file, or cannot be written.
+            InputError: It has files that shall not be replaced.
+            OSError: It cannot be created.
         """
 
-        def refusal(out: Path, claims: ExitStack) -> str:
-            if not claims.enter_context(claimed(out / "folder")):
-                return f"another command is writing {out}; give another name"
-            if any(one.name[0] != "." for one in out.iterdir()) and not self.force:
-                return f"{out} is not empty; give another name, or --force to write there"
-            return ""
+        def reserve(out: Path) -> None:
+            if not out.exists():
+                output.reserved_names.callback(_remove_empty, out)
+            out.mkdir(parents=True, exist_ok=self.out is not None or self.force)
+            if not self.force and any(path.name[0] != "." for path in out.iterdir()):
+                raise InputError(
+                    f"{out} is not empty; give another name, or --force to write there"
+                )
 
-        return self._reserve(output, default, refusal)
+        return self._reserve(output, default, reserve)
 
-    def _reserve(
-        self, output: Output, default: Path, refusal: Callable[[Path, ExitStack], str]
-    ) -> Path:
-        """Return the first free name: that of `--out`, or the default with a number.
+    def _reserve(self, output: Output, default: Path, reserve: Callable[[Path], None]) -> Path:
+        """Return the first name that is free: that of `--out`, or the default with a number."""
+        out, number = self.out or default, 2
+        while True:
+            try:
+                reserve(out)
+            except FileExistsError as error:
+                if self.out is not None:
+                    raise InputError(
+                        f"{error.filename} exists; give another name, or --force to replace it"
+                    ) from None
+                out = default.with_stem(f"{default.stem}-{number}")
+                number += 1
+            else:
+                if out not in (self.out, default):
+                    output.tell(f"{default} is taken; writing {out}")
+                return out
 
-        Args:
-            output: Output of the verb, which keeps the reservation.
-            default: Name without `--out`.
-            refusal: Reserves a name; returns the reason for which it cannot be written, or "".
-        """
-        out = self.out or default
-        for number in count(2):
-            with ExitStack() as claims:
-                reason = refusal(out, claims)
-                if not reason:
-                    output.claims.enter_context(claims.pop_all())
-                    break
-            if self.out is not None:
-                raise InputError(reason)
-            out = default.with_stem(f"{default.stem}-{number}")
-        if out not in (self.out, default):
-            output.tell(f"{default} is taken; writing {out}")
-        return out
+
+def _remove_empty(folder: Path) -> None:
+    with suppress(OSError):  # it has files
+        folder.rmdir()
 
 
 def read_arm(name: str) -> "Arm":

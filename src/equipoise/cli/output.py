@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from typing import TYPE_CHECKING, Any, Final, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 from pydantic_core import to_json
@@ -27,26 +27,9 @@ if TYPE_CHECKING:
 
     from equipoise.executors import Show
 
-VERDICT_STYLES = {"good": "green", "warning": "yellow", "bad": "bold red"}
-"""Styles of the verdicts of checks."""
-MAX_WIDTH: Final = 10_000
-"""Width that no table needs [characters]."""
-
 
 class EscapingConsole(Console):
-    """A console that escapes all control characters except its own.
-
-    Text as a string is escaped before it is measured and wrapped; all else when it is rendered, and
-    may then be longer than its place in a table.
-    """
-
-    def __init__(self, *, stderr: bool = False, quiet: bool = False) -> None:
-        """Print to stdout or stderr; a quiet console prints nothing."""
-        super().__init__(stderr=stderr, quiet=quiet, markup=False, emoji=False, highlight=False)
-
-    def render_str(self, text: str, **kwargs: Any) -> Text:
-        """Return a string as rich text."""
-        return super().render_str(printable(text, layout=True), **kwargs)
+    """A console that escapes all control characters except its own."""
 
     def render(
         self, renderable: RenderableType, options: ConsoleOptions | None = None
@@ -57,15 +40,22 @@ class EscapingConsole(Console):
             yield Segment(text, piece.style, piece.control)
 
 
+def _console(*, stderr: bool = False, quiet: bool = False) -> EscapingConsole:
+    """Return a console on stdout or stderr, whose text is no markup; a quiet one prints nothing."""
+    return EscapingConsole(stderr=stderr, quiet=quiet, markup=False, emoji=False, highlight=False)
+
+
 class Output:
     """Output of one run of a verb."""
 
     def __init__(self, as_json: bool) -> None:
         """Print text, or one JSON object."""
         self._as_json = as_json
-        self._words = EscapingConsole(quiet=as_json)
-        self._messages = EscapingConsole(stderr=True)
-        self.claims = ExitStack()
+        self._words = _console(quiet=as_json)
+        self._messages = _console(stderr=True)
+        self.stopped = threading.Event()
+        """Whether a signal has ended the verb; `verb` replaces it."""
+        self.reserved_names = ExitStack()
         """Names of the files that the verb writes, reserved until its end."""
 
     def tell(self, what: Any) -> None:
@@ -137,24 +127,24 @@ class Output:
         stages: dict[str, progress.TaskID] = {}
         lock, compiled = threading.Lock(), 0
 
-        def update(stage: str, share: float | None, text: str) -> None:
+        def update(stage: str, fraction: float | None, text: str) -> None:
             with lock:
                 if stage not in stages:
                     stages[stage] = bars.add_task(stage, text="", total=None)
-                total = None if share is None else 1.0
-                bars.update(stages[stage], text=text, total=total, completed=share or 0.0)
+                total = None if fraction is None else 1.0
+                bars.update(stages[stage], text=text, total=total, completed=fraction or 0.0)
 
         def count(_: str) -> None:
             nonlocal compiled
             compiled += 1
             update("compile", None, f"functions, once on this machine: {compiled}")
 
-        with bars, signals(raising=True) as stopped, watching_compilation(count):
+        with bars, watching_compilation(count):
 
-            def show(stage: str, share: float | None = None, text: str = "") -> None:
-                if stopped.is_set():
+            def show(stage: str, fraction: float | None = None, text: str = "") -> None:
+                if self.stopped.is_set():
                     raise KeyboardInterrupt
-                update(stage, share, text)
+                update(stage, fraction, text)
 
             yield show
             if compiled:
@@ -171,7 +161,7 @@ def complain(message: str, label: str = "") -> None:
     """Print an error on stderr."""
     with suppress(OSError):  # the exit code reports the error, too
         text = Text.assemble((label, "bold red"), printable(message))
-        EscapingConsole(stderr=True).print(text, soft_wrap=True)
+        _console(stderr=True).print(text, soft_wrap=True)
 
 
 @contextmanager
@@ -227,7 +217,7 @@ def _tables(fields: Mapping[str, Any], console: Console) -> list[RenderableType]
                 table.add_column(printable(title), overflow="fold")
             for title, row in zip(value, rows, strict=True):
                 table.add_row(printable(label(title)), *map(as_text, row.values()))
-            free = console.options.update_width(MAX_WIDTH)
+            free = console.options.update_width(10_000)  # no table needs more
             if measure_renderables(console, free, [table]).minimum <= console.width:
                 tables.append(table)
                 continue

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from equipoise.cli import options as opt
+from equipoise.cli.options import verb
 from equipoise.cli.output import Output, signals
-from equipoise.cli.verb import verb
 from equipoise.errors import InputError
 
 
@@ -36,22 +36,15 @@ def play(
     Everyone who has it plays with the same pendulum. It runs until Ctrl-C.
     Needs no robot and no recording.
     """
-    from equipoise.apps.console.play import play
-    from equipoise.apps.console.playground import SCENES
+    from equipoise.apps.console.play import SCENES, PlayPage
+    from equipoise.apps.console.web import serving
 
     if scene not in SCENES:
         raise InputError(f"there is no scene {scene!r}; choose one of {', '.join(SCENES)}")
     yours = None if policy is None else opt.Task().read(policy)
-
-    with signals() as stopped:
-        play(
-            SCENES[scene],
-            lambda address: output.result(playground=address),
-            stopped.is_set,
-            yours=yours,
-            address=page.listen,
-            port=page.port,
-        )
+    with signals() as stopped, serving(page.listen, page.port) as (server, address):
+        output.result(playground=address)
+        PlayPage(server, SCENES[scene], yours).run(stopped.is_set)
 
 
 @verb
@@ -62,13 +55,12 @@ def show(output: Output, run: Path, *, page: opt.Page) -> None:
     times its speed, steps by a tick, and jumps to events. A truncated log is
     shown as far as it is readable.
     """
-    from equipoise.apps.console.replay import show_run
+    from equipoise.apps.console.replay import ReplayPage
+    from equipoise.apps.console.web import serving
     from equipoise.logs.run_log import RunLog
 
     log = RunLog.load(run, damaged=True)
-
-    def ready(address: str) -> None:
+    with signals() as stopped, serving(page.listen, page.port) as (server, address):
+        replay = ReplayPage(server, log, run.stem)
         output.result(run=run, replay=address, warnings=[log.damage])
-
-    with signals() as stopped:
-        show_run(log, run.stem, page.listen, page.port, ready, stopped.is_set)
+        replay.play(stopped.is_set)

@@ -11,9 +11,8 @@ from typing import Any, Final
 
 from rich.text import Text
 
-from equipoise.cli.output import VERDICT_STYLES, Output
+from equipoise.cli.output import Output
 from equipoise.control.ticks import OK
-from equipoise.errors import OutsideError
 from equipoise.printable import printable
 
 STYLES: Final = {
@@ -23,7 +22,9 @@ STYLES: Final = {
     "balancing": "bold green",
     "notice": "yellow",
     "warning": "yellow",
-    **{f"finding {status}": style for status, style in VERDICT_STYLES.items()},
+    "finding good": "green",
+    "finding warning": "yellow",
+    "finding bad": "bold red",
 }
 
 
@@ -110,19 +111,10 @@ def _edit_lines(edits: bool) -> None:
 
 @contextmanager
 def single_keys() -> Generator[None]:
-    """Deliver each key at once while the context is open, on a terminal.
+    """Deliver each key at once while the context is open, on a terminal."""
+    import termios
+    import tty
 
-    Raises:
-        OutsideError: This system has no terminals on which any key could stop a run.
-    """
-    try:
-        import termios
-        import tty
-    except ImportError:
-        raise OutsideError(
-            f"{sys.platform} cannot read single keys of a terminal, with which a run is stopped; "
-            "drive a robot from Linux"
-        ) from None
     if not sys.stdin.isatty():
         yield
         return

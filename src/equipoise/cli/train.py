@@ -1,13 +1,14 @@
-"""`equipoise train`: trains a policy for a pendulum and an arm."""
+"""Verbs that train: `equipoise train`, `reproduce` and `warm-up`."""
 
+import time
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field
 
 from equipoise.cli import options as opt
+from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output
-from equipoise.cli.verb import Options, command, verb
 
 
 class Plant(Options):
@@ -89,4 +90,90 @@ def train(
         warnings=[best.shortfall],
         code=int(bool(best.shortfall)),
         then=command("evaluate", out),
+    )
+
+
+class Extent(Options):
+    """The reproduction."""
+
+    quick: bool = False
+    """Fewer episodes and trials: under a minute."""
+    arm: str = "iiwa7"
+    """{arms}, a URDF or a rig.toml."""
+    swing: Path | None = None
+    """Recorded swing, as identify reads it; by default a simulated one."""
+    counts_per_rev: int | None = None
+    """Encoder counts per revolution, after x4."""
+
+
+@verb
+def reproduce(
+    output: Output,
+    *,
+    extent: Extent,
+    changes: opt.Changes,
+    random: opt.Random,
+    files: opt.Files,
+) -> None:
+    """Reproduce the paper, from a free swing to a report.
+
+    Identification; then training, evaluation and a run on the digital twin, for
+    the literal recipe (paper) and the default one. Ends with a table of both
+    beside the paper's robot. Writes every file to a folder (equipoise-report),
+    with a self-contained report in HTML.
+    """
+    from equipoise.apps.report.page import build
+    from equipoise.apps.report.rows import comparison
+    from equipoise.identification.recording import read_swing
+    from equipoise.learning.choice import with_digests
+    from equipoise.reproduction.pipeline import reproduce
+    from equipoise.reproduction.results import POLICY
+
+    recorded = None
+    if extent.swing is not None:
+        recorded = read_swing(extent.swing, counts_per_rev=extent.counts_per_rev)
+    arm, settings = opt.read_arm(extent.arm), changes.resolve()
+    with_digests(settings.learning)
+    out = files.folder(output, Path("equipoise-report"))
+    with output.progress() as show:
+        found = reproduce(
+            out,
+            swing=recorded,
+            arm=arm,
+            settings=settings,
+            seed=random.seed,
+            quick=extent.quick,
+            workers=random.threads,
+            report=show,
+        )
+        page = build(out, lambda name, fraction: show("report", fraction, name))
+    evaluation = found.default.evaluation
+    output.result(
+        duration_s=evaluation.duration,
+        report=page,
+        comparison=comparison(found),
+        warnings=[found.default.policy.shortfall],
+        code=int(evaluation.results.summary().median < evaluation.duration),
+        then=command("evaluate", out / POLICY, trials=1000),
+    )
+
+
+@verb
+def warm_up(output: Output) -> None:
+    """Compile all kernels once, on all cores, so that every verb starts at once.
+
+    Half a minute on two cores. All environments of a user share the machine
+    code; another version of the package needs its own.
+    """
+    from equipoise.executors import available_cores
+    from equipoise.jit import cache_directory
+    from equipoise.reproduction.warm_up import warm_up
+
+    begin = time.perf_counter()
+    with output.progress() as show:
+        warm_up(available_cores(), show)
+    output.result(
+        compiled_s=round(time.perf_counter() - begin, 1),
+        cache=cache_directory(),
+        then="reproduce",
     )

@@ -1,13 +1,10 @@
-"""Reproduction of the paper: swing, identification, training, evaluations, and a run.
+"""Reproduction of the paper: identify, train, evaluate, deploy on the digital twin.
 
 The policy of the default recipe is trained and evaluated on the training plant, with an actuator
 that was identified on the digital twin; that of the literal recipe, `paper`, on the paper's own
 simulation. Then both are evaluated on the twin, and one run of each is recorded there, as the paper
 recorded one on the robot. An arm with unknown masses has no twin: each run is in the simulation of
-its training.
-
-Each stage takes the previous value and saves its own, so that any stage can be repeated from its
-files. `equipoise.apps.report.page.build` makes the page from the folder.
+its training. `equipoise.apps.report.page.build` makes the page from the folder.
 """
 
 import os
@@ -17,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from equipoise.arguments import Workers, checked
 from equipoise.artefacts import Seed, StrPath
@@ -27,32 +24,24 @@ from equipoise.errors import ArmError
 from equipoise.executors import Show, available_cores, counted
 from equipoise.identification.recording import Trajectory, read_swing, write_swing
 from equipoise.identification.swing import identify
-from equipoise.learning.train import ATTEMPTS, TARGET, train, train_to_target
+from equipoise.learning.train import TARGET, train, train_to_target
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.resolve import read_arm
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.reproduction.results import (
-    EVALUATION,
-    LITERAL,
-    PENDULUM,
-    POLICY,
-    RECORD,
-    RUN,
     SWING,
-    TWIN_EVALUATION,
     RecipeResults,
     ReproductionRecord,
     Results,
     digests,
+    save,
 )
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.reproduction.warm_up import TWIN, is_warm, warm_up
 from equipoise.rig.simulate import simulate_run
 from equipoise.settings import Settings, changed, resolve
-from equipoise.worlds.evaluation import Evaluation, evaluate
+from equipoise.worlds.evaluation import evaluate
 
-COMMAND: Final = "reproduce"
-"""Command in the provenance of the files."""
 QUICK: Final = {
     "learning.episodes": 5000,
     "selection.trials": 16,
@@ -94,120 +83,99 @@ def reproduce(
         RecordingError: The swing identifies no pendulum.
         OutsideError: A file cannot be written.
     """
-    out, arm = Path(out), read_arm(arm)
+    out, arm, workers = Path(out), read_arm(arm), workers or available_cores()
     settings = settings or Settings()
     literal = resolve("paper").model_copy(update={"evaluation": settings.evaluation})
     if quick:
         settings, literal = shortened(settings), shortened(literal)
-    given = read_swing(swing) if isinstance(swing, str | os.PathLike) else swing
-    workers = workers or available_cores()
+    recording = read_swing(swing) if isinstance(swing, str | os.PathLike) else swing
     if not is_warm():
         warm_up(workers, report)
-    stage = Stages(report)
 
-    with stage("swing"):
-        given = given or synthetic_swing(seed)
-        write_swing(out / SWING, given)
-        # The identification reads the file in the folder, so that a figure shows the same data.
-        recorded = replace(read_swing(out / SWING), source=given.source, released=given.released)
-    with stage("identify"):
-        pendulum = identify(recorded, settings.identification)
-        pendulum.save(out / PENDULUM, command=COMMAND, inputs={"swing": recorded.sha256})
-    task: Any = {"pendulum": pendulum, "arm": arm, "seed": seed, "workers": workers}
-    # Without a selection, or with few episodes, the first policy is taken as it is.
-    selected = settings.selection.every > 0 and not quick
-    target = (
-        {"target": TARGET, "attempts": ATTEMPTS} if selected else {"target": 0.0, "attempts": 1}
-    )
-    with stage("train"):
-        policy = train_to_target(settings=settings, **target, **task, show=report)
-        policy.save(out / POLICY, command=COMMAND, inputs={"pendulum": pendulum.digest})
-    default = _measure(policy, MODEL, out, "", seed, workers, stage)
-    with stage("literal train"):
-        show: Show = lambda name, *shown: report(f"literal {name}", *shown)  # noqa: E731
-        policy = train(settings=literal, **task, show=show)
-        policy.save(
-            out / f"{LITERAL}{POLICY}", command=COMMAND, inputs={"pendulum": pendulum.digest}
+    with stage("identify", report):
+        source = recording or synthetic_swing(seed)
+        write_swing(out / SWING, source)
+        # The fit is of the file in the folder, so that a figure shows the same data.
+        fitted = replace(read_swing(out / SWING), source=source.source, released=source.released)
+        pendulum = identify(fitted, settings.identification)
+
+    begin = time.perf_counter()
+    with stage("train", report):
+        # A quick training, or one without a selection, is taken as it is.
+        target = TARGET if settings.selection.every > 0 and not quick else 0.0
+        policy = train_to_target(
+            pendulum, arm, settings, target=target, seed=seed, workers=workers, show=report
         )
-    found = _measure(policy, IDEAL, out, LITERAL, seed, workers, stage)
+    training_s = round(time.perf_counter() - begin, 2)
+    with stage("literal train", report):
+        literal_policy = train(pendulum, arm, literal, seed=seed, workers=workers)
+
+    default_results = measure(policy, MODEL, "", seed, workers, report)
+    literal_results = measure(literal_policy, IDEAL, "literal ", seed, workers, report)
 
     record = ReproductionRecord(
         quick=quick,
         seed=seed,
-        workers=workers,
-        swing=given.source,
-        swing_sha256=given.sha256,
-        simulated=swing is None,
+        swing=source.source,
+        simulated=recording is None,
+        training_s=training_s,
         files={},
-        stages=stage.durations,
     )
-    results = Results(record, recorded, pendulum, default, found)
+    results = Results(record, fitted, pendulum, default_results, literal_results)
     record = record.model_copy(update={"files": digests(results)})
-    record.save(out / RECORD, command=COMMAND, inputs=record.files)
-    return results._replace(record=record)
+    results = results._replace(record=record)
+    save(results, out)
+    return results
 
 
-def _measure(
-    policy: TabularPolicy,
-    simulation: str,
-    out: Path,
-    prefix: str,
-    seed: int,
-    workers: int,
-    stage: "Stages",
+def measure(
+    policy: TabularPolicy, world: str, title: str, seed: int, workers: int, report: Show
 ) -> RecipeResults:
-    """Evaluate a policy in the simulation of its training and on the twin, and record a run.
+    """Evaluate a policy in the world of its training and on the twin, and record a run.
 
     Args:
         policy: The trained policy.
-        simulation: World of its training.
-        out: Folder of the files.
-        prefix: Prefix of their names.
+        world: World of its training; the baselines run on the plant, `model`, alone.
+        title: Prefix of the names of the stages.
         seed: Master seed of trials and run.
         workers: Number of threads.
-        stage: Stages of the reproduction.
+        report: Called with the progress.
     """
-    title, has_twin = prefix.replace("-", " "), _has_twin(policy.arm)
-    trials, inputs = policy.settings.evaluation.trials, {"policy": policy.digest}
-    tests = [("evaluate", EVALUATION, simulation, trials)]
-    tests += [("twin", TWIN_EVALUATION, TWIN, min(TWIN_TRIALS, trials))] * has_twin
-    found: list[Evaluation] = []
-    for name, file, world, count in tests:
-        with stage(title + name):
-            with_baselines = world == MODEL
-            total = count * (1 + len(BUILT_IN) * with_baselines)
-            evaluation = evaluate(
+    trials, with_baselines = policy.settings.evaluation.trials, world == MODEL
+    total = trials * (1 + len(BUILT_IN)) if with_baselines else trials
+    with stage(f"{title}evaluate", report):
+        evaluation = evaluate(
+            policy,
+            world=world,
+            seed=seed,
+            with_baselines=with_baselines,
+            workers=workers,
+            done=counted(f"{title}evaluate", total, report),
+        )
+    twin_evaluation = None
+    if has_twin(policy.arm):
+        world, trials = TWIN, min(TWIN_TRIALS, trials)
+        with stage(f"{title}twin", report):
+            twin_evaluation = evaluate(
                 policy,
-                changed(policy.settings, {"evaluation.trials": count}),
-                world=world,
+                changed(policy.settings, {"evaluation.trials": trials}),
+                world=TWIN,
                 seed=seed,
-                with_baselines=with_baselines,
+                with_baselines=False,
                 workers=workers,
-                done=counted(title + name, total, stage.report),
+                done=counted(f"{title}twin", trials, report),
             )
-            evaluation.save(out / f"{prefix}{file}", command=COMMAND, inputs=inputs)
-            found.append(evaluation)
-    with stage(f"{title}deploy"):
-        run = simulate_run(policy, world=TWIN if has_twin else simulation, seed=seed)
-        run.save(out / f"{prefix}{RUN}", command=COMMAND, inputs=inputs)
-    return RecipeResults(policy, found[0], found[1] if has_twin else None, run)
+    with stage(f"{title}deploy", report):
+        run = simulate_run(policy, world=world, seed=seed)
+    return RecipeResults(policy, evaluation, twin_evaluation, run)
 
 
-class Stages:
-    """Stages of a reproduction: context managers that report and time them."""
-
-    def __init__(self, report: Show) -> None:
-        """Begin without a stage; `report` receives begin and end of each."""
-        self.report, self.durations = report, dict[str, float]()
-
-    @contextmanager
-    def __call__(self, name: str) -> Generator[None]:
-        """Report and time a stage."""
-        self.report(name, None, "")
-        begin = time.perf_counter()
-        yield
-        self.durations[name] = round(time.perf_counter() - begin, 2)
-        self.report(name, 1.0, "")
+@contextmanager
+def stage(name: str, report: Show) -> Generator[None]:
+    """Report begin and end of a stage."""
+    report(name, None, "")
+    yield
+    report(name, 1.0, "")
 
 
 def shortened(settings: Settings) -> Settings:
@@ -217,7 +185,8 @@ def shortened(settings: Settings) -> Settings:
     )
 
 
-def _has_twin(arm: Arm) -> bool:
+def has_twin(arm: Arm) -> bool:
+    """Return whether the masses of an arm are known, which a digital twin needs."""
     try:
         arm.link_inertials()
     except ArmError:

@@ -12,7 +12,7 @@ Both evaluations on the twin are missing for an arm without a digital twin.
 from pathlib import Path
 from typing import ClassVar, Final, NamedTuple
 
-from equipoise.artefacts import Artefact, Count, Name, Number, Seed
+from equipoise.artefacts import Artefact, Name, Number, Seed
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError
 from equipoise.identification.recording import Trajectory, read_swing
@@ -23,12 +23,9 @@ from equipoise.worlds.evaluation import Evaluation
 SWING: Final = "swing.csv"
 PENDULUM: Final = "pendulum.json"
 POLICY: Final = "policy.json"
-EVALUATION: Final = "evaluation.json"
-TWIN_EVALUATION: Final = "twin-evaluation.json"
-RUN: Final = "run.mcap"
+RECORD: Final = "reproduction.json"
 LITERAL: Final = "literal-"
 """Prefix of the files of the literal recipe."""
-RECORD: Final = "reproduction.json"
 
 
 class ReproductionRecord(Artefact):
@@ -40,18 +37,14 @@ class ReproductionRecord(Artefact):
     """Whether it ran with fewer episodes and trials."""
     seed: Seed
     """Master seed."""
-    workers: Count
-    """Number of threads; the results do not depend on it."""
     swing: Name
     """Name of the recording."""
-    swing_sha256: Name
-    """Digest of the given recording."""
     simulated: bool
     """Whether the swing was simulated."""
+    training_s: Number
+    """Duration of the default recipe's training [s]."""
     files: dict[Name, Name]
     """Digest of each value, by the name of its file."""
-    stages: dict[Name, Number]
-    """Duration of each stage [s], including the compilation in a first run."""
 
 
 class RecipeResults(NamedTuple):
@@ -82,6 +75,23 @@ class Results(NamedTuple):
     """Results of the literal recipe, `paper`."""
 
 
+def save(results: Results, out: Path) -> None:
+    """Write all results but the swing to a folder.
+
+    Raises:
+        OutsideError: The disk rejects a file.
+    """
+    sources = {"swing": results.swing.sha256}
+    results.pendulum.save(out / PENDULUM, command="reproduce", inputs=sources)
+    for prefix, recipe in (("", results.default), (LITERAL, results.literal)):
+        for name, value in _files(recipe, prefix).items():
+            inputs = {"policy": recipe.policy.digest}
+            if value is recipe.policy:
+                inputs = {"pendulum": results.pendulum.digest}
+            value.save(out / name, command="reproduce", inputs=inputs)
+    results.record.save(out / RECORD, command="reproduce", inputs=results.record.files)
+
+
 def load(out: Path) -> Results:
     """Read the results of a reproduction.
 
@@ -90,23 +100,18 @@ def load(out: Path) -> Results:
         RecordingError: The swing cannot be read.
     """
     record = ReproductionRecord.load(out / RECORD)
-
-    def of_recipe(prefix: str) -> RecipeResults:
-        on_twin = prefix + TWIN_EVALUATION
-        return RecipeResults(
+    recipes: list[RecipeResults] = []
+    for prefix in ("", LITERAL):
+        on_twin = f"{prefix}twin-evaluation.json"
+        recipe = RecipeResults(
             policy=TabularPolicy.load(out / f"{prefix}{POLICY}"),
-            evaluation=Evaluation.load(out / f"{prefix}{EVALUATION}"),
+            evaluation=Evaluation.load(out / f"{prefix}evaluation.json"),
             twin_evaluation=Evaluation.load(out / on_twin) if on_twin in record.files else None,
-            run=RunLog.load(out / f"{prefix}{RUN}"),
+            run=RunLog.load(out / f"{prefix}run.mcap"),
         )
-
-    results = Results(
-        record=record,
-        swing=read_swing(out / SWING),
-        pendulum=Pendulum.load(out / PENDULUM),
-        default=of_recipe(""),
-        literal=of_recipe(LITERAL),
-    )
+        recipes.append(recipe)
+    swing, pendulum = read_swing(out / SWING), Pendulum.load(out / PENDULUM)
+    results = Results(record, swing, pendulum, *recipes)
     found = digests(results)
     for name, recorded in record.files.items():
         if found.get(name) != recorded:
@@ -120,9 +125,17 @@ def load(out: Path) -> Results:
 def digests(results: Results) -> dict[str, str]:
     """Return the digest of each value, by the name of its file."""
     found = {SWING: results.swing.sha256, PENDULUM: results.pendulum.digest}
-    names = POLICY, EVALUATION, TWIN_EVALUATION, RUN
-    for prefix, values in (("", results.default), (LITERAL, results.literal)):
-        for name, value in zip(names, values, strict=True):
-            if value is not None:
-                found[prefix + name] = value.digest
+    for prefix, recipe in (("", results.default), (LITERAL, results.literal)):
+        found |= {name: value.digest for name, value in _files(recipe, prefix).items()}
     return found
+
+
+def _files(recipe: RecipeResults, prefix: str) -> dict[str, TabularPolicy | Evaluation | RunLog]:
+    """Return the values of a recipe by the names of their files."""
+    files = {
+        POLICY: recipe.policy,
+        "evaluation.json": recipe.evaluation,
+        "twin-evaluation.json": recipe.twin_evaluation,
+        "run.mcap": recipe.run,
+    }
+    return {f"{prefix}{name}": value for name, value in files.items() if value is not None}

@@ -6,8 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from equipoise.apps.console.play import PlayPage
-from equipoise.apps.console.playground import FALL, SCENES, Playground
+from equipoise.apps.console.play import FALL, SCENES, Playground, PlayPage
 
 pytestmark = pytest.mark.compiled_only
 

@@ -222,12 +222,10 @@ def results(
         record=ReproductionRecord(
             quick=quick,
             seed=0,
-            workers=2,
             swing=trajectory.source,
-            swing_sha256="sha256:" + 64 * "a",
             simulated=not given,
             files={},
-            stages={"train": 8.25, "literal train": 1.5, "evaluate": 0.5},
+            training_s=8.25,
         ),
         swing=trajectory,
         pendulum=identified,

@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from equipoise import film, paper
+from equipoise import film
 from equipoise.apps.report import page as page_module
 from equipoise.apps.report.page import FIGURES, PAGE, build, page
 from equipoise.errors import ArtefactError, OutsideError
@@ -126,22 +126,12 @@ def test_the_comparison_states_the_paper_and_both_recipes(plain):
     ]
 
 
-def test_the_numbers_are_those_of_the_results_and_of_the_paper(plain):
-    words = Reader(plain).text
-    for number in (
-        f"around {paper.FREE_SWING_PERIOD:g} s",
-        "270 boxes × 8 accelerations",
-        f"{paper.EPISODES:,}",
-    ):
-        assert number in words, number
-
-
 @pytest.mark.parametrize(
     ("changes", "there"),
     [
         ({"quick": True}, "Quick run"),
         ({"missing": "no OpenGL"}, "no OpenGL"),
-        ({"lasted": 20.0, "cause": Outcome.TRACK}, "stood 20 s of at most 60 s"),
+        ({"lasted": 20.0, "cause": Outcome.TRACK}, "survived 20 s of at most 60 s"),
         ({"warnings": ["friction is odd"]}, "friction is odd"),
     ],
 )
@@ -180,12 +170,7 @@ def folder(tmp_path_factory):
         ),
     )
     record = found.record.model_copy(update={"files": dict(files.digests(found))})
-    found.pendulum.save(out / files.PENDULUM, command="test")
-    record.save(out / files.RECORD, command="test")
-    names = files.POLICY, files.EVALUATION, files.TWIN_EVALUATION, files.RUN
-    for prefix, recipe in (("", found.default), (files.LITERAL, found.literal)):
-        for name, value in zip(names, recipe, strict=True):
-            value.save(out / f"{prefix}{name}", command="test")
+    files.save(found._replace(record=record), out)
     return out
 
 
@@ -218,7 +203,7 @@ def test_a_file_of_another_reproduction_is_refused(folder, tmp_path, prefix):
     for path in folder.iterdir():
         if path.is_file():
             (tmp_path / path.name).write_bytes(path.read_bytes())
-    name = f"{prefix}{files.EVALUATION}"
+    name = f"{prefix}evaluation.json"
     other = made_up.evaluation(files.TabularPolicy.load(folder / files.POLICY), falls=(1.0,))
     other.save(tmp_path / name, command="test")
     with pytest.raises(ArtefactError):

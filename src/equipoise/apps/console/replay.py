@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from equipoise.apps.console.scene import PERIOD, SPAN, RigPage
-from equipoise.apps.console.web import serving
 from equipoise.apps.style import BLUE, typeset
 from equipoise.logs.motion import Motion
 from equipoise.logs.run_log import RunLog
@@ -161,32 +160,3 @@ class ReplayPage:
                     self.show()
 
         return callback
-
-
-def show_run(
-    run: RunLog,
-    title: str,
-    address: str,
-    port: int,
-    ready: Callable[[str], None],
-    stopped: Callable[[], bool],
-) -> None:
-    """Serve the replay of a run until stopped.
-
-    Args:
-        run: The run.
-        title: Name of the log.
-        address: Address of this computer to listen on.
-        port: Port; 0 selects a free one.
-        ready: Receives the address of the page with its token.
-        stopped: Returns whether to end; called for each picture.
-
-    Raises:
-        MissingExtraError: viser is not installed.
-        OutsideError: The address or the port is not available.
-        RecordingError: The log has nothing to show.
-    """
-    with serving(address, port) as (server, url):
-        page = ReplayPage(server, run, title)
-        ready(url)
-        page.play(stopped)

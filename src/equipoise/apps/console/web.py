@@ -15,7 +15,6 @@ viser's own sharing is off, and nothing is printed or logged: the terminal belon
 and whoever reaches the port chooses the words of a request.
 """
 
-import atexit
 import hmac
 import logging
 import os
@@ -25,7 +24,7 @@ import socket
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
 from http import HTTPStatus
-from importlib import import_module
+from importlib import import_module, resources
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import parse_qs, urlsplit
 
@@ -53,28 +52,6 @@ HEADERS: Final = {
 Actions = Mapping[str, Callable[[], str]]
 """Functions by their addresses, such as `/stop`, for scripts of the page. They are called in the
 server's thread, do not block, and return a text for the script."""
-
-ICON: Final = (
-    b"<link rel='icon' href=\"data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg' "
-    b"viewBox='0 0 32 32'%3E%3Cpath d='M4 28h24M16 28 23 6' stroke='%230072B2' stroke-width='4' "
-    b"stroke-linecap='round'/%3E%3Ccircle cx='23' cy='6' r='4' fill='%23D55E00'/%3E%3C/svg%3E\" />"
-)
-"""Icon of the pages: a pendulum on its track."""
-OWN: Final = b"""
-<style>
-  #equipoise-connecting { position: fixed; inset: 0; z-index: 99999; display: grid; padding: 24px;
-    place-content: center; text-align: center; background: #fff; font: 18px/1.5 system-ui; }
-  body:has(#equipoise-state) #equipoise-connecting { display: none; }
-  @media (max-width: 36em) { /* viser's panel covers the lower 60 % */
-    #root { height: 40% !important; }
-    #root [style*="20em"] { width: 100% !important; }
-    #root [style*="max-height: 60%"] { top: 40%; bottom: auto !important; }
-  }
-</style>
-<div id="equipoise-connecting" role="status"><b>Connecting to Equipoise</b>If this stays, the
-  program has ended: start it again, and open its new address.</div>
-"""
-"""HTML of each page: a cover until viser has filled its panel, and the layout on a phone."""
 
 
 class Gate:
@@ -123,13 +100,14 @@ class Gate:
     def _response(self, request: Any, serve: Callable[[Any], Any]) -> Any:
         headers, address = request.headers, urlsplit(request.path)
         is_websocket = bool(headers.get_all("Upgrade"))
+        cookies = [one.strip() for text in headers.get_all("Cookie") for one in text.split(";")]
         given = parse_qs(address.query).get("token", [])
         if self.is_own(headers["Host"]) and given and not is_websocket:
-            if hmac.compare_digest(given[0].encode(), self.token.encode()):
+            if _equal(given[0], self.token):
                 cookie = f"{self._cookie}; Path=/; HttpOnly; SameSite=Strict"
                 more = {"Location": "/", "Set-Cookie": cookie}
                 return _respond(HTTPStatus.SEE_OTHER, "", more)
-        elif self.is_own(headers["Host"]) and self._has_cookie(headers):
+        elif self.is_own(headers["Host"]) and any(_equal(one, self._cookie) for one in cookies):
             if is_websocket:
                 origin = urlsplit(headers.get("Origin", "")).netloc
                 if origin == headers["Host"]:
@@ -144,22 +122,22 @@ class Gate:
         whole = "Open this page with its whole address, token included, as the terminal shows it."
         return _respond(HTTPStatus.FORBIDDEN, whole)
 
-    def _has_cookie(self, headers: Any) -> bool:
-        cookies = [each for header in headers.get_all("Cookie") for each in header.split(";")]
-        own = self._cookie.encode()
-        return any(hmac.compare_digest(each.strip().encode(), own) for each in cookies)
-
     def _serve_page(self, request: Any, serve: Callable[[Any], Any]) -> Any:
         """Return viser's page with the overlay."""
         with suppress(KeyError):
             del request.headers["Accept-Encoding"]  # viser then sends plain text
         response = serve(request)
         body = re.sub(rb"<title>.*?</title>", b"<title>Equipoise</title>", response.body, count=1)
-        body = re.sub(rb'<link\s+rel="icon".*?/>', ICON, body, count=1, flags=re.DOTALL)
-        response.body = body.replace(b"</body>", OWN + self._overlay + b"</body>")
+        body = re.sub(rb'<link\s+rel="icon".*?/>', b"", body, count=1, flags=re.DOTALL)
+        own = resources.files("equipoise.apps.console").joinpath("page.html").read_bytes()
+        response.body = body.replace(b"</body>", own + self._overlay + b"</body>")
         del response.headers["Content-Length"]
         response.headers["Content-Length"] = str(len(response.body))
         return response
+
+
+def _equal(one: str, other: str) -> bool:
+    return hmac.compare_digest(one.encode(), other.encode())
 
 
 def _respond(status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> Any:
@@ -211,7 +189,6 @@ def serving(
 
     with _guarding(gate), open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
         server: Any = Server(address, port, verbose=False)
-    atexit.unregister(server._websock_server.stop)  # it prints; `finally` stops the server
     try:
         yield server, f"http://{host}:{server.get_port()}/?token={gate.token}"
     finally:

@@ -17,7 +17,6 @@ from markupsafe import Markup, escape
 
 from equipoise import paper
 from equipoise.apps.report import figures, rows
-from equipoise.apps.report.policy_picture import policy_picture
 from equipoise.apps.style import save
 from equipoise.artefacts import Provenance, read_document, write_whole
 from equipoise.errors import OutsideError
@@ -36,7 +35,7 @@ FIGURES: Final[dict[str, Callable[[Results], "Figure"]]] = {
     "swing": lambda r: figures.free_swing(r.swing, r.pendulum),
     "learning-curve": lambda r: figures.learning_curve(r.default.policy),
     "survival": lambda r: figures.survival(r.default.evaluation),
-    "policy": lambda r: policy_picture(r.default.policy, r.default.run),
+    "policy": lambda r: figures.policy_picture(r.default.policy, r.default.run),
     "literal-run": lambda r: figures.run_figure("Literal recipe", r.literal.run, r.default.run),
     "run": lambda r: figures.run_figure("Default recipe", r.default.run, r.literal.run),
 }

@@ -90,7 +90,7 @@ def task(results: Results) -> Iterator[Row]:
     yield "Failure", "4.1", failure, "the same, or a joint exceeds its limits"
     yield "Control period", "4.2", f"{paper.STEP:g} s", f"{policy.h:g} s"
     yield "Training episodes", "4.2", f"{paper.EPISODES:,}", f"{policy.episodes:,}"
-    wall = results.record.stages.get("train", 0.0)
+    wall = results.record.training_s
     yield "Training time", "4.4", "“few minutes”", f"{wall:.3g} s for {policy.steps:,} steps"
     recipes = f"literal: {results.literal.policy.recipe}; default: {policy.recipe}"
     yield "Recipes", "4.2", "learning rate, exploration and reward not stated", recipes
