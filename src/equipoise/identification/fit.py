@@ -5,19 +5,19 @@ differences give its sensitivities; an adaptive integrator would not.
 """
 
 from collections.abc import Callable
-from math import inf, sqrt
+from math import sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from equipoise.arrays import Array
-from equipoise.identification.least_squares import blocks_of_time, fit_unknowns, jackknife
+from equipoise.identification.least_squares import fit_unknowns, jackknife, sensitivities
 from equipoise.model.pendulum import STEPS_PER_PERIOD, PendulumParameters, swing
 from equipoise.settings import Friction
 
 W2, C, COULOMB, DRAG, THETA, THETA_DOT, OFFSET, SCALE = range(8)
 """Indices of the unknowns: four of the pendulum, its initial state, zero offset (or gyro bias), and
-the true motion as a share of the recorded one, which is 1 except in a diagnosis."""
+the true motion as a fraction of the recorded one, which is 1 except in a diagnosis."""
 
 FRICTIONS: Final[dict[Friction, list[int]]] = {
     "viscous": [C],
@@ -25,13 +25,8 @@ FRICTIONS: Final[dict[Friction, list[int]]] = {
     "quadratic": [C, COULOMB, DRAG],
 }
 """Unknowns of each friction model, from the paper's to the richest."""
-MAX_UNEXPLAINED: Final = 0.25
-"""Largest accepted misfit (residual without noise), as a share of the recording's standard
-deviation; more is not a free swing. A long swing with the wrong friction model leaves 5 %."""
 COARSE, FINE = 1e-6, 1e-12
 """Relative changes of the sum of squares at which a fit of a part and a final fit stop."""
-MAX_EVALUATIONS: Final = 50
-"""Limit on the evaluations of a fit; those of recorded swings take up to 21."""
 
 
 class SwingRecording(NamedTuple):
@@ -45,9 +40,6 @@ class SwingRecording(NamedTuple):
     """Whether a gyro recorded the rate."""
     period: float
     """Period of the swing [s]."""
-    w2: float
-    """First guess of w2 [1/s^2]; a fit stays within a factor of four, which excludes the second,
-    upside-down solution with w2 < 0."""
     any_scale: bool = False
     """Whether SCALE is fitted as well."""
 
@@ -61,13 +53,13 @@ class SwingRecording(NamedTuple):
         return (theta_dots if self.is_rate else thetas) / scale + offset
 
     def residual(self, unknowns: Array) -> Array:
-        """Return recorded minus predicted values, shape (n,)."""
-        return self.values - self.predict(unknowns)
+        """Return recorded minus predicted values, shape (n,); 1e9 where a prediction diverged."""
+        missed = np.nan_to_num(self.values - self.predict(unknowns), nan=1e9)
+        return np.clip(missed, -1e9, 1e9)
 
     def rms(self, unknowns: Array) -> float:
-        """Return the root mean square residual; infinity for a prediction that diverged."""
-        residual = self.residual(unknowns)
-        return sqrt(float(np.mean(residual**2))) if np.all(np.isfinite(residual)) else inf
+        """Return the root mean square residual."""
+        return sqrt(float(np.mean(self.residual(unknowns) ** 2)))
 
     def noise(self, unknowns: Array, resolution: float = 0.0) -> float:
         """Estimate the white noise in the residual, at least that of the sensor's steps."""
@@ -76,19 +68,8 @@ class SwingRecording(NamedTuple):
 
     def misfit(self, unknowns: Array, resolution: float = 0.0) -> float:
         """Return the root mean square residual that noise does not explain."""
-        if (rms := self.rms(unknowns)) == inf:
-            return inf
-        return sqrt(max(rms**2 - self.noise(unknowns, resolution) ** 2, 0.0))
-
-    def sensitivities(self, unknowns: Array, places: list[int]) -> Array:
-        """Return the derivatives of the prediction by the unknowns `places`, shape (n, p)."""
-        sizes, columns = 1e-6 * _scales(unknowns), list[Array]()
-        for i in places:
-            up, down = unknowns.copy(), unknowns.copy()
-            up[i] += sizes[i]
-            down[i] -= sizes[i]
-            columns.append((self.predict(up) - self.predict(down)) / (2.0 * sizes[i]))
-        return np.stack(columns, axis=1)
+        noise = self.noise(unknowns, resolution)
+        return sqrt(max(self.rms(unknowns) ** 2 - noise**2, 0.0))
 
 
 def fit_swing(
@@ -113,23 +94,24 @@ def fit_swing(
         show(f"fitting {horizon / recording.period:.0f} of {periods:.0f} periods")
         end = int(np.searchsorted(elapsed, horizon, side="right"))
         part = recording._replace(time=recording.time[:end], values=recording.values[:end])
-        best = fit_bounded(part, [C], best, COARSE)
+        best = fit_bounded(part, "viscous", best, COARSE)
         horizon *= 2.0
-    models = list(FRICTIONS)
-    for model in models[: models.index(friction) + 1]:
+    for model in FRICTIONS:
         show(f"fitting {model} friction to {periods:.0f} periods")
-        best = fit_bounded(recording, FRICTIONS[model], best, FINE)
+        best = fit_bounded(recording, model, best)
+        if model == friction:
+            break
     return best
 
 
 def fit_bounded(
-    recording: SwingRecording, frictions: list[int], start: Array, tolerance: float
+    recording: SwingRecording, friction: Friction, start: Array, tolerance: float = FINE
 ) -> Array:
-    """Fit some frictions; fix one that comes out negative at zero, the worst one first.
+    """Fit a friction model; fix a friction that comes out negative at zero, the worst one first.
 
     Args:
         recording: The free swing.
-        frictions: Indices of the fitted frictions.
+        friction: The friction model.
         start: Initial guess of the unknowns, shape (8,).
         tolerance: Relative change of the sum of squares at which the fit stops.
 
@@ -137,29 +119,23 @@ def fit_bounded(
         The unknowns, shape (8,); those of `start` where no others fit better.
     """
     low, high = np.full(8, -np.inf), np.full(8, np.inf)
-    low[W2], high[W2] = 0.25 * recording.w2, 4.0 * recording.w2
+    # A second, upside-down solution has w2 < 0.
+    low[W2], high[W2] = 0.25 * start[W2], 4.0 * start[W2]
     low[SCALE], high[SCALE] = 1e-3, 1e3
-    unknowns, kept = start.copy(), list(frictions)
+    unknowns, kept = start.copy(), list(FRICTIONS[friction])
     while True:
-        fitted = [W2, *kept, THETA, THETA_DOT, OFFSET, *([SCALE] if recording.any_scale else [])]
-
-        def sensitivities(x: Array, places: list[int] = fitted) -> Array:
-            # Where a motion begins to diverge, it has no derivative, and no influence on the step.
-            return np.nan_to_num(recording.sensitivities(x, places), posinf=0.0, neginf=0.0)
-
-        if np.isfinite(recording.rms(unknowns)):  # else friction is too stiff for the steps
-            unknowns = fit_unknowns(
-                recording.residual,
-                sensitivities,
-                unknowns,
-                fitted,
-                _scales(unknowns),
-                (low, high),
-                xtol=100.0 * tolerance,
-                ftol=tolerance,
-                gtol=tolerance,
-                max_nfev=MAX_EVALUATIONS,
-            )
+        unknowns = fit_unknowns(
+            recording.residual,
+            unknowns,
+            [W2, *kept, THETA, THETA_DOT, OFFSET, *([SCALE] if recording.any_scale else [])],
+            _scales(unknowns),
+            (low, high),
+            jac="3-point",
+            xtol=100.0 * tolerance,
+            ftol=tolerance,
+            gtol=tolerance,
+            max_nfev=50,  # those of recorded swings take up to 21
+        )
         if all(unknowns[place] > 0.0 for place in kept):
             return min(start, unknowns, key=recording.rms)
         worst = min(kept, key=lambda place: unknowns[place] / _scales(unknowns)[place])
@@ -191,12 +167,12 @@ def covariance(
     Returns:
         Shape (8, 8); zero for unknowns outside the model.
     """
-    residual, block = recording.residual(unknowns), blocks_of_time(recording.time, blocks)
-    scales = _scales(unknowns)
+    residual, scales = recording.residual(unknowns), _scales(unknowns)
 
     def of(places: list[int]) -> Array:
-        J = recording.sensitivities(unknowns, places) * scales[places]
-        return jackknife(J, residual, block) * np.outer(scales[places], scales[places])
+        J = sensitivities(recording.residual, unknowns, places, scales)
+        spread = jackknife(J, residual, recording.time, blocks)
+        return spread * np.outer(scales[places], scales[places])
 
     spread, bound = np.zeros((8, 8)), at_bound(unknowns, friction)
     free = [place for place in FRICTIONS[friction] if place not in bound]

@@ -16,8 +16,7 @@ from math import pi
 from typing import Any, Final
 
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.scene import scene
-from equipoise.model.arms.urdf_writer import BASE, write_urdf
+from equipoise.model.arms.scene import BASE, scene, write_urdf
 from equipoise.model.physics_engine import mujoco
 
 RATE: Final = 25.0

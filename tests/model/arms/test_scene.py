@@ -10,10 +10,11 @@ from equipoise.film import build_scene
 from equipoise.logs.foxglove import ArmDisplay
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x
-from equipoise.model.arms.scene import scene
+from equipoise.model.arms.scene import scene, write_urdf
 from equipoise.paper import X_LIMIT
 from equipoise.worlds.twin.physics import build_bare
 from tests.arms import with_steps
+from tests.model.arms.witnesses import ARMS, Pinocchio
 
 LENGTHS = (0.0, 1e-17, 1e-16, 1e-9, 1e-3, 0.006, 0.045, 0.0595, 0.06, 0.061, 0.07, 0.2)
 """Steps of public arms [m], rounding noise, and lengths around twice the inset of a link."""
@@ -86,3 +87,22 @@ def test_a_small_arm_is_drawn_in_proportion():
     assert drawn_shapes(small)["link 2"] == pytest.approx(0.11 * share)
     cylinders = ElementTree.fromstring(ArmDisplay(small).urdf).iter("cylinder")
     assert max(float(each.get("radius")) for each in cylinders) == pytest.approx(0.11 * share)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", ARMS)
+def test_pinocchio_puts_flange_and_pendulum_there(name):
+    arm, _ = ARMS[name]
+    robot = Pinocchio(write_urdf(scene(arm)))
+    rng, rest = np.random.default_rng(1), np.zeros(len(arm.joints) + 1)
+    for _ in range(5):
+        q = arm.home_free + 0.2 * rng.standard_normal(6)
+        flange, ours = robot.flange([*arm.with_held(q), 0.5], rest), arm.kinematics(q)
+        np.testing.assert_allclose(flange.position, ours.position, atol=1e-12)
+        np.testing.assert_allclose(flange.rotation, ours.rotation, atol=1e-12)
+    robot.flange([*arm.home, 0.3], rest)
+    rod = robot.data.oMf[robot.model.getFrameId("pendulum")]
+    flange = arm.kinematics(arm.home_free)
+    pivot = flange.position + flange.rotation @ arm.pivot
+    np.testing.assert_allclose(rod.translation, pivot, atol=1e-12)
+    np.testing.assert_allclose(rod.rotation[:, 2], [np.sin(0.3), 0.0, np.cos(0.3)], atol=1e-12)

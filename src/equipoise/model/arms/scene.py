@@ -5,16 +5,20 @@ joints in one place have no link between them. A joint that turns across its lin
 capsule along its axis. The sizes are our own reading of public models of the iiwa; those of a
 shorter arm are smaller in proportion (`sizes_for`). Connectors and cables are not drawn. The
 pendulum sits on a bracket from the flange and turns about base y: its joint angle is phi, zero
-upright, positive towards +x. MuJoCo is imported where it is used.
+upright, positive towards +x. `write_urdf` gives the drawing to other viewers. MuJoCo is imported
+where it is used.
 """
 
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from equipoise.arrays import Array
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.chain import rotation_from_rpy
+from equipoise.model.arms.chain import rotation_from_rpy, rpy_from_rotation, turned_to
+from equipoise.model.arms.urdf import rotation_from_quaternion
 from equipoise.model.physics_engine import mujoco
 
 
@@ -39,6 +43,8 @@ class Sizes(NamedTuple):
     """Length of the pendulum [m]: a uniform rod with the paper's period of 0.75 s."""
 
 
+BASE: Final = "base"
+"""Name of the fixed link in a URDF; its frame is that of the arm."""
 SIZES: Final = Sizes()
 """Thickness of the parts of an iiwa, on the thick side."""
 SHORTEST: Final = 1e-3
@@ -140,3 +146,57 @@ def _across(arm: Arm, steps: list[Array], links: list[int]) -> list[bool]:
         after = [place for place in links if place > number][:1]
         result.append(all(abs(axis @ along[place]) < 0.9 for place in before + after))
     return result
+
+
+def write_urdf(spec: Any) -> str:
+    """Return a scene as the text of a URDF file, for other viewers.
+
+    Links, joints and their shapes are its bodies, hinges and capsules. Limits and masses are left
+    out. The joint angle of the pendulum is phi.
+
+    Args:
+        spec: From `scene`.
+    """
+    robot = ElementTree.Element("robot", name=spec.modelname)
+    _link(robot, BASE, spec.worldbody)
+    for body in spec.bodies[1:]:
+        _link(robot, body.name, body)
+        name, kind, (hinge, *_) = f"to {body.name}", "fixed", [*body.joints, None]
+        if hinge is not None:
+            name, kind = hinge.name, "continuous"
+        joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
+        parent = BASE if body.parent.parent is None else body.parent.name
+        ElementTree.SubElement(joint, "parent", link=parent)
+        ElementTree.SubElement(joint, "child", link=body.name)
+        rpy = rpy_from_rotation(rotation_from_quaternion(body.quat))
+        ElementTree.SubElement(joint, "origin", xyz=_numbers(body.pos), rpy=_numbers(rpy))
+        if hinge is not None:
+            axis = np.array(hinge.axis)
+            ElementTree.SubElement(joint, "axis", xyz=_numbers(axis / np.linalg.norm(axis)))
+    ElementTree.indent(robot)
+    return ElementTree.tostring(robot, encoding="unicode")
+
+
+def _link(robot: ElementTree.Element, name: str, body: Any) -> None:
+    """Add a link with the capsules of a body, as cylinders."""
+    link = ElementTree.SubElement(robot, "link", name=name)
+    for geom in body.geoms:
+        if geom.type != mujoco().mjtGeom.mjGEOM_CAPSULE:
+            continue
+        start, end = np.array(geom.fromto[:3]), np.array(geom.fromto[3:])
+        length = float(np.linalg.norm(end - start))
+        visual = ElementTree.SubElement(link, "visual", name=geom.name)
+        rpy = rpy_from_rotation(turned_to(end - start))  # a cylinder lies along z
+        ElementTree.SubElement(
+            visual, "origin", xyz=_numbers(0.5 * (start + end)), rpy=_numbers(rpy)
+        )
+        geometry = ElementTree.SubElement(visual, "geometry")
+        size = {"radius": repr(float(geom.size[0])), "length": repr(length)}
+        ElementTree.SubElement(geometry, "cylinder", size)
+        material = ElementTree.SubElement(visual, "material", name=geom.name)
+        rgba = "0.0 0.45 0.7 1" if geom.name == "rod" else "0.9 0.9 0.92 1"
+        ElementTree.SubElement(material, "color", rgba=rgba)
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)

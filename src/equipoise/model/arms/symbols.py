@@ -55,25 +55,19 @@ class Symbol:
             return self.tape.number(a.number + b.number)
         if a.operation == "number" and a.number == 0.0:
             return b
-        if a.operation == "neg":
-            return b - a.operands[0]
-        if b.operation == "neg":
-            return a - b.operands[0]
-        return self.tape.symbol("+", a, b)
+        if a.operation == b.operation == "neg":
+            return -(-a + -b)
+        if "neg" not in (a.operation, b.operation):
+            return self.tape.symbol("+", a, b)
+        plus, minus = (a, -b) if b.operation == "neg" else (b, -a)
+        if plus is minus:
+            return self.tape.number(0.0)
+        if ("-", minus, plus) in self.tape.symbols:
+            return -self.tape.symbol("-", minus, plus)
+        return self.tape.symbol("-", plus, minus)
 
     def __sub__(self, other: "Symbol") -> "Symbol":
-        a, b = self, other
-        if a is b:
-            return self.tape.number(0.0)
-        if b.operation in ("number", "neg"):
-            return a + -b
-        if a.operation == "number" and a.number == 0.0:
-            return -b
-        if a.operation == "neg":
-            return -(a.operands[0] + b)
-        if ("-", b, a) in self.tape.symbols:
-            return -(b - a)
-        return self.tape.symbol("-", a, b)
+        return self + -other
 
     def __str__(self) -> str:
         """Return the name, or the formula of an unnamed symbol."""

@@ -8,13 +8,14 @@ rate in the lowest position.
 """
 
 from math import pi
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.arrays import Array
 from equipoise.errors import RecordingError
+from equipoise.identification.fit import SwingRecording
 from equipoise.identification.recording import Trajectory
 
 PERIOD_RANGE: Final = (0.05, 20.0)
@@ -27,22 +28,8 @@ NOISE_MULTIPLE: Final = 8.0
 not reach it within the samples around a turn."""
 
 
-class FreeSwing(NamedTuple):
-    """The freely swinging part of a recording, with an initial guess for its fit."""
-
-    part: slice
-    """Its samples."""
-    period: float
-    """Period of the swing [s]."""
-    start: Array
-    """Initial guess of w2, c, Coulomb friction, drag, angle and rate at the first sample, offset
-    and scale, which is 1; shape (8,)."""
-    release: float | None
-    """First time of the part [s]; None where the start of the recording was given."""
-
-
-def find_free_swing(trajectory: Trajectory) -> FreeSwing:
-    """Find the freely swinging part of a recording.
+def find_free_swing(trajectory: Trajectory) -> tuple[SwingRecording, Array]:
+    """Return the freely swinging part of a recording, and an initial guess for its fit, shape (8,).
 
     Raises:
         RecordingError: There are too few samples, no oscillation above the noise, or less than one
@@ -93,12 +80,9 @@ def find_free_swing(trajectory: Trajectory) -> FreeSwing:
     most = 1.98 * root if is_rate else 0.99 * pi
     state = [0.0, 0.0]
     state[is_rate] = min(max(lead, -most), most)
-    return FreeSwing(
-        slice(turns[0], turns[-1] + 1),
-        period,
-        np.array([w2, max(decay, 1e-3 * root), 0.0, 0.0, *state, middle, 1.0]),
-        release=None if trajectory.released else begin,
-    )
+    part = slice(turns[0], turns[-1] + 1)
+    start = np.array([w2, max(decay, 1e-3 * root), 0.0, 0.0, *state, middle, 1.0])
+    return SwingRecording(time[part], values[part], is_rate, period), start
 
 
 def _lifted_again(
