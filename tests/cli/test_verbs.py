@@ -19,7 +19,7 @@ from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.rig.simulate import simulate_run
 from equipoise.worlds.evaluation import Evaluation
-from tests.arms import with_steps
+from tests.arms import small_arm
 from tests.cli.conftest import contents
 
 SHORT = (
@@ -177,8 +177,7 @@ def test_an_excitation_becomes_an_actuator(equipoise, tmp_path):
 @pytest.mark.full
 def test_every_verb_takes_an_arm_with_short_steps_and_rounding(equipoise, tmp_path):
     # Steps that an arm of each of several makers has [m], and rounding noise.
-    _, urdf = with_steps({2: 0.0595, 4: 0.006, 5: 0.26, 6: 1e-16, 7: 0.045})
-    (tmp_path / "arm.urdf").write_text(urdf)
+    small_arm(tmp_path / "arm.urdf", {2: 0.0595, 4: 0.006, 5: 0.26, 6: 1e-16, 7: 0.045})
     arm = "--arm=arm.urdf"
     assert equipoise("deploy", "--excite", arm, "--out=log.mcap").code == 0
     actuator = equipoise("identify", "log.mcap", "--json").json

@@ -8,7 +8,7 @@ recording holds theta plus a zero offset, or theta_dot of a gyro plus a bias.
 
 1. Detect the free swing from its turning points; exclude a hand on the pendulum and rotations over
    the top (`free_swing`).
-2. Fit the nonlinear equation by least squares over a growing horizon (`fit`).
+2. Fit the nonlinear equation by least squares over a growing horizon.
 3. Compute intervals with a jackknife over periods. Residuals of real swings are autocorrelated;
    errors that assume independence are up to 39 times too small.
 4. If the model does not explain the recording, find one that does: with richer friction, or of a
@@ -26,8 +26,7 @@ from equipoise.arguments import checked
 from equipoise.arrays import Array
 from equipoise.artefacts import Estimate, StrPath
 from equipoise.errors import RecordingError
-from equipoise.identification import fit as fitting
-from equipoise.identification.fit import (
+from equipoise.identification.free_swing import (
     COULOMB,
     DRAG,
     OFFSET,
@@ -37,15 +36,28 @@ from equipoise.identification.fit import (
     W2,
     C,
     SwingRecording,
+    find_free_swing,
 )
-from equipoise.identification.free_swing import find_free_swing
-from equipoise.identification.least_squares import half_width
+from equipoise.identification.least_squares import (
+    fit_unknowns,
+    half_width,
+    jackknife,
+    sensitivities,
+)
 from equipoise.identification.recording import Trajectory, read_swing
 from equipoise.model.pendulum import Pendulum, SwingFit
 from equipoise.settings import Friction, IdentificationSettings
 
-MODELS: Final = list(fitting.FRICTIONS)
+FRICTIONS: Final[dict[Friction, list[int]]] = {
+    "viscous": [C],
+    "coulomb": [C, COULOMB],
+    "quadratic": [C, COULOMB, DRAG],
+}
+"""Unknowns of each friction model, from the paper's to the richest."""
+MODELS: Final = list(FRICTIONS)
 """Friction models, from the paper's to the richest."""
+COARSE, FINE = 1e-6, 1e-12
+"""Relative changes of the sum of squares at which a fit of a part and a final fit stop."""
 WARNING_MISFIT: Final = 0.005
 """Fraction of the amplitude left unexplained above which a warning is given: a well-modelled pivot
 leaves 0.1 to 0.4 %."""
@@ -84,7 +96,7 @@ def identify(
     trajectory = trajectory if isinstance(trajectory, Trajectory) else read_swing(trajectory)
     settings = settings or IdentificationSettings()
     friction, (recording, start) = settings.friction, find_free_swing(trajectory)
-    unknowns = fitting.fit_swing(recording, start, friction, show)
+    unknowns = fit_swing(recording, start, friction, show)
     begin, end = float(recording.time[0]), float(recording.time[-1])
     periods = (end - begin) / recording.period
     misfit = recording.misfit(unknowns, trajectory.resolution)
@@ -109,7 +121,7 @@ def identify(
     names = {C: "viscous", COULOMB: "Coulomb", DRAG: "quadratic"}
     warnings += [
         f"{names[place]} friction is kept at zero: the recording shows none beside the others"
-        for place in fitting.at_bound(unknowns, friction)
+        for place in at_bound(unknowns, friction)
     ]
     if periods < 3.0:
         warnings.append(
@@ -127,10 +139,10 @@ def identify(
     # A block is a period, or shorter in a window of few periods: the scatter of fewer blocks is
     # meaningless.
     blocks = max(round(periods), 8)
-    spread = fitting.covariance(recording, unknowns, friction, blocks)
+    spread = covariance(recording, unknowns, friction, blocks)
 
     def estimate(place: int, factor: float = 1.0) -> Estimate:
-        fitted = place in (W2, *fitting.FRICTIONS[friction])
+        fitted = place in (W2, *FRICTIONS[friction])
         width = factor * half_width(spread[place, place], blocks)
         source = "identified" if fitted else "assumed"
         return Estimate.around(factor * float(unknowns[place]), width, source).not_negative()
@@ -179,7 +191,7 @@ def _advice(
     enough, better = 0.5 * recording.misfit(unknowns), unknowns
     for model in MODELS[MODELS.index(friction) + 1 :]:
         show(f"trying {model} friction")
-        better = fitting.fit_bounded(recording, model, better)
+        better = fit_bounded(recording, model, better)
         if recording.misfit(better) < enough:
             return model, f"try --friction {model}"
     # A small swing is the start: its equation is linear.
@@ -187,7 +199,7 @@ def _advice(
     start[THETA_DOT if recording.is_rate else THETA] = recording.values[0] - start[OFFSET]
     start[W2] = (2.0 * pi / recording.period) ** 2
     start[SCALE] = SMALL_SWING / _amplitude(recording, start)
-    better = fitting.fit_swing(scaled, start, MODELS[-1], show)
+    better = fit_swing(scaled, start, MODELS[-1], show)
     if not recording.misfit(better) < enough:
         return None, ""
     if _amplitude(recording, better) < SMALL_SWING:
@@ -222,3 +234,117 @@ def _weighed(pendulum: Pendulum, mass: Estimate, length: Estimate, blocks: int) 
     friction = Estimate.around(c * I, I * float(of_b), "identified").not_negative()
     known = {"mass": mass, "length": length, "inertia": inertia, "friction": friction}
     return pendulum.model_copy(update=known)
+
+
+def fit_swing(
+    recording: SwingRecording, start: Array, friction: Friction, show: Callable[[str], None]
+) -> Array:
+    """Fit the recording over a growing horizon; return the unknowns, shape (8,).
+
+    A long window that is fitted at once has local minima that are off by a period. A richer
+    friction model starts from the solution of the simpler one, and is never worse.
+
+    Args:
+        recording: The free swing.
+        start: Initial guess of the unknowns, shape (8,).
+        friction: The friction model.
+        show: Called with the progress in a few words.
+    """
+    elapsed = recording.time - recording.time[0]
+    periods = elapsed[-1] / recording.period
+    # A shorter horizon does not determine period and friction.
+    best, horizon = start, 1.5 * recording.period
+    while horizon < elapsed[-1]:
+        show(f"fitting {horizon / recording.period:.0f} of {periods:.0f} periods")
+        end = int(np.searchsorted(elapsed, horizon, side="right"))
+        part = recording._replace(time=recording.time[:end], values=recording.values[:end])
+        best = fit_bounded(part, "viscous", best, COARSE)
+        horizon *= 2.0
+    for model in MODELS[: MODELS.index(friction) + 1]:
+        show(f"fitting {model} friction to {periods:.0f} periods")
+        best = fit_bounded(recording, model, best)
+    return best
+
+
+def fit_bounded(
+    recording: SwingRecording, friction: Friction, start: Array, tolerance: float = FINE
+) -> Array:
+    """Fit a friction model; fix a friction that comes out negative at zero, the worst one first.
+
+    Args:
+        recording: The free swing.
+        friction: The friction model.
+        start: Initial guess of the unknowns, shape (8,).
+        tolerance: Relative change of the sum of squares at which the fit stops.
+
+    Returns:
+        The unknowns, shape (8,); those of `start` where no others fit better.
+    """
+    low, high = np.full(8, -np.inf), np.full(8, np.inf)
+    # A second, upside-down solution has w2 < 0.
+    low[W2], high[W2] = 0.25 * start[W2], 4.0 * start[W2]
+    low[SCALE], high[SCALE] = 1e-3, 1e3
+    unknowns, kept = start.copy(), list(FRICTIONS[friction])
+    while True:
+        unknowns = fit_unknowns(
+            recording.residual,
+            unknowns,
+            [W2, *kept, THETA, THETA_DOT, OFFSET, *([SCALE] if recording.any_scale else [])],
+            _scales(unknowns),
+            (low, high),
+            jac="3-point",
+            xtol=100.0 * tolerance,
+            ftol=tolerance,
+            gtol=tolerance,
+            max_nfev=50,  # those of recorded swings take up to 21
+        )
+        if all(unknowns[place] > 0.0 for place in kept):
+            return min(start, unknowns, key=recording.rms)
+        worst = min(kept, key=lambda place: unknowns[place] / _scales(unknowns)[place])
+        kept.remove(worst)
+        unknowns[worst] = 0.0
+
+
+def _scales(unknowns: Array) -> Array:
+    """Return the scale of each unknown, shape (8,)."""
+    w2 = abs(unknowns[W2])
+    root = np.sqrt(w2)
+    return np.array([w2, root, w2, 1.0, 1.0, root, 1.0, 1.0])
+
+
+def covariance(
+    recording: SwingRecording, unknowns: Array, friction: Friction, blocks: int
+) -> Array:
+    """Estimate the covariance of the unknowns with a jackknife over blocks of time.
+
+    The jackknife stays valid for autocorrelated residuals. A friction that was fixed at zero gets
+    the variance of a free one and does not widen the other intervals.
+
+    Args:
+        recording: The free swing.
+        unknowns: Its fit, shape (8,).
+        friction: The friction model.
+        blocks: Number of blocks of equal duration.
+
+    Returns:
+        Shape (8, 8); zero for unknowns outside the model.
+    """
+    residual, scales = recording.residual(unknowns), _scales(unknowns)
+
+    def of(places: list[int]) -> Array:
+        J = sensitivities(recording.residual, unknowns, places, scales)
+        spread = jackknife(J, residual, recording.time, blocks)
+        return spread * np.outer(scales[places], scales[places])
+
+    spread, bound = np.zeros((8, 8)), at_bound(unknowns, friction)
+    free = [place for place in FRICTIONS[friction] if place not in bound]
+    fitted = [W2, *free, THETA, THETA_DOT, OFFSET]
+    spread[np.ix_(fitted, fitted)] = of(fitted)
+    for place in bound:
+        spread[place, place] = of([*fitted, place])[-1, -1]
+    return spread
+
+
+def at_bound(unknowns: Array, friction: Friction) -> list[int]:
+    """Return the frictions of a model that were fixed at zero, their lower bound."""
+    return [place for place in FRICTIONS[friction] if unknowns[place] == 0.0]

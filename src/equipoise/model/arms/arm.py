@@ -302,6 +302,6 @@ def _compiled(arm: Arm) -> ArmKernel:
     limits = np.array([(j.lower, j.upper, j.velocity, j.acceleration) for j in arm.free_joints])
     lower, upper, velocity, acceleration = np.ascontiguousarray(limits.T)
     signature = numba.void(array, array, array, numba.int64)
-    kinematics, motion = (function_pointer(each, signature) for each in load(arm))
+    kinematics, motion = (function_pointer(function, signature) for function in load(arm))
     wrist = wrist_centre(links(arm))
     return ArmKernel(kinematics, motion, wrist, lower, upper, velocity, acceleration)

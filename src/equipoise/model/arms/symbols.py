@@ -81,9 +81,9 @@ class Symbol:
             case formula, ():
                 return formula
             case "neg", (a,):
-                return f"-{a._inside('+-')}"
+                return f"-{a._inside()}"
             case "*", (a, b):
-                return f"{a._inside('+-')} * {b._inside('+-')}"
+                return f"{a._inside()} * {b._inside()}"
             case _:
                 return self._sum()
 
@@ -93,11 +93,11 @@ class Symbol:
         rest = [(sign, term) for sign, term in terms if not term.fused]
         products = [(sign, term) for sign, term in terms if term.fused]
         (sign, first), *rest = rest or [products.pop(0)]
-        text = f"{sign}{first._inside('+-') if sign else first}"
-        text += "".join(f" {sign or '+'} {term._inside('+-')}" for sign, term in rest)
+        text = f"{sign}{first._inside() if sign else first}"
+        text += "".join(f" {sign or '+'} {term._inside()}" for sign, term in rest)
         for sign, product in products:
             a, b = product.operands
-            text = f"fma({sign}{a._inside('+-') if sign else a}, {b}, {text})"
+            text = f"fma({sign}{a._inside() if sign else a}, {b}, {text})"
         return text
 
     def _terms(self, sign: str = "") -> "Iterator[tuple[str, Symbol]]":
@@ -110,8 +110,9 @@ class Symbol:
             else:
                 yield own, term
 
-    def _inside(self, weaker: str) -> str:
-        bare = self.name or self.operation not in weaker or str(self).startswith("fma(")
+    def _inside(self) -> str:
+        """Return the text as an operand, in brackets where it is a sum."""
+        bare = self.name or self.operation not in "+-" or str(self).startswith("fma(")
         return str(self) if bare else f"({self})"
 
 

@@ -29,10 +29,6 @@ from equipoise.model.physics_engine import mujoco
 
 CONTINUOUS: Final = 20.0 * pi
 """Largest position limit of a joint, that of a continuous one: ten turns each way [rad]."""
-UNUSED: Final = re.compile(r"(</?)(visual|collision|limit|mimic)\b")
-"""Tags of elements that are renamed for MuJoCo, which would print warnings or fail about them."""
-NAN: Final = re.compile(r"(?i)(^|\s)[+-]?nan($|\s)")
-"""A number that is NaN; MuJoCo would take it as missing."""
 
 
 @checked
@@ -67,10 +63,12 @@ def read_urdf(
         robot = ElementTree.fromstring(text)
         if robot.tag != "robot":
             raise ValueError(f"it begins with <{robot.tag}>, expected <robot>")
-        for element in robot.iter():
-            if any(NAN.search(value) for value in element.attrib.values()):
+        for element in robot.iter():  # MuJoCo would take NaN as missing
+            if any(re.search(r"(?i)(^|\s)[+-]?nan($|\s)", v) for v in element.attrib.values()):
                 raise ValueError(f"<{element.tag}> contains NaN instead of a number")
-        spec = mujoco().MjSpec.from_string(UNUSED.sub(r"\1unused", text))
+        # MuJoCo would print warnings about these elements, or fail.
+        text = re.sub(r"(</?)(visual|collision|limit|mimic)\b", r"\1unused", text)
+        spec = mujoco().MjSpec.from_string(text)
     except Exception as error:  # of parsers and codecs
         raise ArmError(
             f"{path} is not a URDF ({shortened(str(error), 200)}); give a URDF file"
