@@ -262,7 +262,6 @@ def simulate_swing(
     rate_hz: Annotated[float, Field(gt=0.0, le=1e5)],
     counts_per_rev: Annotated[int, Field(ge=4, le=FINEST_ENCODER)],
     noise: Annotated[float, Field(ge=0.0)] = 0.0,
-    jitter: Annotated[float, Field(ge=0.0)] = 0.0,
     zero_offset: float = 0.0,
     seed: Seed = 0,
 ) -> Trajectory:
@@ -275,20 +274,14 @@ def simulate_swing(
         rate_hz: Sampling rate [Hz].
         counts_per_rev: Encoder counts per revolution.
         noise: Standard deviation of white noise on the angle before quantization [rad].
-        jitter: Standard deviation of the sampling times around their grid [s]; the time stamps
-            are the true times.
         zero_offset: Encoder angle of the hanging pendulum [rad].
-        seed: Seed of noise and jitter.
+        seed: Seed of the noise.
 
     Returns:
         The recording, without a known release.
     """
     rng = np.random.default_rng(seed)
     time = np.arange(round(duration * rate_hz) + 1) / rate_hz
-    if jitter > 0.0:
-        # Below half a sampling period, which keeps the order of the samples.
-        time += np.clip(jitter * rng.standard_normal(time.size), -0.49 / rate_hz, 0.49 / rate_hz)
-        time -= time[0]
     theta, theta_dot = np.empty_like(time), np.empty_like(time)
     # Eight times as many steps as in a fit, so that a test of one does not share its error.
     h = 2.0 * pi / np.sqrt(parameters.w2) / 1024
