@@ -156,7 +156,7 @@ REFUSED = {
     "decimal commas between commas": "time_s,theta_rad\n0,000,1,25\n0,010,1,24\n",
     "repeated samples": "time_s,theta_rad\n0,1\n0.1,2\n0.1,3\n",
     "counts of an unknown encoder": "time_s,counts\n0,1\n0.1,2\n",
-    "a number without an end": "time_s,theta_rad\n0,1\n0.1,1e300\n",
+    "milliseconds since 1970 as seconds": "time_s,theta_rad\n1.7e12,1\n1.7001e12,2\n",
     "a control character": "time_s,\x00theta_rad\n0,1\n",
     "UTF-16": SAME.encode("utf-16"),
     "Latin-1": "time_s,theta_rad,Länge\n0,1,ü\n".encode("latin-1"),

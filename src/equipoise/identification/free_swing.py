@@ -59,9 +59,9 @@ class SwingRecording(NamedTuple):
         return (theta_dots if self.is_rate else thetas) / scale + offset
 
     def residual(self, unknowns: Array) -> Array:
-        """Return recorded minus predicted values, shape (n,); 1e9 where a prediction diverged."""
-        missed = np.nan_to_num(self.values - self.predict(unknowns), nan=1e9)
-        return np.clip(missed, -1e9, 1e9)
+        """Return recorded minus predicted values, shape (n,); 1e30 where a prediction diverged."""
+        missed = np.nan_to_num(self.values - self.predict(unknowns), nan=1e30)
+        return np.clip(missed, -1e30, 1e30)
 
     def rms(self, unknowns: Array) -> float:
         """Return the root mean square residual."""

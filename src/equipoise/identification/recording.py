@@ -212,6 +212,7 @@ def _read_table(path: Path, data: bytes) -> tuple[str, str, Array]:
             "semicolon or a tab; name the columns in the first line"
         )
     places, table = [names.index(name) for name in chosen], array("d")
+    limits = 1e10 / TIMES[chosen[0]], 1e10  # 300 years; an angle or a rate beyond any encoder's
     rows = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
     try:
         for row in rows:
@@ -219,8 +220,10 @@ def _read_table(path: Path, data: bytes) -> tuple[str, str, Array]:
                 if not max(places) < len(row) <= len(names) + 1:
                     raise ValueError(f"{len(row)} cells, expected {len(names)}")
                 numbers = [float(row[place]) for place in places]
-                if not all(abs(number) <= 1e16 for number in numbers):  # microseconds since 1970
-                    raise ValueError(f"the numbers {numbers}")
+                if not all(
+                    abs(number) <= limit for number, limit in zip(numbers, limits, strict=True)
+                ):
+                    raise ValueError(f"{numbers} are not finite, or too large for their units")
                 table.extend(numbers)
     except (ValueError, csv.Error) as error:
         raise RecordingError(

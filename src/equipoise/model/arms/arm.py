@@ -25,8 +25,12 @@ from equipoise.model.elementary import BATCH_SIZE
 
 T = TypeVar("T")
 
+Length = Annotated[float, Field(ge=-100.0, le=100.0)]
+"""Coordinate [m]; a larger one is in millimetres."""
+Offset = tuple[Length, Length, Length]
+"""Origin in another frame [m]."""
 Vector3 = tuple[Number, Number, Number]
-"""Vector, or roll, pitch and yaw."""
+"""Direction, or roll, pitch and yaw [rad]."""
 Limit = Annotated[float, Field(gt=0.0, le=1e12)]
 """Limit of a velocity, an acceleration or a torque, both ways."""
 ROUNDING: Final = 1e-6
@@ -58,7 +62,7 @@ class Inertial(_Described):
     """Name of the link."""
     mass: float = Field(ge=0.0, le=1e12)
     """Mass [kg]; zero if unknown."""
-    com: Vector3
+    com: Offset
     """Centre of mass [m]."""
     inertia: tuple[Number, Number, Number, Number, Number, Number]
     """Inertia about the centre of mass: xx, xy, xz, yy, yz, zz [kg m^2]; zeros if unknown."""
@@ -87,7 +91,7 @@ class Joint(_Described):
 
     name: Name
     """Name of the joint."""
-    xyz: Vector3
+    xyz: Offset
     """Origin in the frame of the previous joint [m]."""
     rpy: Vector3 = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw about the fixed axes of the previous frame [rad]."""
@@ -166,11 +170,11 @@ class Arm(_Described):
     """Number of the joint that does not move, counted from one."""
     held_angle: Number = 0.0
     """Angle of the held joint [rad]."""
-    flange_xyz: Vector3 = (0.0, 0.0, 0.0)
+    flange_xyz: Offset = (0.0, 0.0, 0.0)
     """Origin of the flange in the last joint's frame [m]."""
     flange_rpy: Vector3 = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw of the flange in the last joint's frame [rad]."""
-    pivot: Vector3 = (0.0, 0.0, 0.0)
+    pivot: Offset = (0.0, 0.0, 0.0)
     """Pivot of the pendulum in the flange frame [m]."""
     home: tuple[Number, ...]
     """Posture at x = 0, all joints [rad]. The pendulum's spindle lies along base y there."""
