@@ -26,28 +26,31 @@ def main() -> None:
     parser.add_argument("--worlds", nargs="+", default=KUKA)
     parser.add_argument("--logs", type=int, default=10, help="number of logs of each world")
     parser.add_argument("--json", type=Path, help="file of the results")
-    given = parser.parse_args()
+    args = parser.parse_args()
     rows: list[dict] = []
     held: list[bool] = []
-    for world in given.worlds:
+    for world in args.worlds:
         true = equivalent_actuator(eq.read_world(f"twin:{world}").settings)
-        logs = [eq.excite("iiwa7", f"twin:{world}", seed=seed) for seed in range(given.logs)]
+        logs = [eq.excite("iiwa7", f"twin:{world}", seed=seed) for seed in range(args.logs)]
         found = [eq.identify_run(log) for log in logs]
         row: dict = {"name": world}
         for name in ("cycle", "delay"):
-            estimates, value = [getattr(each, name) for each in found], getattr(true, name).value
-            held += [each.low <= value <= each.high for each in estimates]
-            fitted = 1e3 * np.array([each.value for each in estimates])
+            estimates, value = (
+                [getattr(actuator, name) for actuator in found],
+                getattr(true, name).value,
+            )
+            held += [one.low <= value <= one.high for one in estimates]
+            fitted = 1e3 * np.array([one.value for one in estimates])
             row[name] = {"true": 1e3 * value, "mean": fitted.mean(), "sd": fitted.std()}
-        lags = 1e3 * np.mean([[lag.value for lag in each.lags] for each in found], axis=0)
+        lags = 1e3 * np.mean([[lag.value for lag in actuator.lags] for actuator in found], axis=0)
         row["lags"] = [lags.min(), lags.max()]
         rows.append(row)
         print(json.dumps(row), flush=True)
     print(f"intervals that hold: {sum(held)} of {len(held)}")
-    if given.json:
-        share = {"survived": sum(held), "trials": len(held), "rate": sum(held) / len(held)}
-        text = json.dumps({"logs": given.logs, "worlds_ms": rows, "intervals": share})
-        given.json.write_text(text)
+    if args.json:
+        intervals = {"survived": sum(held), "trials": len(held), "rate": sum(held) / len(held)}
+        text = json.dumps({"logs": args.logs, "worlds_ms": rows, "intervals": intervals})
+        args.json.write_text(text)
 
 
 if __name__ == "__main__":

@@ -38,7 +38,8 @@ def value(settings, name):
 def test_a_file_wins_over_a_recipe_over_the_defaults_and_a_single_setting_over_all(tmp_path):
     file = toml(tmp_path, "[plant]\norientation_error_sigma = 0.01\n")
     single = ["plant.orientation_error_sigma=0.03", "plant.orientation_error_sigma=0.02"]
-    default, of_recipe = Settings().plant.orientation_error_sigma, RECIPES["paper"]["plant.orientation_error_sigma"]
+    default = Settings().plant.orientation_error_sigma
+    of_recipe = RECIPES["paper"]["plant.orientation_error_sigma"]
     assert len({default, of_recipe, 0.01, 0.02}) == 4
     assert resolve() == resolve("robust") == Settings()
     assert resolve("paper").plant.orientation_error_sigma == of_recipe

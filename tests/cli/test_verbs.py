@@ -19,6 +19,7 @@ from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.rig.simulate import simulate_run
 from equipoise.worlds.evaluation import Evaluation
+from tests.arms import small_arm
 from tests.cli.conftest import contents
 
 SHORT = (
@@ -171,6 +172,31 @@ def test_an_excitation_becomes_an_actuator(equipoise, tmp_path):
     assert found["kind"] == "kst"
     assert found["delay"]["value"] == pytest.approx(0.010, abs=0.002)
     assert Actuator.load(tmp_path / "actuator.json").delay.value == found["delay"]["value"]
+
+
+@pytest.mark.full
+def test_every_verb_takes_an_arm_with_short_steps_and_rounding(equipoise, tmp_path):
+    # Steps that an arm of each of several makers has [m], and rounding noise.
+    small_arm(tmp_path / "arm.urdf", {2: 0.0595, 4: 0.006, 5: 0.26, 6: 1e-16, 7: 0.045})
+    arm = "--arm=arm.urdf"
+    assert equipoise("deploy", "--excite", arm, "--out=log.mcap").code == 0
+    actuator = equipoise("identify", "log.mcap", "--json").json
+    assert actuator["delay"]["value"] == pytest.approx(0.010, abs=0.002)
+    assert equipoise("train", arm, *SHORT, "--target=0").code == 0
+    for task in (("lqr", arm), ("policy.json",)):
+        out = f"--out=evaluation-{len(task)}.json"
+        ran = equipoise("evaluate", *task, *FEW, "--world=twin:nominal", "--json", out)
+        assert ran.json["trials"] == 4, ran
+        log = f"{task[0]}.mcap"
+        ran = equipoise("deploy", *task, "--world=twin:nominal", "--duration=0.5", f"--out={log}")
+        assert ran.code in (0, 1), ran
+        run = RunLog.load(tmp_path / log)
+        home, *flange = (run.conditions.arm.kinematics(q) for q in run.replies.q[[0, 25, -1]])
+        for pose in flange:
+            assert pose.position[1:] == pytest.approx(home.position[1:], abs=0.005)
+            assert pose.rotation == pytest.approx(home.rotation, abs=0.02)
+        assert equipoise("log", "explain", log).code == 0
+        assert equipoise("log", "export", log, f"--out={task[0]}-csv").code == 0
 
 
 def test_refine_writes_what_moved(equipoise, tmp_path):

@@ -121,14 +121,6 @@ def test_a_counter_that_overflows_is_unwrapped_by_its_own_period(tmp_path, count
     np.testing.assert_allclose(read - read[0], counts - counts[0], atol=within)
 
 
-@pytest.mark.parametrize("counts", [[0, 5], [0, 5, 0], [0.1, 0.4, 0.1]])
-def test_a_few_counts_are_read_as_they_are(tmp_path, counts):
-    path = tmp_path / "swing.csv"
-    path.write_text("time_s,counts\n" + "".join(f"{t},{n}\n" for t, n in enumerate(counts)))
-    read = read_swing(path, counts_per_rev=4096).theta
-    np.testing.assert_allclose(read, np.array(counts) * 2.0 * pi / 4096)
-
-
 def test_a_clock_of_32_bits_that_wraps_goes_on(tmp_path):
     stamps = (np.arange(2**32 - 2500, 2**32 + 2500, 1000) % 2**32).tolist()
     path = tmp_path / "swing.csv"
@@ -145,7 +137,7 @@ def test_a_repeated_row_counts_once(tmp_path):
 PLACES = {
     "how many, and where": ("0,1\n0.1,2\n0.1,3\n0.3,3\n0.2,3\n", "2 of 5 .* after 0.1 s"),
     "the line as an editor counts it": ("0,1\n\n0.1,high\n", "line 4: .*'high'"),
-    "the line of a number": ("0,1\n\n0.1,2\n0.2,inf\n", "in line 5 is inf"),
+    "the line of a number": ("0,1\n\n0.1,2\n0.2,inf\n", "line 5: .*inf"),
     "the line that is short": ("0,1\n0.1\n", "line 3: 1 cells, expected 2"),
 }
 
@@ -161,8 +153,6 @@ def test_a_refusal_says_where(tmp_path, rows, said):
 REFUSED = {
     "nothing": "",
     "two quantities": "time_s,theta_rad,theta_deg\n0,1,2\n1,1,2\n",
-    "NaN": "time_s,theta_rad\n0,1\n0.1,nan\n",
-    "a word": "time_s,theta_rad\n0,1\n\n0.1,high\n",
     "decimal commas between commas": "time_s,theta_rad\n0,000,1,25\n0,010,1,24\n",
     "repeated samples": "time_s,theta_rad\n0,1\n0.1,2\n0.1,3\n",
     "counts of an unknown encoder": "time_s,counts\n0,1\n0.1,2\n",
@@ -181,14 +171,6 @@ def test_a_file_that_cannot_be_used_is_refused_in_one_sentence(tmp_path, content
     with pytest.raises(RecordingError, match=r"swing\.csv") as refusal:
         read_swing(path)
     assert "\n" not in str(refusal.value)
-
-
-def test_a_file_that_is_not_there_or_too_large_is_refused(tmp_path, monkeypatch):
-    path = column(tmp_path, "theta_rad", [1, 2, 3, 4])
-    monkeypatch.setattr("equipoise.identification.recording.MAX_RECORDING_SIZE", 20)
-    for wrong in (tmp_path / "nowhere.csv", tmp_path, path):
-        with pytest.raises(RecordingError):
-            read_swing(wrong)
 
 
 @pytest.mark.parametrize("options", [{"start": 5.0}, {"end": -1.0}, {"counts_per_rev": -4096}])

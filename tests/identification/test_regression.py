@@ -12,7 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from equipoise.errors import RecordingError
-from equipoise.identification.refine import pendulum_moves
+from equipoise.identification.refine import significant_moves
 from equipoise.identification.regression import regress
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.settings import GRAVITY, PlantSettings
@@ -146,5 +146,6 @@ def test_a_log_that_says_little_says_so():
 
 @pytest.mark.parametrize(("factor", "moved"), [(0.9, ["w2"]), (1.0, []), (1.1, ["w2"])])
 def test_a_shift_of_the_inertia_by_a_tenth_is_flagged_and_none_is_not(factor, moved):
-    known = Pendulum.assumed(factor * TRUTH.w2, TRUTH.c)
-    assert list(pendulum_moves(known, measured(0), PlantSettings())) == moved
+    known = Pendulum.assumed(factor * TRUTH.w2, TRUTH.c).w2
+    varied = PlantSettings().inertia_sigma * known.value
+    assert list(significant_moves({"w2": (known, measured(0).w2, varied)}, "1/s^2")) == moved

@@ -12,7 +12,7 @@ import pytest
 from equipoise.control.policy import shipped_policy
 from equipoise.control.ticks import Reply, Sample, TickInputs, missed_ticks
 from equipoise.errors import RecordingError
-from equipoise.identification.self_test import SelfTest, SelfTestVerdict
+from equipoise.identification.driven_swing import SelfTest, SelfTestVerdict
 from equipoise.model.actuator import Actuator
 from equipoise.outcomes import MAX_MEASUREMENT_AGE, MAX_STALL, Outcome, Phase, describe
 from equipoise.rig.config import RigSettings

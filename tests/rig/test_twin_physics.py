@@ -11,7 +11,7 @@ from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY
 from equipoise.worlds.twin.physics import build, mass_matrix
 from tests.arms import without_masses
-from tests.model.arms.weighed import WEIGHED, by_mujoco, by_pinocchio
+from tests.model.arms.witnesses import ARMS, by_mujoco, by_pinocchio
 
 PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
 BARE = TwinSettings(bracket_mass=0.0, pendulum_mass=1e-9, rotor_inertia=(0.0,))
@@ -30,10 +30,10 @@ def matrix(model, q):
     return M
 
 
-@pytest.mark.parametrize("name", WEIGHED)
+@pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("library", [by_mujoco, pytest.param(by_pinocchio, marks=pytest.mark.full)])
 def test_the_arm_is_that_of_an_independent_library(name, library):
-    arm, urdf = WEIGHED[name]
+    arm, urdf = ARMS[name]
     n = len(arm.joints)
     model = build(arm, PENDULUM, BARE)
     rng = np.random.default_rng(n)

@@ -66,7 +66,7 @@ def identify(
     from equipoise.apps.style import save
     from equipoise.artefacts import Estimate
     from equipoise.identification.recording import read_swing
-    from equipoise.identification.swing import advised_friction, identify
+    from equipoise.identification.swing import identify
 
     settings = changes.resolve(**{"identification.friction": model.friction})
     mass = length = None
@@ -82,8 +82,8 @@ def identify(
         pendulum.save(out, command="identify", inputs={"recording": recorded.sha256})
         drawn = save(free_swing(recorded, pendulum), out.with_suffix(""))
     then, fit = command("train", out), pendulum.fit
-    if fit and (richer := advised_friction(fit)):
-        then = command("identify", recording, swing, model, changes, friction=richer)
+    if fit and fit.richer_friction:
+        then = command("identify", recording, swing, model, changes, friction=fit.richer_friction)
     output.result(
         pendulum,
         period_s=pendulum.period,

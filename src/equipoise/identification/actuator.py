@@ -20,6 +20,7 @@ cycles. It includes the return path if the reply times are times of *arrival*.
 """
 
 from collections.abc import Mapping
+from functools import partial
 from hashlib import sha256
 from math import exp, sqrt
 from typing import Final, Literal, NamedTuple
@@ -36,6 +37,7 @@ from equipoise.identification.least_squares import (
     fit_unknowns,
     half_width,
     jackknife,
+    sensitivities,
 )
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import (
@@ -86,8 +88,6 @@ network. The log hardly shows it; the intervals allow for twice its square. With
 BLOCKS: Final = 20
 """Number of blocks of time: residuals are correlated over some 20 ms, a block of the shortest log
 lasts 200 ms."""
-SETTLING_TIME: Final = 0.25
-"""Time after which the initial state of the simulation has no effect [s]."""
 MIN_DURATION: Final = 4.25
 """Minimum duration of a log [s], with the settling."""
 MAX_GAP: Final = 0.025
@@ -95,13 +95,10 @@ MAX_GAP: Final = 0.025
 LEAST_SPEED: Final = 0.1
 """Minimum velocity range of each joint [rad/s]: at a single speed, delay and lag of the shaping law
 are indistinguishable."""
-MIN_MOTION_SHARE: Final = 0.25
-"""Minimum range of each measured joint, as a share of the range of its setpoints."""
+MIN_MOTION: Final = 0.25
+"""Minimum range of each measured joint, as a fraction of the range of its setpoints."""
 MAX_UNEXPLAINED: Final = 0.25
-"""Largest accepted residual, as a share of a joint's motion."""
-MIN_ADVANTAGE: Final = 2.5
-"""Mean reduction of the squared residual per block of time, in its standard errors, from which
-a servo replaces `ideal`, and a lag either."""
+"""Largest accepted residual, as a fraction of a joint's motion."""
 MAX_T_C_UNCERTAINTY: Final = 0.3
 """Relative half width of the interval of t_c above which t_c stays at the value of the server's
 source."""
@@ -131,31 +128,16 @@ class Log(NamedTuple):
         """Fitted positions [rad], shape (6, n)."""
         return self.reply_q[:, self.settled :]
 
-    def predict(self, kind: Kind, unknowns: Array, joint: int, spread: float = JITTER) -> Array:
-        """Simulate the positions of a joint [rad], shape (n,)."""
-        delay, t_c, lag, bias = map(float, unknowns[[DELAY, T_C, LAG + joint, LOAD_BIAS + joint]])
-        servo = ActuatorParameters(KINDS.index(kind), t_c)
-        response = JointResponse(delay, lag, servo, spread, bias)
-        predicted = np.empty_like(self.reply_time)
-        stream = self.stream_time, self.stream_q[joint]
-        track(*stream, self.reply_time, self.reply_q[joint], response, predicted)
-        return predicted[self.settled :]
-
     def residual(self, kind: Kind, unknowns: Array, spread: float = JITTER) -> Array:
         """Return measured minus predicted positions [rad], shape (6, n)."""
-        joints = range(FREE_JOINTS)
-        return self.measured - [self.predict(kind, unknowns, j, spread) for j in joints]
-
-    def sensitivities(self, kind: Kind, unknowns: Array, fitted: list[int]) -> Array:
-        """Return the derivatives of the predictions by the unknowns, shape (6, n, k)."""
-        J = np.zeros((*self.measured.shape, len(fitted)))
-        base = self.measured - self.residual(kind, unknowns)
-        for column, place in enumerate(fitted):
-            moved, step = unknowns.copy(), 1e-3 * SCALES[place]
-            moved[place] += step
-            for j in range(FREE_JOINTS) if place < LAG else [(place - LAG) % FREE_JOINTS]:
-                J[j, :, column] = (self.predict(kind, moved, j) - base[j]) / step
-        return J
+        residual = np.empty_like(self.reply_q)
+        for joint, predicted in enumerate(residual):
+            delay, t_c, lag, bias = unknowns[[DELAY, T_C, LAG + joint, LOAD_BIAS + joint]].tolist()
+            servo = ActuatorParameters(KINDS.index(kind), t_c)
+            response = JointResponse(delay, lag, servo, spread, bias)
+            stream = self.stream_time, self.stream_q[joint]
+            track(*stream, self.reply_time, self.reply_q[joint], response, predicted)
+        return (self.reply_q - residual)[:, self.settled :]
 
 
 class JointFit(NamedTuple):
@@ -199,11 +181,11 @@ def identify_actuator(
     log = _read(sent[:, 0], sent[:, 1:], measured[:, 0], measured[:, 1:])
     source = source or DIGEST_PREFIX + sha256(sent.tobytes() + measured.tobytes()).hexdigest()
     kinds: tuple[Kind, ...] = KINDS if kind == "auto" else (kind,)
-    starts = {each: _search(log, each, FITTED[each]) for each in kinds}
+    starts = {one: _search(log, one, FITTED[one]) for one in kinds}
     if kind == "auto":  # the fit of a law takes long: that of the less likely one is left out
         del starts[max(LAWS, key=lambda law: starts[law][0][0])]
     fits: dict[Kind, JointFit] = {
-        each: _fit(log, each, FITTED[each], starts[each]) for each in kinds if each in starts
+        one: _fit(log, one, FITTED[one], starts[one]) for one in kinds if one in starts
     }
     best = _choose(log, fits)
     left = np.std(best.residual, axis=1) / np.std(log.measured, axis=1)
@@ -224,7 +206,7 @@ def identify_actuator(
     delay, cycle, *lags = (
         Estimate.around(
             float(best.unknowns[place]),
-            half[place],
+            float(half[place]),
             "identified" if place in best.fitted else "assumed",
         ).not_negative()
         for place in range(LOAD_BIAS)
@@ -297,15 +279,16 @@ def _read(stream_time: Array, stream_q: Array, reply_time: Array, reply_q: Array
                 f"{1e3 * MAX_GAP:.0f} ms; record 10 s by one clock"
             )
     speeds = speed_ranges(stream_time, stream_q)
-    shares = np.ptp(q, axis=1) / np.maximum(np.ptp(stream_q, axis=0), 1e-300)
-    for number, (speed, share) in enumerate(zip(speeds, shares, strict=True), start=1):
-        if speed < LEAST_SPEED or share < MIN_MOTION_SHARE:
+    moved = np.ptp(q, axis=1) / np.maximum(np.ptp(stream_q, axis=0), 1e-300)
+    for number, (speed, fraction) in enumerate(zip(speeds, moved, strict=True), start=1):
+        if speed < LEAST_SPEED or fraction < MIN_MOTION:
             raise RecordingError(
                 f"the velocity of free joint {number} ranges over {speed:.2g} rad/s, and the joint "
-                f"moves {share:.0%} of the way, expected at least {LEAST_SPEED} rad/s and "
-                f"{MIN_MOTION_SHARE:.0%}; let every joint move slowly and fast, with the drives on"
+                f"moves {fraction:.0%} of the way, expected at least {LEAST_SPEED} rad/s and "
+                f"{MIN_MOTION:.0%}; let every joint move slowly and fast, with the drives on"
             )
-    settled = int(np.searchsorted(time, time[0] + SETTLING_TIME))
+    # After a quarter of a second the initial state of the simulation has no effect.
+    settled = int(np.searchsorted(time, time[0] + 0.25))
     parts = map(np.ascontiguousarray, (stream_time, stream_q.T, time, q))
     return Log(*parts, settled=settled)
 
@@ -314,7 +297,7 @@ def _search(log: Log, kind: Kind, fitted: list[int]) -> list[tuple[float, Array]
     """Return the best delay of a coarse grid for each t_c, the best one first.
 
     Returns:
-        For each t_c the root mean square share of the motion that is left, and the unknowns.
+        For each t_c the root mean square fraction of the motion that is left, and the unknowns.
     """
     start, found = START.copy(), list[tuple[float, Array]]()
     if kind == "ideal":
@@ -332,75 +315,70 @@ def _search(log: Log, kind: Kind, fitted: list[int]) -> list[tuple[float, Array]
 
 def _fit(log: Log, kind: Kind, fitted: list[int], starts: list[tuple[float, Array]]) -> JointFit:
     """Fit one kind of actuator, each joint weighted by its residual."""
+    own = [[place < LAG or (place - LAG) % FREE_JOINTS == j for place in fitted] for j in range(6)]
     fits = list[JointFit]()
-    for share, unknowns in starts:
+    for left, unknowns in starts:
         # Delay and t_c are nearly the same to slow motions, and a fit proceeds slowly from one to
         # the other: starts that are nearly as good as the best one are used, too.
-        if share > 3.0 * starts[0][0]:
+        if left > 3.0 * starts[0][0]:
             break
         residual, weights = log.residual(kind, unknowns), np.ones(FREE_JOINTS)
         for _ in range(2):  # weighted by the residuals of the search, then by those of the fit
             weights = 1.0 / np.std(residual, axis=1)
-            unknowns = _solve(log, kind, unknowns, fitted, weights)
+            unknowns = fit_unknowns(
+                partial(_weighted, log, kind, weights),
+                unknowns,
+                fitted,
+                SCALES,
+                (LOW, HIGH),
+                jac_sparsity=np.repeat(own, len(log.time), axis=0),
+                xtol=1e-6,
+                ftol=1e-7,
+            )
             residual = log.residual(kind, unknowns)
         fits.append(JointFit(kind, unknowns, fitted, weights, residual))
     return min(fits, key=lambda fit: fit.rms)
 
 
-def _solve(log: Log, kind: Kind, start: Array, fitted: list[int], weights: Array) -> Array:
-    def sensitivities(unknowns: Array) -> Array:
-        J = log.sensitivities(kind, unknowns, fitted)
-        return (weights[:, None, None] * J).reshape(-1, len(fitted))
-
-    return fit_unknowns(
-        lambda unknowns: weights[:, None] * log.residual(kind, unknowns),
-        sensitivities,
-        start,
-        fitted,
-        SCALES,
-        (LOW, HIGH),
-        # Exact steps, by decomposing the tall Jacobian, would take most of the time.
-        tr_solver="lsmr",
-        xtol=1e-6,
-        ftol=1e-7,
-    )
+def _weighted(log: Log, kind: Kind, weights: Array, unknowns: Array) -> Array:
+    """Return the weighted residuals of all joints, shape (6 n,)."""
+    return (weights[:, None] * log.residual(kind, unknowns)).ravel()
 
 
 def _choose(log: Log, fits: Mapping[Kind, JointFit]) -> JointFit:
     """Return the fit of the kind that explains a log.
 
-    Drives have inertia, so a servo is chosen where it leaves less than `ideal`, beyond chance. A
-    lag that leaves as little as the servo is not told from it by the log: only the servo's
-    intervals hold both.
+    Drives have inertia, so a servo is chosen where it leaves less than `ideal`, beyond chance: by
+    2.5 standard errors over blocks of time. A lag that leaves as little as the servo is not told
+    from it by the log: only the servo's intervals hold both.
     """
     best, block = next(iter(fits.values())), blocks_of_time(log.time, BLOCKS)
     for richer in (fits[kind] for kind in (*LAWS, "lag") if kind in fits):
         weights = richer.weights[:, None]
         squares = (weights * best.residual) ** 2 - (weights * richer.residual) ** 2
         gains = np.bincount(block, weights=squares.sum(axis=0))
-        if np.mean(gains) > MIN_ADVANTAGE * np.std(gains, ddof=1) / sqrt(BLOCKS):
+        if np.mean(gains) > 2.5 * np.std(gains, ddof=1) / sqrt(BLOCKS):
             best = richer
     return best
 
 
-def _half_widths(log: Log, fit: JointFit) -> list[float]:
+def _half_widths(log: Log, fit: JointFit) -> Array:
     """Return the half widths of the 95 % intervals of all unknowns; zero for fixed ones.
 
     The variance is the sum of a jackknife over blocks of time of all joints together, and of the
     shift of the unknowns under a larger transport jitter.
     """
-    scales, weights = SCALES[fit.fitted], fit.weights[:, None]
-    sensitivities = scales * log.sensitivities(fit.kind, fit.unknowns, fit.fitted)
-    J = (weights[:, :, None] * sensitivities).reshape(-1, len(fit.fitted))
-    block = np.tile(blocks_of_time(log.time, BLOCKS), FREE_JOINTS)
+    weighted = partial(_weighted, log, fit.kind, fit.weights)
+    J = sensitivities(weighted, fit.unknowns, fit.fitted, SCALES)
+    time = np.tile(log.time, FREE_JOINTS)
     jittered = log.residual(fit.kind, fit.unknowns, spread=sqrt(2.0) * JITTER)
+    weights = fit.weights[:, None]
     change = (weights * (jittered - fit.residual)).ravel()
     move = np.linalg.lstsq(J.T @ J, J.T @ change, rcond=None)[0]
-    variances = np.diag(jackknife(J, (weights * fit.residual).ravel(), block)) + move**2
-    half = [0.0] * len(fit.unknowns)
-    for place, variance in zip(fit.fitted, scales**2 * variances, strict=True):
-        half[place] = half_width(float(variance), BLOCKS)
-    return half
+    variances = np.diag(jackknife(J, (weights * fit.residual).ravel(), time, BLOCKS)) + move**2
+    half = np.zeros(len(fit.unknowns))
+    half[fit.fitted] = [half_width(float(variance), BLOCKS) for variance in variances]
+    return half * SCALES
 
 
 def _warnings(log: Log, fit: JointFit, noise: Array) -> tuple[str, ...]:
@@ -412,13 +390,15 @@ def _warnings(log: Log, fit: JointFit, noise: Array) -> tuple[str, ...]:
             "both slowly and fast"
         )
     for j, left in enumerate(_rms(fit.residual)):
-        share = left / np.std(log.measured[j])
-        if left > 3.0 * noise[j] and share > 0.02:  # transport jitter alone leaves twice the noise
+        fraction = left / np.std(log.measured[j])
+        if (
+            left > 3.0 * noise[j] and fraction > 0.02
+        ):  # transport jitter alone leaves twice the noise
             warnings.append(
-                f"free joint {j + 1} deviates from the model: it leaves "
-                f"{1e3 * left:.2g} mrad, {share:.0%} of the motion and {left / noise[j]:.0f} times "
-                "the noise; where a torque was at its limit, record slower motions; otherwise its "
-                "load shakes it, and its lag is uncertain"
+                f"free joint {j + 1} deviates from the model: it leaves {1e3 * left:.2g} mrad, "
+                f"{fraction:.0%} of the motion and {left / noise[j]:.0f} times the noise; where a "
+                "torque was at its limit, record slower motions; otherwise its load shakes it, and "
+                "its lag is uncertain"
             )
     return tuple(warnings)
 

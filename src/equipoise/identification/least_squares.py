@@ -1,7 +1,7 @@
 """Least-squares fits, and their covariance by a block jackknife for autocorrelated residuals."""
 
 from collections.abc import Callable
-from math import sqrt
+from math import inf, sqrt
 from typing import Any
 
 import numpy as np
@@ -9,69 +9,92 @@ import numpy.typing as npt
 
 from equipoise.arrays import Array
 
-IntArray = npt.NDArray[np.intp]
-
 
 def fit_unknowns(
-    residual: Callable[[Array], Array],
-    sensitivities: Callable[[Array], Array],
+    misfit: Callable[[Array], Array],
     start: Array,
     fitted: list[int],
     scales: Array,
-    bounds: tuple[Array, Array],
+    bounds: tuple[float | Array, float | Array] = (-inf, inf),
     **options: Any,
 ) -> Array:
-    """Return the unknowns with the least sum of squared residuals, shape (k,).
+    """Return the unknowns with the least sum of squared misfits, shape (k,).
 
     Args:
-        residual: Returns measured minus predicted of all unknowns, of any shape.
-        sensitivities: Returns the derivatives of the prediction by the fitted unknowns, shape
-            (n, number of fitted).
+        misfit: Returns predicted minus measured for all unknowns, shape (n,).
         start: Initial guess of all unknowns, shape (k,).
         fitted: Indices of the free unknowns.
         scales: Scale of each unknown, shape (k,).
-        bounds: Lower and upper bounds of all unknowns, shape (k,) each.
+        bounds: Lower and upper bounds of all unknowns.
         options: Tolerances and the like, for `scipy.optimize.least_squares`.
     """
     from scipy.optimize import least_squares
 
-    scale = scales[fitted]
-    low, high = (end[fitted] / scale for end in bounds)
-
-    def at(x: Array) -> Array:
-        unknowns = start.copy()
-        unknowns[fitted] = x * scale
-        return unknowns
-
+    low, high = (np.broadcast_to(end, start.shape)[fitted] / scales[fitted] for end in bounds)
     solution = least_squares(
-        lambda x: -residual(at(x)).ravel(),
-        np.clip(start[fitted] / scale, low + 1e-3, high - 1e-3),
-        # SciPy's stub accepts a name here, but no function.
-        jac=lambda x: sensitivities(at(x)) * scale,  # pyright: ignore[reportArgumentType]
+        _scaled(misfit, start, fitted, scales),
+        np.clip(start[fitted] / scales[fitted], low + 1e-3, high - 1e-3),
         bounds=(low, high),
         x_scale="jac",
         **options,
     )
-    return at(solution.x)
+    unknowns = start.copy()
+    unknowns[fitted] = solution.x * scales[fitted]
+    return unknowns
 
 
-def blocks_of_time(time: Array, blocks: int) -> IntArray:
+def sensitivities(
+    misfit: Callable[[Array], Array], unknowns: Array, fitted: list[int], scales: Array
+) -> Array:
+    """Return central differences of the misfit by the fitted unknowns over their scales.
+
+    Args:
+        misfit: Returns predicted minus measured for all unknowns, shape (n,).
+        unknowns: All unknowns, shape (k,).
+        fitted: Indices of the free ones.
+        scales: Scale of each unknown, shape (k,).
+
+    Returns:
+        Shape (n, number of fitted).
+    """
+    of_fitted, at = _scaled(misfit, unknowns, fitted, scales), unknowns[fitted] / scales[fitted]
+    steps = 1e-6 * np.eye(len(fitted))
+    columns = [(of_fitted(at + step) - of_fitted(at - step)) / 2e-6 for step in steps]
+    return np.stack(columns, axis=1)
+
+
+def _scaled(
+    misfit: Callable[[Array], Array], start: Array, fitted: list[int], scales: Array
+) -> Callable[[Array], Array]:
+    """Return the misfit as a function of the fitted unknowns over their scales."""
+
+    def of_fitted(x: Array) -> Array:
+        unknowns = start.copy()
+        unknowns[fitted] = x * scales[fitted]
+        return misfit(unknowns)
+
+    return of_fitted
+
+
+def blocks_of_time(time: Array, blocks: int) -> npt.NDArray[np.intp]:
     """Return the index of the block of equal duration that holds each sample, shape (n,)."""
-    elapsed = time - time[0]
-    return np.minimum(elapsed / elapsed[-1] * blocks, blocks - 1).astype(np.intp)
+    elapsed = time - np.min(time)
+    return np.minimum(elapsed / np.max(elapsed) * blocks, blocks - 1).astype(np.intp)
 
 
-def jackknife(J: Array, residual: Array, block: IntArray) -> Array:
+def jackknife(J: Array, residual: Array, time: Array, blocks: int) -> Array:
     """Estimate the covariance of least-squares unknowns.
 
-    The estimate is the scatter of the unknowns, to first order, when one block at a time is left
-    out. It stays valid for residuals that are correlated within a block.
+    The estimate is the scatter of the unknowns, to first order, when one block of time at a time is
+    left out. It stays valid for residuals that are correlated within a block.
 
     Args:
         J: Derivatives of the prediction by the unknowns, shape (n, k).
-        residual: Measured minus predicted, shape (n,).
-        block: Index of the block of each sample, shape (n,).
+        residual: Measured minus predicted, shape (n,), of either sign.
+        time: Times of the samples [s], shape (n,).
+        blocks: Number of blocks of equal duration.
     """
+    block = blocks_of_time(time, blocks)
     information = J.T @ J
     moves: list[npt.NDArray[np.floating]] = []
     for i in np.unique(block):

@@ -50,12 +50,6 @@ QUANTITIES: Final = ("theta_rad", "theta_deg", "counts", "rate_rad_s")
 """Accepted columns of the motion; a file has one."""
 MAX_RECORDING_SIZE: Final = 128 * MEBIBYTE
 """Size limit of a recording [bytes]: an hour at 1 kHz with six columns."""
-MAX_TIME: Final = 1e10
-"""Limit on a time stamp [s]: 300 years; seconds since 1970 are below, milliseconds above."""
-MAX_VALUE: Final = 1e9
-"""Limit on an angle [rad] or a rate [rad/s], beyond the range of any encoder."""
-CLOCK_PERIOD: Final = 2.0**32
-"""Period of a microcontroller's clock: 71.6 minutes of microseconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,9 +83,9 @@ class Trajectory:
             raise RecordingError("a trajectory holds an angle or a rate; give theta or theta_dot")
         digest = hashlib.sha256()
         for name in ("time", "theta", "theta_dot"):
-            if (given := getattr(self, name)) is None:
+            if getattr(self, name) is None:
                 continue
-            values = np.array(given, dtype=np.float64)
+            values = np.array(getattr(self, name), dtype=np.float64)
             if values.shape != (len(self.time),) or not np.all(np.isfinite(values)):
                 raise RecordingError(
                     f"{self.source}: {name} has the shape {values.shape}, or values that are not "
@@ -153,21 +147,10 @@ def read_swing(
         )
     turn = {"theta_deg": 360.0, "counts": counts_per_rev or 1}.get(quantity, 2.0 * pi)
     unit = 2.0 * pi / turn
-    for name, column, limit in (
-        (time_name, TIMES[time_name] * table[:, 1], MAX_TIME),
-        (quantity, unit * table[:, 2], MAX_VALUE),
-    ):
-        if not np.all(np.abs(column) <= limit):
-            row = int(np.argmin(np.abs(column) <= limit))
-            raise RecordingError(
-                f"{path}: {name} in line {table[row, 0]:.0f} is {column[row]:.4g} in SI units, "
-                f"expected a number up to {limit:g}; name the column by its unit, or remove the "
-                "line"
-            )
-    table = table[np.append(True, np.any(np.diff(table[:, 1:], axis=0), axis=1))]
-    _, stamps, values = table.T
+    stamps, values = table[np.append(True, np.any(np.diff(table, axis=0), axis=1))].T
     resolution = unit * (1.0 if is_counts else _smallest_step(values))
-    stamps = TIMES[time_name] * np.unwrap(stamps, period=CLOCK_PERIOD)
+    # The clock of a microcontroller wraps after 71.6 minutes of microseconds.
+    stamps = TIMES[time_name] * np.unwrap(stamps, period=2.0**32)
     if not is_rate:
         values = np.unwrap(values, period=_wrap(values, turn) if is_counts else turn)
     keep = stamps >= (-inf if start is None else start - 1e-9)
@@ -213,7 +196,7 @@ def _wrap(counts: Array, turn: float) -> float:
 
 
 def _read_table(path: Path, data: bytes) -> tuple[str, str, Array]:
-    """Return the names of the columns of time and motion; lines and their numbers, shape (n, 3)."""
+    """Return the names of the columns of time and motion, and their numbers, shape (n, 2)."""
     text = decode_text(data, path, "a recording", RecordingError)
     first, _, text = io.StringIO(text, newline=None).read().partition("\n")
     separator = max(",;\t", key=first.count) if ";" in first or "\t" in first else ","
@@ -229,13 +212,19 @@ def _read_table(path: Path, data: bytes) -> tuple[str, str, Array]:
             "semicolon or a tab; name the columns in the first line"
         )
     places, table = [names.index(name) for name in chosen], array("d")
+    limits = 1e10 / TIMES[chosen[0]], 1e10  # 300 years; an angle or a rate beyond any encoder's
     rows = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
     try:
         for row in rows:
             if any(map(str.strip, row)):
                 if not max(places) < len(row) <= len(names) + 1:
                     raise ValueError(f"{len(row)} cells, expected {len(names)}")
-                table.extend((rows.line_num + 1, *(float(row[place]) for place in places)))
+                numbers = [float(row[place]) for place in places]
+                if not all(
+                    abs(number) <= limit for number, limit in zip(numbers, limits, strict=True)
+                ):
+                    raise ValueError(f"{numbers} are not finite, or too large for their units")
+                table.extend(numbers)
     except (ValueError, csv.Error) as error:
         raise RecordingError(
             f"{path}: line {rows.line_num + 1}: {shortened(str(error), 200)}; expected finite "
@@ -244,7 +233,7 @@ def _read_table(path: Path, data: bytes) -> tuple[str, str, Array]:
         ) from None
     if not table:
         raise RecordingError(f"{path} holds no samples; record a swing of a few periods")
-    return chosen[0], chosen[1], np.array(table).reshape(-1, 3)
+    return chosen[0], chosen[1], np.array(table).reshape(-1, 2)
 
 
 def _smallest_step(values: Array) -> float:
@@ -276,7 +265,6 @@ def simulate_swing(
     rate_hz: Annotated[float, Field(gt=0.0, le=1e5)],
     counts_per_rev: Annotated[int, Field(ge=4, le=FINEST_ENCODER)],
     noise: Annotated[float, Field(ge=0.0)] = 0.0,
-    jitter: Annotated[float, Field(ge=0.0)] = 0.0,
     zero_offset: float = 0.0,
     seed: Seed = 0,
 ) -> Trajectory:
@@ -289,20 +277,14 @@ def simulate_swing(
         rate_hz: Sampling rate [Hz].
         counts_per_rev: Encoder counts per revolution.
         noise: Standard deviation of white noise on the angle before quantization [rad].
-        jitter: Standard deviation of the sampling times around their grid [s]; the time stamps
-            are the true times.
         zero_offset: Encoder angle of the hanging pendulum [rad].
-        seed: Seed of noise and jitter.
+        seed: Seed of the noise.
 
     Returns:
         The recording, without a known release.
     """
     rng = np.random.default_rng(seed)
     time = np.arange(round(duration * rate_hz) + 1) / rate_hz
-    if jitter > 0.0:
-        # Below half a sampling period, which keeps the order of the samples.
-        time += np.clip(jitter * rng.standard_normal(time.size), -0.49 / rate_hz, 0.49 / rate_hz)
-        time -= time[0]
     theta, theta_dot = np.empty_like(time), np.empty_like(time)
     # Eight times as many steps as in a fit, so that a test of one does not share its error.
     h = 2.0 * pi / np.sqrt(parameters.w2) / 1024

@@ -94,7 +94,9 @@ def inspect(policy: TabularPolicy, log: RunLog) -> RefinementFindings:
             response = read_response(log, arm, actuator)
         except RecordingError as error:
             warnings.append(f"the log does not identify the actuator: {error}")
-    moves = pendulum_moves(pendulum, fit, plant)
+    # The friction of a balanced pendulum is hardly known, and not compared.
+    of_w2 = (pendulum.w2, fit.w2, plant.inertia_sigma * pendulum.w2.value)
+    moves = significant_moves({"w2": of_w2}, "1/s^2")
     responded = actuator_moves(actuator, response, arm, plant)
     if moves:
         covariance = np.array(pendulum.covariance)
@@ -105,9 +107,8 @@ def inspect(policy: TabularPolicy, log: RunLog) -> RefinementFindings:
         gone = dict.fromkeys(("fit", "friction", "mass", "length", "inertia"))
         pendulum = pendulum.model_copy(update=changes | gone)
     if responded:
-        now = numbers(actuator, arm) | response
-        lags = tuple(now[_lag(arm, j)] for j in range(FREE_JOINTS))
-        new = {"delay": now["delay"], "cycle": now["cycle"], "lags": lags, "fit": None}
+        delay, cycle, *lags = (_numbers(actuator, arm) | response).values()
+        new = {"delay": delay, "cycle": cycle, "lags": tuple(lags), "fit": None}
         actuator = actuator.model_copy(update=new)
     moved = moves | responded
     return RefinementFindings(fit, response, moved, pendulum, actuator, tuple(warnings))
@@ -193,27 +194,21 @@ def read_response(log: RunLog, arm: Arm, known: Actuator) -> dict[str, Estimate]
     joints = free[[j if j in moving else moving[0] for j in range(FREE_JOINTS)]]
     sent, measured = (np.column_stack((part.time, part.q[:, joints])) for part in (stream, replies))
     actuator = identify_actuator(sent, measured, source=log.digest, kind=known.kind)
-    still = {_lag(arm, j) for j in range(FREE_JOINTS) if j not in moving}
+    still = [f"lag of {arm.free_joints[j].name}" for j in range(FREE_JOINTS) if j not in moving]
     return {
         name: estimate
-        for name, estimate in numbers(actuator, arm).items()
+        for name, estimate in _numbers(actuator, arm).items()
         if name not in still and estimate.source == "identified"
     }
 
 
-def numbers(actuator: Actuator, arm: Arm) -> dict[str, Estimate]:
+def _numbers(actuator: Actuator, arm: Arm) -> dict[str, Estimate]:
     """Return delay, cycle and lags of an actuator by name [s]."""
-    lags = {_lag(arm, j): lag for j, lag in enumerate(actuator.lags)}
+    lags = {
+        f"lag of {joint.name}": lag
+        for joint, lag in zip(arm.free_joints, actuator.lags, strict=True)
+    }
     return {"delay": actuator.delay, "cycle": actuator.cycle, **lags}
-
-
-def _lag(arm: Arm, joint: int) -> str:
-    return f"lag of {arm.free_joints[joint].name}"
-
-
-def pendulum_moves(known: Pendulum, fit: ClosedLoopFit, plant: PlantSettings) -> dict[str, str]:
-    """Return a line on w2 if it moved; the friction of a balanced pendulum is hardly known."""
-    return _moves({"w2": (known.w2, fit.w2, plant.inertia_sigma * known.w2.value)}, "1/s^2")
 
 
 def actuator_moves(
@@ -231,14 +226,16 @@ def actuator_moves(
     """
     pairs: dict[str, tuple[Estimate, Estimate, float]] = {}
     for name, now in response.items():
-        before = numbers(known, arm)[name]
+        before = _numbers(known, arm)[name]
         varied = 0.0 if name == "cycle" else plant.delay_spread
         varied += 0.0 if name == "delay" else plant.lag_spread * before.value
         pairs[name] = before, now, varied
-    return _moves(pairs, "s")
+    return significant_moves(pairs, "s")
 
 
-def _moves(pairs: Mapping[str, tuple[Estimate, Estimate, float]], unit: str) -> dict[str, str]:
+def significant_moves(
+    pairs: Mapping[str, tuple[Estimate, Estimate, float]], unit: str
+) -> dict[str, str]:
     """Return a line on each significant change of a value beyond the range of the training.
 
     Args:

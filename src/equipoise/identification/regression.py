@@ -24,7 +24,7 @@ import numpy as np
 from equipoise.arrays import Array
 from equipoise.artefacts import Estimate, Value
 from equipoise.errors import RecordingError
-from equipoise.identification.least_squares import blocks_of_time, half_width, jackknife
+from equipoise.identification.least_squares import half_width, jackknife
 from equipoise.settings import GRAVITY
 
 WINDOW: Final = 0.3
@@ -33,16 +33,14 @@ the fast part of the motion, and dry friction with it."""
 MIN_BLOCKS: Final = 8
 """Minimum number of blocks; the scatter of fewer blocks is meaningless."""
 MAX_UNEXPLAINED: Final = 0.7
-"""Largest accepted unexplained share of the acceleration; more indicates another motion. A pendulum
-that moves by two counts of its encoder leaves 0.5."""
+"""Largest accepted unexplained fraction of the acceleration; more indicates another motion. A
+pendulum that moves by two counts of its encoder leaves 0.5."""
 ROUGH_FIT: Final = 0.1
-"""Unexplained share above which friction is indistinguishable from noise. Balancing with a table
+"""Unexplained fraction above which friction is indistinguishable from noise. Balancing with a table
 leaves 0.01."""
 
-GRAVITY_TERM, VISCOUS, DRY, ZERO, LATE = range(5)
+W2, C, COULOMB, ZERO, LATE = range(5)
 """Indices of the coefficients: w2, the frictions, w2 times the zero error, k times the latency."""
-TIME, TERMS, ACCELERATION = 0, slice(1, 6), 6
-"""Columns of the averaged equation."""
 
 
 class ClosedLoopFit(Value):
@@ -92,8 +90,8 @@ def regress(time: Array, phi: Array, x: Array, *, g: float = GRAVITY) -> ClosedL
     """
     from scipy.interpolate import CubicSpline
 
-    finite = all(len(each) == len(time) and np.all(np.isfinite(each)) for each in (time, phi, x))
-    if not finite or len(time) < 16 or np.any(np.diff(time) <= 0.0):
+    finite = all(len(values) == len(time) and np.all(np.isfinite(values)) for values in (phi, x))
+    if not finite or len(time) < 16 or not np.all(np.diff(time) > 0.0):
         raise RecordingError(
             f"the log has {len(time)} samples, expected at least 16 finite ones whose time "
             "increases; sort it and leave broken and repeated samples out"
@@ -102,13 +100,13 @@ def regress(time: Array, phi: Array, x: Array, *, g: float = GRAVITY) -> ClosedL
     # A block of 2 s is longer than the correlation of the motion.
     blocks = max(round(length / 2.0), MIN_BLOCKS)
     # The latency is linearised, so x is shifted by the first estimate and solved again.
-    values = _solve(_averaged(time, phi, x, g))[0]
-    late = float(values[LATE] / values[GRAVITY_TERM]) * g
+    values, *_ = _solve(*_averaged(time, phi, x, g)[1:])
+    late = float(values[LATE] / values[W2]) * g
     moved = CubicSpline(time, x)(np.clip(time + late, time[0], time[-1]))
-    rows = _averaged(time, phi, moved, g)
-    values, residual = _solve(rows)
-    M, w2 = rows[:, TERMS], float(values[GRAVITY_TERM])
-    spread = jackknife(M, residual, blocks_of_time(rows[:, TIME], blocks))
+    when, M, y = _averaged(time, phi, moved, g)
+    values, residual, unexplained = _solve(M, y)
+    w2 = float(values[W2])
+    spread = jackknife(M, residual, when, blocks)
     # Increase of the slope in a regression of gravity's term on all others.
     inverse = float(np.linalg.pinv(M.T @ M, hermitian=True)[0, 0])
     reach = float(residual @ residual) * inverse / w2
@@ -122,25 +120,39 @@ def regress(time: Array, phi: Array, x: Array, *, g: float = GRAVITY) -> ClosedL
         low, high = value - half, value + half + reach
         return Estimate(value=value, low=low, high=high, source="identified")
 
-    fit = ClosedLoopFit(
-        w2=estimate(GRAVITY_TERM, reach=reach),
-        k=estimate(GRAVITY_TERM, 1.0 / g, reach=reach / g),
-        c=estimate(VISCOUS),
-        coulomb=estimate(DRY),
+    late_x = estimate(LATE, g / w2, offset=late)
+    warnings: list[str] = []
+    if unexplained > ROUGH_FIT:
+        warnings.append(
+            f"the equation leaves {unexplained:.0%} of the acceleration unexplained, expected "
+            f"less than {ROUGH_FIT:.0%}: friction is hidden in noise, and w2 is rough; let the "
+            "pendulum move more, use a finer encoder, or look at encoder_sign in rig.toml"
+        )
+    if max(late_x.low, -late_x.high) > 0.002:  # [s]
+        warnings.append(
+            f"x comes {1e3 * late_x.value:.1f} ms later than the phi of its time stamp (negative:"
+            " earlier); the fit allows for it, but look at the clocks"
+        )
+    return ClosedLoopFit(
+        w2=estimate(W2, reach=reach),
+        k=estimate(W2, 1.0 / g, reach=reach / g),
+        c=estimate(C),
+        coulomb=estimate(COULOMB),
         zero=estimate(ZERO, 1.0 / w2),
-        late=estimate(LATE, g / w2, offset=late),
+        late=late_x,
         duration=length,
         samples=len(time),
-        unexplained=_unexplained(rows, residual),
+        unexplained=unexplained,
+        warnings=tuple(warnings),
     )
-    return fit.model_copy(update={"warnings": _warnings(fit)})
 
 
-def _averaged(time: Array, phi: Array, x: Array, g: float) -> Array:
+def _averaged(time: Array, phi: Array, x: Array, g: float) -> tuple[Array, Array, Array]:
     """Return the equation averaged over a moving window, without gaps.
 
     Returns:
-        Rows of time, the regressors of the coefficients and phi_ddot, shape (n, 7).
+        Times [s], shape (n,), the regressors of the coefficients, shape (n, 5), and phi_ddot,
+        shape (n,).
 
     Raises:
         RecordingError: The log is too short.
@@ -168,9 +180,9 @@ def _averaged(time: Array, phi: Array, x: Array, g: float) -> Array:
     bump = _bump(WINDOW, step)[:, None]
     if len(bump) <= len(fine):
         means = np.asarray(oaconvolve(columns, bump, "valid", axes=0))[::4]
-        rows = means[means[:, -1] < 1e-6, :-1]  # convolution by FFT leaves 1e-17 outside gaps
-        if len(rows) and np.ptp(rows[:, TIME]) >= MIN_BLOCKS * WINDOW:
-            return rows
+        rows = means[means[:, -1] < 1e-6]  # convolution by FFT leaves 1e-17 outside gaps
+        if len(rows) and np.ptp(rows[:, 0]) >= MIN_BLOCKS * WINDOW:
+            return rows[:, 0], rows[:, 1:6], rows[:, 6]
     raise RecordingError(
         f"the log holds {np.ptp(time):.2f} s, expected at least {(MIN_BLOCKS + 2) * WINDOW:.1f} s "
         "without gaps; balance for longer"
@@ -184,16 +196,15 @@ def _bump(length: float, step: float) -> Array:
     return bump / np.sum(bump)
 
 
-def _solve(rows: Array) -> tuple[Array, Array]:
-    """Return the coefficients, shape (5,), and the residual of the equation, shape (n,).
+def _solve(M: Array, y: Array) -> tuple[Array, Array, float]:
+    """Return the coefficients, shape (5,), the residual, shape (n,), and its fraction of y.
 
     Raises:
         RecordingError: The log does not follow the equation.
     """
-    M, y = rows[:, TERMS], rows[:, ACCELERATION]
     values = np.linalg.lstsq(M, y, rcond=None)[0].astype(np.float64)
     residual = y - M @ values
-    w2, left = float(values[GRAVITY_TERM]), _unexplained(rows, residual)
+    w2, left = float(values[W2]), float(np.linalg.norm(residual) / max(np.linalg.norm(y), 1e-12))
     if w2 <= 0.0 or left > MAX_UNEXPLAINED:
         raise RecordingError(
             f"the pendulum's equation leaves {left:.0%} of the acceleration unexplained "
@@ -201,26 +212,4 @@ def _solve(rows: Array) -> tuple[Array, Array]:
             "stands too still for its encoder, or phi and x do not belong together; look at "
             "their units, signs (encoder_sign in rig.toml) and clocks, and that phi is 0 upright"
         )
-    return values, residual
-
-
-def _unexplained(rows: Array, residual: Array) -> float:
-    """Return the root mean square residual over the root mean square acceleration."""
-    size = float(np.linalg.norm(rows[:, ACCELERATION]))
-    return float(np.linalg.norm(residual)) / max(size, 1e-12)
-
-
-def _warnings(fit: ClosedLoopFit) -> tuple[str, ...]:
-    warnings: list[str] = []
-    if fit.unexplained > ROUGH_FIT:
-        warnings.append(
-            f"the equation leaves {fit.unexplained:.0%} of the acceleration unexplained, expected "
-            f"less than {ROUGH_FIT:.0%}: friction is hidden in noise, and w2 is rough; let the "
-            "pendulum move more, use a finer encoder, or look at encoder_sign in rig.toml"
-        )
-    if max(fit.late.low, -fit.late.high) > 0.002:  # [s]
-        warnings.append(
-            f"x comes {1e3 * fit.late.value:.1f} ms later than the phi of its time stamp (negative:"
-            " earlier); the fit allows for it, but look at the clocks"
-        )
-    return tuple(warnings)
+    return values, residual, left

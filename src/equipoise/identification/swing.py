@@ -7,8 +7,8 @@ with theta from hanging. The frictions f and d go beyond the paper and are fitte
 recording holds theta plus a zero offset, or theta_dot of a gyro plus a bias.
 
 1. Detect the free swing from its turning points; exclude a hand on the pendulum and rotations over
-   the top (`release`).
-2. Fit the nonlinear equation by least squares over a growing horizon (`fit`).
+   the top (`free_swing`).
+2. Fit the nonlinear equation by least squares over a growing horizon.
 3. Compute intervals with a jackknife over periods. Residuals of real swings are autocorrelated;
    errors that assume independence are up to 39 times too small.
 4. If the model does not explain the recording, find one that does: with richer friction, or of a
@@ -26,8 +26,7 @@ from equipoise.arguments import checked
 from equipoise.arrays import Array
 from equipoise.artefacts import Estimate, StrPath
 from equipoise.errors import RecordingError
-from equipoise.identification import fit as fitting
-from equipoise.identification.fit import (
+from equipoise.identification.free_swing import (
     COULOMB,
     DRAG,
     OFFSET,
@@ -37,25 +36,36 @@ from equipoise.identification.fit import (
     W2,
     C,
     SwingRecording,
+    find_free_swing,
 )
-from equipoise.identification.least_squares import half_width
+from equipoise.identification.least_squares import (
+    fit_unknowns,
+    half_width,
+    jackknife,
+    sensitivities,
+)
 from equipoise.identification.recording import Trajectory, read_swing
-from equipoise.identification.release import find_free_swing
 from equipoise.model.pendulum import Pendulum, SwingFit
 from equipoise.settings import Friction, IdentificationSettings
 
-MODELS: Final = list(fitting.FRICTIONS)
+FRICTIONS: Final[dict[Friction, list[int]]] = {
+    "viscous": [C],
+    "coulomb": [C, COULOMB],
+    "quadratic": [C, COULOMB, DRAG],
+}
+"""Unknowns of each friction model, from the paper's to the richest."""
+MODELS: Final = list(FRICTIONS)
 """Friction models, from the paper's to the richest."""
+COARSE, FINE = 1e-6, 1e-12
+"""Relative changes of the sum of squares at which a fit of a part and a final fit stop."""
 WARNING_MISFIT: Final = 0.005
-"""Share of the amplitude left unexplained above which a warning is given: a well-modelled pivot
+"""Fraction of the amplitude left unexplained above which a warning is given: a well-modelled pivot
 leaves 0.1 to 0.4 %."""
-FRICTION_ADVICE: Final = "try --friction {}"
-"""Advice of a friction model."""
+MAX_MISFIT: Final = 0.25
+"""Largest accepted misfit (residual without noise), as a fraction of the recording's standard
+deviation; more is not a free swing. A long swing with the wrong friction model leaves 5 %."""
 SMALL_SWING: Final = radians(10.0)
 """Amplitude below which the period grows with the amplitude by less than 0.2 % [rad]."""
-MAX_MISSED: Final = 0.15
-"""Largest accepted residual in the period after the swing, as a share of the recording's standard
-deviation; a hand leaves more, and a swing that friction damps or stops less."""
 
 
 @checked
@@ -85,51 +95,57 @@ def identify(
     """
     trajectory = trajectory if isinstance(trajectory, Trajectory) else read_swing(trajectory)
     settings = settings or IdentificationSettings()
-    free = find_free_swing(trajectory)
-    time, values = trajectory.time[free.part], trajectory.values[free.part]
-    is_rate, w2 = trajectory.theta is None, float(free.start[W2])
-    recording = SwingRecording(time, values, is_rate, free.period, w2)
-    unknowns = fitting.fit_swing(recording, free.start, settings.friction, show)
-    swing_fit = SwingFit(
-        source=trajectory.source,
-        sha256=trajectory.sha256,
-        quantity="rate" if is_rate else "angle",
-        window=(float(time[0]), float(time[-1])),
-        release=free.release,
-        samples=len(time),
-        periods=float(np.ptp(time)) / free.period,
-        rms=recording.rms(unknowns),
-        noise=recording.noise(unknowns, trajectory.resolution),
-        offset=float(unknowns[OFFSET]),
-        theta=float(unknowns[THETA]),
-        theta_dot=float(unknowns[THETA_DOT]),
-        settings=settings,
-    )
-    advice = ""
-    if swing_fit.unexplained > WARNING_MISFIT:
-        advice = _advice(recording, unknowns, settings.friction, free.start, show)
-    left = recording.misfit(unknowns, trajectory.resolution) / float(np.std(values))
-    if left > fitting.MAX_UNEXPLAINED:
+    friction, (recording, start) = settings.friction, find_free_swing(trajectory)
+    unknowns = fit_swing(recording, start, friction, show)
+    begin, end = float(recording.time[0]), float(recording.time[-1])
+    periods = (end - begin) / recording.period
+    misfit = recording.misfit(unknowns, trajectory.resolution)
+    unexplained = misfit / abs(float(unknowns[THETA_DOT if recording.is_rate else THETA]))
+    richer, advice = None, ""
+    if unexplained > WARNING_MISFIT:
+        richer, advice = _advice(recording, unknowns, friction, start, show)
+    if (left := misfit / float(np.std(recording.values))) > MAX_MISFIT:
         raise RecordingError(
-            f"{trajectory.source} is not one free swing with {settings.friction} friction: the "
-            f"pendulum's equation leaves {left:.0%} of the motion from {time[0]:.2f} s to "
-            f"{time[-1]:.2f} s unexplained, expected less than {fitting.MAX_UNEXPLAINED:.0%}; "
+            f"{trajectory.source} is not one free swing with {friction} friction: the "
+            f"pendulum's equation leaves {left:.0%} of the motion from {begin:.2f} s to "
+            f"{end:.2f} s unexplained, expected less than {MAX_MISFIT:.0%}; "
             f"{advice or 'choose a free swing with --start and --end'}"
         )
-    disturbance = _disturbance(trajectory, recording, unknowns, settings.friction)
-    warnings = tuple(_warnings(recording, unknowns, swing_fit, advice, disturbance))
-    swing_fit = swing_fit.model_copy(update={"warnings": warnings})
+    warnings: list[str] = []
+    if unexplained > WARNING_MISFIT:
+        warnings.append(
+            f"{friction} friction leaves {unexplained:.1%} of the amplitude unexplained, "
+            "and its numbers hold only near the amplitudes of this window; "
+            + (advice or "look for play, vibration or a moving pivot, or choose another window")
+        )
+    names = {C: "viscous", COULOMB: "Coulomb", DRAG: "quadratic"}
+    warnings += [
+        f"{names[place]} friction is kept at zero: the recording shows none beside the others"
+        for place in at_bound(unknowns, friction)
+    ]
+    if periods < 3.0:
+        warnings.append(
+            f"the swing lasts {periods:.1f} periods only, and the intervals are rough; "
+            "record ten, with less friction if it stops sooner"
+        )
+    # On one rig w2 was 1.4 % higher at 3.6 deg than at 56 deg, and differed by 0.2 % from there to
+    # 149 deg.
+    if (largest := _amplitude(recording, unknowns)) < SMALL_SWING:
+        warnings.append(
+            f"the swing stays within {degrees(largest):.2g} deg, where play and dry friction count "
+            "most: the intervals do not cover that w2 may be 1 or 2 % lower in larger swings; "
+            "release the pendulum from 40 to 60 deg"
+        )
     # A block is a period, or shorter in a window of few periods: the scatter of fewer blocks is
     # meaningless.
-    blocks = max(round(swing_fit.periods), 8)
-    spread = fitting.covariance(recording, unknowns, settings.friction, blocks)
+    blocks = max(round(periods), 8)
+    spread = covariance(recording, unknowns, friction, blocks)
 
     def estimate(place: int, factor: float = 1.0) -> Estimate:
-        of_model = place in (W2, *fitting.FRICTIONS[settings.friction])
+        fitted = place in (W2, *FRICTIONS[friction])
         width = factor * half_width(spread[place, place], blocks)
-        value = factor * float(unknowns[place])
-        source = "identified" if of_model else "assumed"
-        return Estimate.around(value, width, source).not_negative()
+        source = "identified" if fitted else "assumed"
+        return Estimate.around(factor * float(unknowns[place]), width, source).not_negative()
 
     pendulum = Pendulum(
         w2=estimate(W2),
@@ -138,17 +154,27 @@ def identify(
         coulomb=estimate(COULOMB),
         drag=estimate(DRAG),
         covariance=tuple(map(tuple, spread[: DRAG + 1, : DRAG + 1].tolist())),
-        friction_model=settings.friction,
+        friction_model=friction,
         g=settings.g,
-        fit=swing_fit,
+        fit=SwingFit(
+            source=trajectory.source,
+            sha256=trajectory.sha256,
+            quantity="rate" if recording.is_rate else "angle",
+            window=(begin, end),
+            release=None if trajectory.released else begin,
+            samples=len(recording.time),
+            periods=periods,
+            rms=recording.rms(unknowns),
+            noise=recording.noise(unknowns, trajectory.resolution),
+            offset=float(unknowns[OFFSET]),
+            theta=float(unknowns[THETA]),
+            theta_dot=float(unknowns[THETA_DOT]),
+            settings=settings,
+            warnings=tuple(warnings),
+            richer_friction=richer,
+        ),
     )
     return _weighed(pendulum, mass, length, blocks) if mass and length else pendulum
-
-
-def advised_friction(fit: SwingFit) -> Friction | None:
-    """Return the friction model that a warning of the fit advises; None if there is none."""
-    warnings = " ".join(fit.warnings)
-    return next((model for model in MODELS if FRICTION_ADVICE.format(model) in warnings), None)
 
 
 def _advice(
@@ -157,52 +183,36 @@ def _advice(
     friction: Friction,
     start: Array,
     show: Callable[[str], None],
-) -> str:
-    """Return the advice of the simplest model that leaves less than half of the misfit, or ""."""
+) -> tuple[Friction | None, str]:
+    """Return the simplest friction that leaves less than half of the misfit, or None, and advice.
+
+    Without such a friction, the advice names a spring or a wrong unit, or is empty.
+    """
     enough, better = 0.5 * recording.misfit(unknowns), unknowns
     for model in MODELS[MODELS.index(friction) + 1 :]:
         show(f"trying {model} friction")
-        better = fitting.fit_bounded(recording, fitting.FRICTIONS[model], better, fitting.FINE)
+        better = fit_bounded(recording, model, better)
         if recording.misfit(better) < enough:
-            return FRICTION_ADVICE.format(model)
+            return model, f"try --friction {model}"
     # A small swing is the start: its equation is linear.
-    scaled = recording._replace(any_scale=True, w2=(2.0 * pi / recording.period) ** 2)
-    start = start.copy()
+    scaled, start = recording._replace(any_scale=True), start.copy()
     start[THETA_DOT if recording.is_rate else THETA] = recording.values[0] - start[OFFSET]
-    start[[W2, SCALE]] = scaled.w2, SMALL_SWING / _amplitude(recording, start)
-    better = fitting.fit_swing(scaled, start, MODELS[-1], show)
+    start[W2] = (2.0 * pi / recording.period) ** 2
+    start[SCALE] = SMALL_SWING / _amplitude(recording, start)
+    better = fit_swing(scaled, start, MODELS[-1], show)
     if not recording.misfit(better) < enough:
-        return ""
+        return None, ""
     if _amplitude(recording, better) < SMALL_SWING:
-        return (
+        return None, (
             "its period does not depend on the amplitude: a spring or a cable moves it, or the "
             "values are too large for their unit; let the pendulum swing freely"
         )
     scale = float(better[SCALE])
     factor = f"{1.0 / scale:.3g} times smaller" if scale < 1.0 else f"{scale:.3g} times larger"
-    return (
+    return None, (
         f"its period is that of a swing {factor} than recorded: check the unit (1 rad is 57.3 deg) "
         "and --counts-per-rev"
     )
-
-
-def _disturbance(
-    trajectory: Trajectory, recording: SwingRecording, unknowns: Array, friction: Friction
-) -> str:
-    """Return what ends the swing where no friction does; empty if nothing else."""
-    time, end = trajectory.time, float(recording.time[-1])
-    first, last = np.searchsorted(time, [end, end + recording.period])
-    after = slice(first, last + 1)
-    # A longer gap may hide a turning point.
-    if np.max(np.diff(time[after]), initial=0.0) > 0.25 * recording.period:
-        return "samples are missing"
-    longer = recording._replace(time=np.append(recording.time[0], time[after]))
-    for model in MODELS[MODELS.index(friction) :]:
-        unknowns = fitting.fit_bounded(recording, fitting.FRICTIONS[model], unknowns, fitting.FINE)
-        missed = trajectory.values[after] - longer.predict(unknowns)[1:]
-        if np.mean(missed**2) < MAX_MISSED**2 * np.var(recording.values):
-            return ""
-    return "something touched the pendulum"
 
 
 def _amplitude(recording: SwingRecording, unknowns: Array) -> float:
@@ -220,45 +230,121 @@ def _weighed(pendulum: Pendulum, mass: Estimate, length: Estimate, blocks: int) 
     of_I = np.hypot(of_ml, pendulum.w2.half_width / w2)
     gradient, spread = np.array([-c / w2, 1.0]), np.array(pendulum.covariance)[:2, :2]
     of_b = np.hypot(c * of_ml, half_width(float(gradient @ spread @ gradient), blocks))
-    inertia, friction = (
-        Estimate.around(value, I * float(width), "identified").not_negative()
-        for value, width in ((I, of_I), (c * I, of_b))
-    )
+    inertia = Estimate.around(I, I * float(of_I), "identified").not_negative()
+    friction = Estimate.around(c * I, I * float(of_b), "identified").not_negative()
     known = {"mass": mass, "length": length, "inertia": inertia, "friction": friction}
     return pendulum.model_copy(update=known)
 
 
-def _warnings(
-    recording: SwingRecording, unknowns: Array, swing_fit: SwingFit, advice: str, disturbance: str
-) -> list[str]:
-    friction, warnings = swing_fit.settings.friction, list[str]()
-    if disturbance:
-        warnings.append(
-            f"{disturbance} after {swing_fit.window[1]:.2f} s: the recording is used up to there; "
-            "choose another window with --start and --end"
+def fit_swing(
+    recording: SwingRecording, start: Array, friction: Friction, show: Callable[[str], None]
+) -> Array:
+    """Fit the recording over a growing horizon; return the unknowns, shape (8,).
+
+    A long window that is fitted at once has local minima that are off by a period. A richer
+    friction model starts from the solution of the simpler one, and is never worse.
+
+    Args:
+        recording: The free swing.
+        start: Initial guess of the unknowns, shape (8,).
+        friction: The friction model.
+        show: Called with the progress in a few words.
+    """
+    elapsed = recording.time - recording.time[0]
+    periods = elapsed[-1] / recording.period
+    # A shorter horizon does not determine period and friction.
+    best, horizon = start, 1.5 * recording.period
+    while horizon < elapsed[-1]:
+        show(f"fitting {horizon / recording.period:.0f} of {periods:.0f} periods")
+        end = int(np.searchsorted(elapsed, horizon, side="right"))
+        part = recording._replace(time=recording.time[:end], values=recording.values[:end])
+        best = fit_bounded(part, "viscous", best, COARSE)
+        horizon *= 2.0
+    for model in MODELS[: MODELS.index(friction) + 1]:
+        show(f"fitting {model} friction to {periods:.0f} periods")
+        best = fit_bounded(recording, model, best)
+    return best
+
+
+def fit_bounded(
+    recording: SwingRecording, friction: Friction, start: Array, tolerance: float = FINE
+) -> Array:
+    """Fit a friction model; fix a friction that comes out negative at zero, the worst one first.
+
+    Args:
+        recording: The free swing.
+        friction: The friction model.
+        start: Initial guess of the unknowns, shape (8,).
+        tolerance: Relative change of the sum of squares at which the fit stops.
+
+    Returns:
+        The unknowns, shape (8,); those of `start` where no others fit better.
+    """
+    low, high = np.full(8, -np.inf), np.full(8, np.inf)
+    # A second, upside-down solution has w2 < 0.
+    low[W2], high[W2] = 0.25 * start[W2], 4.0 * start[W2]
+    low[SCALE], high[SCALE] = 1e-3, 1e3
+    unknowns, kept = start.copy(), list(FRICTIONS[friction])
+    while True:
+        unknowns = fit_unknowns(
+            recording.residual,
+            unknowns,
+            [W2, *kept, THETA, THETA_DOT, OFFSET, *([SCALE] if recording.any_scale else [])],
+            _scales(unknowns),
+            (low, high),
+            jac="3-point",
+            xtol=100.0 * tolerance,
+            ftol=tolerance,
+            gtol=tolerance,
+            max_nfev=50,  # those of recorded swings take up to 21
         )
-    if swing_fit.unexplained > WARNING_MISFIT:
-        warnings.append(
-            f"{friction} friction leaves {swing_fit.unexplained:.1%} of the amplitude unexplained, "
-            "and its numbers hold only near the amplitudes of this window; "
-            + (advice or "look for play, vibration or a moving pivot, or choose another window")
-        )
-    names = {C: "viscous", COULOMB: "Coulomb", DRAG: "quadratic"}
-    warnings += [
-        f"{names[place]} friction is kept at zero: the recording shows none beside the others"
-        for place in fitting.at_bound(unknowns, friction)
-    ]
-    if swing_fit.periods < 3.0:
-        warnings.append(
-            f"the swing lasts {swing_fit.periods:.1f} periods only, and the intervals are rough; "
-            "record ten, with less friction if it stops sooner"
-        )
-    # On one rig w2 was 1.4 % higher at 3.6 deg than at 56 deg, and differed by 0.2 % from there to
-    # 149 deg.
-    if (largest := _amplitude(recording, unknowns)) < SMALL_SWING:
-        warnings.append(
-            f"the swing stays within {degrees(largest):.2g} deg, where play and dry friction count "
-            "most: the intervals do not cover that w2 may be 1 or 2 % lower in larger swings; "
-            "release the pendulum from 40 to 60 deg"
-        )
-    return warnings
+        if all(unknowns[place] > 0.0 for place in kept):
+            return min(start, unknowns, key=recording.rms)
+        worst = min(kept, key=lambda place: unknowns[place] / _scales(unknowns)[place])
+        kept.remove(worst)
+        unknowns[worst] = 0.0
+
+
+def _scales(unknowns: Array) -> Array:
+    """Return the scale of each unknown, shape (8,)."""
+    w2 = abs(unknowns[W2])
+    root = np.sqrt(w2)
+    return np.array([w2, root, w2, 1.0, 1.0, root, 1.0, 1.0])
+
+
+def covariance(
+    recording: SwingRecording, unknowns: Array, friction: Friction, blocks: int
+) -> Array:
+    """Estimate the covariance of the unknowns with a jackknife over blocks of time.
+
+    The jackknife stays valid for autocorrelated residuals. A friction that was fixed at zero gets
+    the variance of a free one and does not widen the other intervals.
+
+    Args:
+        recording: The free swing.
+        unknowns: Its fit, shape (8,).
+        friction: The friction model.
+        blocks: Number of blocks of equal duration.
+
+    Returns:
+        Shape (8, 8); zero for unknowns outside the model.
+    """
+    residual, scales = recording.residual(unknowns), _scales(unknowns)
+
+    def of(places: list[int]) -> Array:
+        J = sensitivities(recording.residual, unknowns, places, scales)
+        spread = jackknife(J, residual, recording.time, blocks)
+        return spread * np.outer(scales[places], scales[places])
+
+    spread, bound = np.zeros((8, 8)), at_bound(unknowns, friction)
+    free = [place for place in FRICTIONS[friction] if place not in bound]
+    fitted = [W2, *free, THETA, THETA_DOT, OFFSET]
+    spread[np.ix_(fitted, fitted)] = of(fitted)
+    for place in bound:
+        spread[place, place] = of([*fitted, place])[-1, -1]
+    return spread
+
+
+def at_bound(unknowns: Array, friction: Friction) -> list[int]:
+    """Return the frictions of a model that were fixed at zero, their lower bound."""
+    return [place for place in FRICTIONS[friction] if unknowns[place] == 0.0]

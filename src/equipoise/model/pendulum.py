@@ -234,6 +234,8 @@ class SwingFit(Value):
     """Settings of the fit."""
     warnings: Annotated[tuple[Sentence, ...], Field(max_length=100)] = ()
     """Warnings about a poor fit, with remedies."""
+    richer_friction: Friction | None = Field(default=None, exclude=True, repr=False)
+    """Simplest friction model that explains a poorly fitted swing; None without one. Not stored."""
 
     @property
     def rms_deg(self) -> float:

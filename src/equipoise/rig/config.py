@@ -20,7 +20,7 @@ from pydantic import Field, ValidationError, field_validator
 
 from equipoise.artefacts import Name, Value, first_fault
 from equipoise.errors import ArmError, SettingsError
-from equipoise.model.arms.arm import MOST_JOINTS, Arm
+from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.resolve import SUFFIXES, resolve_arm
 from equipoise.model.worlds import PREFIX as TWIN
 from equipoise.safety.rules import POSITION_MARGIN, TORQUE_SHARE
@@ -55,7 +55,7 @@ class RigSettings(Value):
     """Default of --robot, e.g. kst://172.31.1.147:30001."""
     encoder: Name | None = None
     """Default of --encoder, e.g. serial:///dev/ttyACM0."""
-    home_deg: Annotated[tuple[Degrees, ...], Field(max_length=MOST_JOINTS)] | None = None
+    home_deg: tuple[Degrees, ...] | None = None
     """Posture at x = 0, all joints [deg], with the pendulum's spindle along base y; by default the
     arm's own. For a URDF a posture is searched, without regard to tables and walls."""
     pivot_mm: tuple[Millimetres, Millimetres, Millimetres] | None = None

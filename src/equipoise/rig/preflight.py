@@ -15,7 +15,7 @@ from equipoise.arrays import Array
 from equipoise.control.controller import Controller, FlangeKinematics
 from equipoise.control.policy import shipped_policy, tick_policy
 from equipoise.errors import InputError, LinkError
-from equipoise.identification.self_test import MODEL_STEP, driven_swing
+from equipoise.identification.driven_swing import MODEL_STEP, driven_swing
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.rig.checks import (
     Finding,

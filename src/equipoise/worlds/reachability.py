@@ -25,10 +25,10 @@ from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import Settings
 
 CLOSE: Final = 0.75
-"""Diverging angle of the worst release, as a share of its limit, above which a warning is given:
+"""Diverging angle of the worst release, as a fraction of its limit, above which a warning is given:
 along a release the shipped table holds starts up to 0.58 of the limit, LQR up to 0.86."""
 RELEASES: Final = 1000
-"""Number of releases for the share that is recoverable."""
+"""Number of releases for the fraction that is recoverable."""
 
 
 def fall_rate(pendulum: PendulumParameters) -> float:
@@ -92,7 +92,7 @@ def check_releases(
         pendulum: The pendulum.
         settings: Releases (`evaluation`) and variation of the plant (`plant`).
         actuator: Model of the arm's response.
-        least: Required share of the releases that may be recoverable.
+        least: Required fraction of the releases that may be recoverable.
 
     Returns:
         A warning if a part of the releases is lost, or the worst is close to the limit, else None.
@@ -102,15 +102,15 @@ def check_releases(
     """
     angles = diverging_angles(pendulum, settings, actuator)
     limit = recoverable_angle(pendulum)
-    worst, share = float(np.max(angles)), float(np.mean(angles <= limit))
+    worst, fraction = float(np.max(angles)), float(np.mean(angles <= limit))
     if worst <= CLOSE * limit:
         return None
     text = (
-        f"no controller saves {1.0 - share:.1%} of the releases: the worst one "
+        f"no controller saves {1.0 - fraction:.1%} of the releases: the worst one "
         f"leans {degrees(worst):.1f} deg when the arm responds, and at most "
         f"{degrees(limit):.1f} deg can be turned back; shorten the delay, release "
         "gently (evaluation.phi_high, evaluation.phi_dot_high), or take another pendulum"
     )
-    if share == 0.0 or share < least:
+    if fraction == 0.0 or fraction < least:
         raise SettingsError(text)
     return text

@@ -7,6 +7,7 @@ from equipoise.errors import ArmError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x, condition, limit_margin
 from equipoise.paper import HELD_JOINT, X_LIMIT
+from tests.arms import without_masses
 
 # Radians as others print them, to the third decimal.
 LIMITS = (2.967, 2.094, 2.967, 2.094, 2.967, 2.094, 3.054)
@@ -74,3 +75,22 @@ def test_a_place_out_of_reach_is_refused():
 def test_another_iiwa_is_refused():
     with pytest.raises(ArmError, match="there is no iiwa 10; choose 7 or 14"):
         iiwa(10)
+
+
+@pytest.mark.parametrize(("size", "total", "base"), [(7, 23.9, 4.855658), (14, 29.9, 7.050378)])
+def test_the_links_weigh_what_the_robot_weighs_without_its_base(size, total, base):
+    moving = sum(link.mass for link in iiwa(size).link_inertials())
+    assert moving + base == pytest.approx(total, abs=1e-6)
+
+
+def test_joints_of_impossible_or_unknown_masses_are_named():
+    first, second, *others = iiwa(7).joints
+    moments = (0.01, 0.0, 0.0, 0.03, 0.0, 0.05)
+    wrong = first.link.model_copy(update={"inertia": moments})
+    joints = (first.model_copy(update={"link": wrong}), second, *others)
+    for arm, names in (
+        (iiwa(7).model_copy(update={"joints": joints}), "joints A1 are"),
+        (without_masses(iiwa(7)), "A1, .*A7"),
+    ):
+        with pytest.raises(ArmError, match=names):
+            arm.link_inertials()

@@ -10,7 +10,7 @@ from equipoise.model.arms.posture import along_x
 from equipoise.model.arms.scene import scene
 from equipoise.paper import X_LIMIT
 from equipoise.worlds.twin.physics import build_bare
-from tests.arms import with_steps
+from tests.arms import small_arm
 
 LENGTHS = (0.0, 1e-17, 1e-16, 1e-9, 1e-3, 0.006, 0.045, 0.0595, 0.06, 0.061, 0.07, 0.2)
 """Steps of public arms [m], rounding noise, and lengths around twice the inset of a link."""
@@ -43,9 +43,9 @@ def drawn_shapes(arm):
 
 
 @pytest.mark.parametrize("length", LENGTHS)
-def test_a_step_of_any_length_is_drawn_where_the_kinematics_puts_it(length):
+def test_a_step_of_any_length_is_drawn_where_the_kinematics_puts_it(length, tmp_path):
     for step in (2, 6, 7, 8):  # two joints, the last two, the flange, the pivot
-        arm, _ = with_steps({step: length})
+        arm = small_arm(tmp_path / "arm.urdf", {step: length})
         model = scene(arm).compile()
         data = mujoco.MjData(model)
         q = 0.5 * arm.home_free
@@ -61,14 +61,13 @@ def test_a_step_of_any_length_is_drawn_where_the_kinematics_puts_it(length):
 
 @pytest.mark.parametrize("noise", [1e-17, 1e-16, 1e-9])
 @pytest.mark.parametrize("step", range(1, 9))
-def test_rounding_in_an_origin_changes_no_shape(step, noise):
-    clean, _ = with_steps({step: 0.0})
-    noisy, _ = with_steps({step: noise})
+def test_rounding_in_an_origin_changes_no_shape(step, noise, tmp_path):
+    clean, noisy = (small_arm(tmp_path / "arm.urdf", {step: length}) for length in (0.0, noise))
     assert drawn_shapes(noisy) == pytest.approx(drawn_shapes(clean))
 
 
-def test_a_small_arm_is_drawn_in_proportion():
-    arm, small = iiwa(7), with_steps({})[0]
+def test_a_small_arm_is_drawn_in_proportion(tmp_path):
+    arm, small = iiwa(7), small_arm(tmp_path / "arm.urdf", {})
     share = (0.2 + 0.08 + 0.35 + 0.1 + 0.22 + 0.09 + 0.07) / 1.2
     assert drawn_shapes(arm)["link 2"] == pytest.approx(0.11)
     assert drawn_shapes(small)["link 2"] == pytest.approx(0.11 * share)

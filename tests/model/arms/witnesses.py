@@ -1,8 +1,7 @@
-"""The iiwas as URDFs, typed from KUKA's public description, and two libraries that read them.
+"""Public arms as URDFs, and two libraries that read them.
 
-The joints lie elsewhere than in `equipoise.model.arms.iiwa` (half-way along the links and beside
-them), some turn the other way round, and the flange is reached over a fixed joint: the same robot
-by another hand. `ARMS` pairs each arm with the URDF that the libraries read.
+`ARMS` pairs each arm with the URDF that the libraries read. The joints of the iiwas lie elsewhere
+than in `equipoise.model.arms.iiwa`: the same robot by another hand.
 """
 
 from pathlib import Path
@@ -14,53 +13,6 @@ import pytest
 
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.urdf import read_urdf
-
-AXES = ("0 0 1", "0 1 0", "0 0 1", "0 -1 0", "0 0 1", "0 1 0", "0 0 1")
-ORIGINS = {
-    7: (
-        (0, 0, 0.1475),
-        (0, -0.0105, 0.1925),
-        (0, 0.0105, 0.2075),
-        (0, 0.0105, 0.1925),
-        (0, -0.0105, 0.2075),
-        (0, -0.0707, 0.1925),
-        (0, 0.0707, 0.091),
-    ),
-    14: (
-        (0, 0, 0.1475),
-        (0, -0.01, 0.2125),
-        (0, 0.01, 0.228),
-        (0, 0.0105, 0.192),
-        (0, -0.0105, 0.2075),
-        (0, -0.0707, 0.1925),
-        (0, 0.0707, 0.091),
-    ),
-}
-FLANGE = (0, 0, 0.035)
-
-LINK = (
-    '<link name="{}"><inertial><mass value="1"/>'
-    '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-)
-JOINT = (
-    '<joint name="A{number}" type="revolute">'
-    '<parent link="link{below}"/><child link="link{number}"/>'
-    '<origin xyz="{xyz}"/><axis xyz="{axis}"/>'
-    '<limit lower="-2.9" upper="2.9" velocity="1.7" effort="100"/></joint>'
-)
-
-
-def iiwa_urdf(size: int) -> str:
-    parts = [LINK.format(f"link{number}") for number in range(8)] + [LINK.format("flange")]
-    for number, (origin, axis) in enumerate(zip(ORIGINS[size], AXES, strict=True), start=1):
-        xyz = " ".join(str(part) for part in origin)
-        parts.append(JOINT.format(number=number, below=number - 1, xyz=xyz, axis=axis))
-    xyz = " ".join(str(part) for part in FLANGE)
-    parts.append(
-        '<joint name="plate" type="fixed"><parent link="link7"/><child link="flange"/>'
-        f'<origin xyz="{xyz}"/></joint>'
-    )
-    return f'<robot name="iiwa{size}">{"".join(parts)}</robot>'
 
 
 class Flange(NamedTuple):
@@ -118,10 +70,32 @@ class MuJoCo:
         return Flange(position, data.xmat[body].reshape(3, 3).copy(), J_dot @ dq, J)
 
 
-ELBOW = Path(__file__).parents[2] / "data" / "elbow6.urdf"
+DATA = Path(__file__).parents[2] / "data"
+ELBOW = DATA / "elbow6.urdf"
 ELBOW_HOME = (0.3, 0.4, 1.2, 0.5, -0.4, 0.2)
 ARMS = {
-    "iiwa7": (iiwa(7), iiwa_urdf(7)),
-    "iiwa14": (iiwa(14), iiwa_urdf(14)),
+    "iiwa7": (iiwa(7), (DATA / "iiwa7.urdf").read_text()),
+    "iiwa14": (iiwa(14), (DATA / "iiwa14.urdf").read_text()),
     "elbow6": (read_urdf(ELBOW, home=ELBOW_HOME), ELBOW.read_text()),
 }
+GRAVITY = np.array([0.0, 0.0, -9.80665])
+
+
+def by_mujoco(urdf, q):
+    model = mujoco.MjModel.from_xml_string(urdf)
+    model.opt.gravity[:] = GRAVITY
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    M = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, M)
+    return M, data.qfrc_bias.copy()
+
+
+def by_pinocchio(urdf, q):
+    robot = Pinocchio(urdf)
+    robot.model.gravity.linear = GRAVITY
+    configuration = robot.configuration(q)
+    M = robot.pin.crba(robot.model, robot.data, configuration)
+    torque = robot.pin.computeGeneralizedGravity(robot.model, robot.data, configuration)
+    return np.triu(M) + np.triu(M, 1).T, torque

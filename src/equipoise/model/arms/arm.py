@@ -16,34 +16,23 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from equipoise.arrays import Array
-from equipoise.artefacts import Name, Value, first_fault, shortened, value_digest
+from equipoise.artefacts import Name, Number, Value, first_fault, shortened, value_digest
 from equipoise.errors import ArmError
 from equipoise.jit import function_pointer
-from equipoise.model.arms.chain import FREE_JOINTS, Triple, links, wrist_centre
+from equipoise.model.arms.chain import FREE_JOINTS, links, wrist_centre
 from equipoise.model.arms.compiler import FRAME_SIZE, PARTS, KinematicsFunction, load
 from equipoise.model.elementary import BATCH_SIZE
 
 T = TypeVar("T")
 
-MOST_JOINTS: Final = 64
-"""Maximum number of joints of a chain. Only six or seven are usable; a message names the rest."""
-
-Angle = Annotated[float, Field(ge=-1e3, le=1e3)]
-"""Angle of a joint [rad]; no cable takes 160 turns."""
-Angles = tuple[Angle, Angle, Angle]
-"""Roll, pitch and yaw [rad]."""
 Length = Annotated[float, Field(ge=-100.0, le=100.0)]
-"""Coordinate [m]; no arm is 100 m long."""
+"""Coordinate [m]; a larger one is in millimetres."""
 Offset = tuple[Length, Length, Length]
 """Origin in another frame [m]."""
-Limit = Annotated[float, Field(gt=0.0, le=1e9)]
-"""Limit of a velocity, an acceleration or a torque in SI units; larger ones limit nothing."""
-Mass = Annotated[float, Field(ge=0.0, le=1e5)]
-"""Mass [kg]."""
-Moment = Annotated[float, Field(ge=-1e6, le=1e6)]
-"""Entry of an inertia matrix [kg m^2]."""
-
-
+Vector3 = tuple[Number, Number, Number]
+"""Direction, or roll, pitch and yaw [rad]."""
+Limit = Annotated[float, Field(gt=0.0, le=1e12)]
+"""Limit of a velocity, an acceleration or a torque, both ways."""
 ROUNDING: Final = 1e-6
 """Relative rounding of published moments of inertia."""
 
@@ -71,11 +60,11 @@ class Inertial(_Described):
 
     name: Name
     """Name of the link."""
-    mass: Mass
+    mass: float = Field(ge=0.0, le=1e12)
     """Mass [kg]; zero if unknown."""
     com: Offset
     """Centre of mass [m]."""
-    inertia: tuple[Moment, Moment, Moment, Moment, Moment, Moment]
+    inertia: tuple[Number, Number, Number, Number, Number, Number]
     """Inertia about the centre of mass: xx, xy, xz, yy, yz, zz [kg m^2]; zeros if unknown."""
 
     @classmethod
@@ -104,20 +93,20 @@ class Joint(_Described):
     """Name of the joint."""
     xyz: Offset
     """Origin in the frame of the previous joint [m]."""
-    rpy: Angles = (0.0, 0.0, 0.0)
+    rpy: Vector3 = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw about the fixed axes of the previous frame [rad]."""
-    axis: Triple = (0.0, 0.0, 1.0)
+    axis: Vector3 = (0.0, 0.0, 1.0)
     """Axis of rotation in its own frame."""
-    lower: Angle
+    lower: Number
     """Lower limit of the position [rad]."""
-    upper: Angle
+    upper: Number
     """Upper limit of the position [rad]."""
     velocity: Limit
-    """Limit of the velocity, both ways [rad/s]."""
+    """Limit of the velocity [rad/s]."""
     acceleration: Limit
-    """Limit of the acceleration, both ways [rad/s^2]."""
+    """Limit of the acceleration [rad/s^2]."""
     torque: Limit
-    """Limit of the torque, both ways [N m]."""
+    """Limit of the torque [N m]."""
     link: Inertial | None = None
     """Mass and inertia of the link that it moves; only simulations of the dynamics need them."""
 
@@ -175,19 +164,19 @@ class Arm(_Described):
 
     name: Annotated[str, Field(pattern=r"^[\w .-]{1,64}$")]
     """Name in messages and file headers: letters, digits, blank, `_`, `.` and `-`."""
-    joints: Annotated[tuple[Joint, ...], Field(max_length=MOST_JOINTS)]
+    joints: tuple[Joint, ...]
     """Joints from the base to the flange."""
     held_joint: int | None = None
     """Number of the joint that does not move, counted from one."""
-    held_angle: Angle = 0.0
+    held_angle: Number = 0.0
     """Angle of the held joint [rad]."""
     flange_xyz: Offset = (0.0, 0.0, 0.0)
     """Origin of the flange in the last joint's frame [m]."""
-    flange_rpy: Angles = (0.0, 0.0, 0.0)
+    flange_rpy: Vector3 = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw of the flange in the last joint's frame [rad]."""
     pivot: Offset = (0.0, 0.0, 0.0)
     """Pivot of the pendulum in the flange frame [m]."""
-    home: Annotated[tuple[Angle, ...], Field(max_length=MOST_JOINTS)]
+    home: tuple[Number, ...]
     """Posture at x = 0, all joints [rad]. The pendulum's spindle lies along base y there."""
 
     @model_validator(mode="after")
@@ -317,6 +306,6 @@ def _compiled(arm: Arm) -> ArmKernel:
     limits = np.array([(j.lower, j.upper, j.velocity, j.acceleration) for j in arm.free_joints])
     lower, upper, velocity, acceleration = np.ascontiguousarray(limits.T)
     signature = numba.void(array, array, array, numba.int64)
-    kinematics, motion = (function_pointer(each, signature) for each in load(arm))
+    kinematics, motion = (function_pointer(function, signature) for function in load(arm))
     wrist = wrist_centre(links(arm))
     return ArmKernel(kinematics, motion, wrist, lower, upper, velocity, acceleration)

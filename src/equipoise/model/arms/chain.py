@@ -19,11 +19,6 @@ Triple = tuple[float, float, float]
 FREE_JOINTS: Final = 6
 """Number of joints that move."""
 
-ROUNDING: Final = 1e-15
-"""Distance from -1, 0 or 1 at which an entry of a constant rotation is rounded to that number."""
-MEETING: Final = 1e-12
-"""Largest distance from an axis to a point in which the axis counts as meeting others [m]."""
-
 
 class Link(NamedTuple):
     """A constant step of the chain, from one free joint's turned frame to the next frame."""
@@ -78,8 +73,8 @@ def rpy_from_rotation(R: Array) -> Triple:
 
 
 def _exact(R: Array) -> Array:
-    """Return `R` with entries close to -1, 0 or 1 rounded to that number."""
-    return np.where(np.abs(R - np.round(R)) < ROUNDING, np.round(R) + 0.0, R)
+    """Return `R` with entries within 1e-15 of -1, 0 or 1 rounded to that number."""
+    return np.where(np.abs(R - np.round(R)) < 1e-15, np.round(R) + 0.0, R)
 
 
 def turned_to(axis: Array) -> Array:
@@ -95,7 +90,7 @@ def wrist_centre(steps: Sequence[Link]) -> Array:
     """Return the point in which the last three axes meet, in the flange frame; NaN without one.
 
     Axes that meet in one posture meet in all: the point lies on the fifth and on the sixth axis,
-    and neither rotation moves it.
+    and neither rotation moves it. A distance below 1e-12 m counts as meeting.
     """
     rotation, origin = np.eye(3), np.zeros(3)  # in the frame of the fourth axis
     axes, origins = [rotation[:, 2]], [origin]
@@ -108,4 +103,4 @@ def wrist_centre(steps: Sequence[Link]) -> Array:
     offsets = [P @ origin for P, origin in zip(across, origins[:3], strict=True)]
     point = np.linalg.lstsq(np.vstack(across), np.concatenate(offsets))[0]
     missed = [np.linalg.norm(P @ point - o) for P, o in zip(across, offsets, strict=True)]
-    return rotation.T @ (point - origin) if max(missed) < MEETING else np.full(3, np.nan)
+    return rotation.T @ (point - origin) if max(missed) < 1e-12 else np.full(3, np.nan)

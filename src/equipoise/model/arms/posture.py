@@ -5,6 +5,7 @@ The flange moves along base x and keeps its orientation at home.
 
 import functools
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -12,9 +13,6 @@ from equipoise.arrays import Array
 from equipoise.errors import ArmError
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.paper import X_LIMIT
-
-DAMPING = 1e-9
-"""Term added to J J^T in a Newton step, which prevents a division by zero in a singular posture."""
 
 
 def along_x(arm: Arm, displacements: Sequence[float] | Array) -> Array:
@@ -57,11 +55,11 @@ def limit_margin(arm: Arm, q: Array) -> float:
 
 
 @functools.lru_cache(maxsize=16)
-def search_home(arm: Arm, *, lowest: float = 0.3, candidates: int = 2000) -> Arm:
+def search_home(arm: Arm) -> Arm:
     """Return `arm` with a home from which the whole track is far from singular postures.
 
-    The candidates are random postures (seed 0) in the middle of the joints' ranges, with the flange
-    at least `lowest` [m] above the base plane. Of the twenty best conditioned, the result has the
+    The candidates are 2000 random postures (seed 0) in the middle of the joints' ranges, with the
+    flange at least 0.3 m above the base plane. Of the twenty best conditioned, the result has the
     best condition at its worst place on the track. The surroundings are not considered.
 
     Raises:
@@ -70,24 +68,20 @@ def search_home(arm: Arm, *, lowest: float = 0.3, candidates: int = 2000) -> Arm
     rng = np.random.default_rng(0)
     ranges = np.clip([(joint.lower, joint.upper) for joint in arm.free_joints], -np.pi, np.pi)
     middle, half = ranges.mean(axis=1), 0.35 * np.ptp(ranges, axis=1)
-    drawn = middle + half * rng.uniform(-1.0, 1.0, (candidates, FREE_JOINTS))
-    high = [q for q in drawn if arm.kinematics(q).position[2] > lowest]
-    best: tuple[float, Arm | None] = (np.inf, None)
+    drawn = middle + half * rng.uniform(-1.0, 1.0, (2000, FREE_JOINTS))
+    high = [q for q in drawn if arm.kinematics(q).position[2] > 0.3]
+    found = list[tuple[float, Arm]]()
     for q in sorted(high, key=lambda q: condition(arm, q))[:20]:
         there = arm.model_copy(update={"home": tuple(arm.with_held(q).tolist())})
-        try:
+        with suppress(ArmError):
             track = along_x(there, np.linspace(-X_LIMIT, X_LIMIT, 5))
-        except ArmError:
-            continue
-        worst = max(condition(there, place) for place in track)
-        if worst < best[0]:
-            best = worst, there
-    if best[1] is None:
+            found.append((max(condition(there, place) for place in track), there))
+    if not found:
         raise ArmError(
             f"no posture found from which {arm.name} carries its flange {X_LIMIT} m both ways "
             "along base x; give a home posture"
         )
-    return best[1]
+    return min(found, key=lambda one: one[0])[1]
 
 
 def _reach(arm: Arm, position: Array, rotation: Array, q: Array) -> Array:
@@ -98,7 +92,8 @@ def _reach(arm: Arm, position: Array, rotation: Array, q: Array) -> Array:
         if np.abs(error).max() < 1e-10:
             break
         J = flange.jacobian
-        q = q + J.T @ np.linalg.solve(J @ J.T + DAMPING * np.eye(6), error)
+        # The damping prevents a division by zero in a singular posture.
+        q = q + J.T @ np.linalg.solve(J @ J.T + 1e-9 * np.eye(6), error)
     else:
         raise ArmError(
             f"{arm.name} cannot carry its flange to {np.round(position, 3).tolist()} m with the "

@@ -39,6 +39,8 @@ class Sizes(NamedTuple):
     """Length of the pendulum [m]: a uniform rod with the paper's period of 0.75 s."""
 
 
+BASE: Final = "base"
+"""Name of the fixed link in a URDF; its frame is that of the arm."""
 SIZES: Final = Sizes()
 """Thickness of the parts of an iiwa, on the thick side."""
 SHORTEST: Final = 1e-3
@@ -56,9 +58,9 @@ def sizes_for(arm: Arm, sizes: Sizes = SIZES) -> Sizes:
         sizes: Thickness of the parts of an iiwa.
     """
     steps = [joint.xyz for joint in arm.joints] + [arm.flange_xyz]
-    share = min(1.0, float(sum(np.linalg.norm(step) for step in steps)) / FULL_LENGTH)
+    fraction = min(1.0, float(sum(np.linalg.norm(step) for step in steps)) / FULL_LENGTH)
     scaled = ("link", "pulled_in", "housing", "housing_reach", "hand")
-    return sizes._replace(**{name: share * getattr(sizes, name) for name in scaled})
+    return sizes._replace(**{name: fraction * getattr(sizes, name) for name in scaled})
 
 
 def scene(arm: Arm, sizes: Sizes = SIZES) -> Any:

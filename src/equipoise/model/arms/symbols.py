@@ -55,25 +55,19 @@ class Symbol:
             return self.tape.number(a.number + b.number)
         if a.operation == "number" and a.number == 0.0:
             return b
-        if a.operation == "neg":
-            return b - a.operands[0]
-        if b.operation == "neg":
-            return a - b.operands[0]
-        return self.tape.symbol("+", a, b)
+        if a.operation == b.operation == "neg":
+            return -(-a + -b)
+        if "neg" not in (a.operation, b.operation):
+            return self.tape.symbol("+", a, b)
+        plus, minus = (a, -b) if b.operation == "neg" else (b, -a)
+        if plus is minus:
+            return self.tape.number(0.0)
+        if ("-", minus, plus) in self.tape.symbols:
+            return -self.tape.symbol("-", minus, plus)
+        return self.tape.symbol("-", plus, minus)
 
     def __sub__(self, other: "Symbol") -> "Symbol":
-        a, b = self, other
-        if a is b:
-            return self.tape.number(0.0)
-        if b.operation in ("number", "neg"):
-            return a + -b
-        if a.operation == "number" and a.number == 0.0:
-            return -b
-        if a.operation == "neg":
-            return -(a.operands[0] + b)
-        if ("-", b, a) in self.tape.symbols:
-            return -(b - a)
-        return self.tape.symbol("-", a, b)
+        return self + -other
 
     def __str__(self) -> str:
         """Return the name, or the formula of an unnamed symbol."""
@@ -87,9 +81,9 @@ class Symbol:
             case formula, ():
                 return formula
             case "neg", (a,):
-                return f"-{a._inside('+-')}"
+                return f"-{a._inside()}"
             case "*", (a, b):
-                return f"{a._inside('+-')} * {b._inside('+-')}"
+                return f"{a._inside()} * {b._inside()}"
             case _:
                 return self._sum()
 
@@ -99,11 +93,11 @@ class Symbol:
         rest = [(sign, term) for sign, term in terms if not term.fused]
         products = [(sign, term) for sign, term in terms if term.fused]
         (sign, first), *rest = rest or [products.pop(0)]
-        text = f"{sign}{first._inside('+-') if sign else first}"
-        text += "".join(f" {sign or '+'} {term._inside('+-')}" for sign, term in rest)
+        text = f"{sign}{first._inside() if sign else first}"
+        text += "".join(f" {sign or '+'} {term._inside()}" for sign, term in rest)
         for sign, product in products:
             a, b = product.operands
-            text = f"fma({sign}{a._inside('+-') if sign else a}, {b}, {text})"
+            text = f"fma({sign}{a._inside() if sign else a}, {b}, {text})"
         return text
 
     def _terms(self, sign: str = "") -> "Iterator[tuple[str, Symbol]]":
@@ -116,8 +110,9 @@ class Symbol:
             else:
                 yield own, term
 
-    def _inside(self, weaker: str) -> str:
-        bare = self.name or self.operation not in weaker or str(self).startswith("fma(")
+    def _inside(self) -> str:
+        """Return the text as an operand, in brackets where it is a sum."""
+        bare = self.name or self.operation not in "+-" or str(self).startswith("fma(")
         return str(self) if bare else f"({self})"
 
 

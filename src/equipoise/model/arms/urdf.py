@@ -29,14 +29,6 @@ from equipoise.model.physics_engine import mujoco
 
 CONTINUOUS: Final = 20.0 * pi
 """Largest position limit of a joint, that of a continuous one: ten turns each way [rad]."""
-UNUSED: Final = re.compile(r"(</?)(visual|collision|limit|mimic)\b")
-"""Tags of elements that are renamed for MuJoCo, which would print warnings or fail about them."""
-NAN: Final = re.compile(r"(?i)(^|\s)[+-]?nan($|\s)")
-"""A number that is NaN; MuJoCo would take it as missing."""
-NEGLIGIBLE: Final = 1e-12
-"""Largest principal moment that counts as zero [kg m^2]; MuJoCo refuses some that are smaller."""
-LARGEST_URDF: Final = 2 * MEBIBYTE
-"""Size limit of a URDF [bytes]: humanoids with hands need less than 1 MB."""
 
 
 @checked
@@ -66,15 +58,17 @@ def read_urdf(
         ArmError: The file is no URDF, or its chain is not an arm with six free joints.
     """
     path = Path(path)
-    text = read_text(path, LARGEST_URDF, "a URDF", ArmError)
+    text = read_text(path, 2 * MEBIBYTE, "a URDF", ArmError)  # humanoids with hands need half
     try:
         robot = ElementTree.fromstring(text)
         if robot.tag != "robot":
             raise ValueError(f"it begins with <{robot.tag}>, expected <robot>")
-        for element in robot.iter():
-            if any(NAN.search(value) for value in element.attrib.values()):
+        for element in robot.iter():  # MuJoCo would take NaN as missing
+            if any(re.search(r"(?i)(^|\s)[+-]?nan($|\s)", v) for v in element.attrib.values()):
                 raise ValueError(f"<{element.tag}> contains NaN instead of a number")
-        spec = mujoco().MjSpec.from_string(UNUSED.sub(r"\1unused", text))
+        # MuJoCo would print warnings about these elements, or fail.
+        text = re.sub(r"(</?)(visual|collision|limit|mimic)\b", r"\1unused", text)
+        spec = mujoco().MjSpec.from_string(text)
     except Exception as error:  # of parsers and codecs
         raise ArmError(
             f"{path} is not a URDF ({shortened(str(error), 200)}); give a URDF file"
@@ -103,14 +97,11 @@ def read_urdf(
         home=tuple(middle if home is None else home),
     )
     arm = search_home(arm) if home is None else arm
-    return arm if pivot else arm.model_copy(update={"pivot": _beside_flange(arm)})
-
-
-def _beside_flange(arm: Arm) -> Triple:
-    """Return the pivot along the spindle at home, away from the base [m]."""
+    if pivot:
+        return arm
     flange = arm.kinematics(arm.home_free)
     outward = copysign(PIVOT_OUTWARD, float(flange.position[1]))
-    return _triple(outward * flange.rotation[1])
+    return arm.model_copy(update={"pivot": _triple(outward * flange.rotation[1])})
 
 
 def _chain(spec: Any, tip: str | None, path: Path) -> list[Any]:
@@ -131,7 +122,7 @@ def _chain(spec: Any, tip: str | None, path: Path) -> list[Any]:
 
 
 def _limits(element: ElementTree.Element) -> dict[str, float]:
-    """Return lower, upper, velocity and effort of a joint of the chain.
+    """Return the limits of a joint of the chain, as the fields of `Joint`.
 
     Raises:
         ArmError: The joint does not turn by itself, or has no such limits.
@@ -143,18 +134,21 @@ def _limits(element: ElementTree.Element) -> dict[str, float]:
             "continuous and fixed joints can be used: choose another tip"
         )
     limit = element.find("limit")
-    given = {} if limit is None else dict(limit.attrib)
+    attributes = {} if limit is None else dict(limit.attrib)
     if kind == "continuous":
-        given |= {"lower": str(-CONTINUOUS), "upper": str(CONTINUOUS)}
+        attributes |= {"lower": "-inf", "upper": "inf"}
     try:
-        found = {key: float(given[key]) for key in ("lower", "upper", "velocity", "effort")}
+        return {
+            "lower": max(float(attributes["lower"]), -CONTINUOUS),
+            "upper": min(float(attributes["upper"]), CONTINUOUS),
+            "velocity": float(attributes["velocity"]),
+            "torque": float(attributes["effort"]),
+        }
     except (KeyError, ValueError) as error:
         raise ArmError(
             f"joint {name} lacks a limit ({shortened(str(error))}); add it to the file: "
             '<limit lower="..." upper="..." velocity="..." effort="..."/>'
         ) from None
-    lower, upper = max(found["lower"], -CONTINUOUS), min(found["upper"], CONTINUOUS)
-    return found | {"lower": lower, "upper": upper}
 
 
 def _placed(
@@ -170,7 +164,7 @@ def _placed(
         for body in spec.bodies[1:]:
             xx, yy, zz, xy, xz, yz = body.fullinertia
             moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-            possible = body.mass > 0.0 and moments[0] > NEGLIGIBLE
+            possible = body.mass > 0.0 and moments[0] > 1e-12  # MuJoCo refuses some smaller ones
             possible &= moments[2] <= (moments[0] + moments[1]) * (1.0 + ROUNDING)
             if not possible and limits.keys().isdisjoint(joint.name for joint in body.joints):
                 body.fullinertia[0] = np.nan  # a point mass for MuJoCo
@@ -185,7 +179,7 @@ def _placed(
     joints: list[Joint] = []
     for i in range(model.njnt):
         joint, body = model.joint(i), model.body(model.jnt_bodyid[i])
-        axes, limit = rotation_from_quaternion(body.iquat), limits[joint.name]
+        axes = rotation_from_quaternion(body.iquat)
         inertia = axes @ np.diag(body.inertia) @ axes.T
         link = Inertial.of(shortened(body.name), float(body.mass[0]), body.ipos, inertia)
         joints.append(
@@ -194,12 +188,9 @@ def _placed(
                 xyz=_triple(body.pos),
                 rpy=rpy_from_rotation(rotation_from_quaternion(body.quat)),
                 axis=_triple(joint.axis),
-                lower=limit["lower"],
-                upper=limit["upper"],
-                velocity=limit["velocity"],
                 acceleration=acceleration,
-                torque=limit["effort"],
                 link=link,
+                **limits[joint.name],
             )
         )
     return joints, (_triple(site.pos), rpy_from_rotation(rotation_from_quaternion(site.quat)))

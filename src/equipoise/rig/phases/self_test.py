@@ -9,7 +9,7 @@ import numpy as np
 
 from equipoise.control.minimum_jerk import Path
 from equipoise.control.ticks import Sample
-from equipoise.identification.self_test import (
+from equipoise.identification.driven_swing import (
     MOVE_TIME,
     SWING_TIME,
     SelfTest,

@@ -1,13 +1,16 @@
-"""Detection of the free swing in a recording, before the fit.
+"""Samples of a free swing, their prediction, and their detection in a recording.
 
 A free pendulum turns at regular times, and its swings shrink. The fit takes the longest such
 stretch, from turning point to turning point: a hand that holds, lifts or stops the pendulum turns
 it at other times, and one that pushes it makes the swings grow. Of several swings in one recording
 the longest is taken. At a turning point the initial state is known: an angle turns at rest, and a
 rate in the lowest position.
+
+Fixed integration steps make the prediction a smooth function of the unknowns, so that finite
+differences give its sensitivities; an adaptive integrator would not.
 """
 
-from math import pi
+from math import pi, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -16,6 +19,11 @@ import numpy.typing as npt
 from equipoise.arrays import Array
 from equipoise.errors import RecordingError
 from equipoise.identification.recording import Trajectory
+from equipoise.model.pendulum import STEPS_PER_PERIOD, PendulumParameters, swing
+
+W2, C, COULOMB, DRAG, THETA, THETA_DOT, OFFSET, SCALE = range(8)
+"""Indices of the unknowns: four of the pendulum, its initial state, zero offset (or gyro bias), and
+the true motion as a fraction of the recorded one, which is 1 except in a diagnosis."""
 
 PERIOD_RANGE: Final = (0.05, 20.0)
 """Accepted range of the period of a small swing [s]: point pendulums of 0.6 mm and 100 m. Periods
@@ -27,33 +35,62 @@ NOISE_MULTIPLE: Final = 8.0
 not reach it within the samples around a turn."""
 
 
-class FreeSwing(NamedTuple):
-    """The freely swinging part of a recording, with an initial guess for its fit."""
+class SwingRecording(NamedTuple):
+    """Samples to fit."""
 
-    part: slice
-    """Its samples."""
+    time: Array
+    """Time stamps [s], shape (n,)."""
+    values: Array
+    """Angle [rad], or rate [rad/s], as recorded; shape (n,)."""
+    is_rate: bool
+    """Whether a gyro recorded the rate."""
     period: float
     """Period of the swing [s]."""
-    start: Array
-    """Initial guess of w2, c, Coulomb friction, drag, angle and rate at the first sample, offset
-    and scale, which is 1; shape (8,)."""
-    release: float | None
-    """First time of the part [s]; None where the start of the recording was given."""
+    any_scale: bool = False
+    """Whether SCALE is fitted as well."""
+
+    def predict(self, unknowns: Array) -> Array:
+        """Simulate the recorded values, shape (n,)."""
+        thetas, theta_dots = np.empty_like(self.time), np.empty_like(self.time)
+        w2, c, coulomb, drag, theta, theta_dot, offset, scale = map(float, unknowns)
+        pendulum = PendulumParameters(w2, 0.0, c, coulomb, drag)
+        h = self.period / STEPS_PER_PERIOD
+        swing(self.time, scale * theta, scale * theta_dot, h, pendulum, thetas, theta_dots)
+        return (theta_dots if self.is_rate else thetas) / scale + offset
+
+    def residual(self, unknowns: Array) -> Array:
+        """Return recorded minus predicted values, shape (n,); 1e30 where a prediction diverged."""
+        missed = np.nan_to_num(self.values - self.predict(unknowns), nan=1e30)
+        return np.clip(missed, -1e30, 1e30)
+
+    def rms(self, unknowns: Array) -> float:
+        """Return the root mean square residual."""
+        return sqrt(float(np.mean(self.residual(unknowns) ** 2)))
+
+    def noise(self, unknowns: Array, resolution: float = 0.0) -> float:
+        """Estimate the white noise in the residual, at least that of the sensor's steps."""
+        residual = self.residual(unknowns)
+        return max(float(np.std(np.diff(residual))) / sqrt(2.0), resolution / sqrt(12.0))
+
+    def misfit(self, unknowns: Array, resolution: float = 0.0) -> float:
+        """Return the root mean square residual that noise does not explain."""
+        noise = self.noise(unknowns, resolution)
+        return sqrt(max(self.rms(unknowns) ** 2 - noise**2, 0.0))
 
 
-def find_free_swing(trajectory: Trajectory) -> FreeSwing:
-    """Find the freely swinging part of a recording.
+def find_free_swing(trajectory: Trajectory) -> tuple[SwingRecording, Array]:
+    """Return the freely swinging part of a recording, and an initial guess for its fit, shape (8,).
 
     Raises:
         RecordingError: There are too few samples, no oscillation above the noise, or less than one
             period of a free swing; or a unit is wrong.
     """
     time, values, is_rate = trajectory.time, trajectory.values, trajectory.theta is None
-    lasts, spread = float(np.ptp(time)), float(np.ptp(values))
+    duration, spread = float(np.ptp(time)), float(np.ptp(values))
 
     def refusal(fault: str) -> RecordingError:
         return RecordingError(
-            f"{trajectory.source} {fault}: {len(time)} samples in {lasts:.3g} s that vary by "
+            f"{trajectory.source} {fault}: {len(time)} samples in {duration:.3g} s that vary by "
             f"{spread:.3g} rad, or rad/s; release the pendulum from 40 to 60 deg, with so little "
             f"friction that it swings for ten periods, record {MIN_SAMPLES_PER_PERIOD:g} samples "
             "or more in each, and give the unit in the column's name"
@@ -93,12 +130,9 @@ def find_free_swing(trajectory: Trajectory) -> FreeSwing:
     most = 1.98 * root if is_rate else 0.99 * pi
     state = [0.0, 0.0]
     state[is_rate] = min(max(lead, -most), most)
-    return FreeSwing(
-        slice(turns[0], turns[-1] + 1),
-        period,
-        np.array([w2, max(decay, 1e-3 * root), 0.0, 0.0, *state, middle, 1.0]),
-        release=None if trajectory.released else begin,
-    )
+    part = slice(turns[0], turns[-1] + 1)
+    start = np.array([w2, max(decay, 1e-3 * root), 0.0, 0.0, *state, middle, 1.0])
+    return SwingRecording(time[part], values[part], is_rate, period), start
 
 
 def _lifted_again(

@@ -1,13 +1,12 @@
 """The self-test on simulated rigs, right and wrong ones."""
 
-from collections import Counter
 from math import pi, radians
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from equipoise.identification.self_test import (
+from equipoise.identification.driven_swing import (
     MOVE_TIME,
     SWING_TIME,
     ZERO_INTERVAL,
@@ -101,27 +100,28 @@ def judged(rng, rig=RIGHT, change=unchanged, **options):
 
 
 @pytest.mark.parametrize(
-    ("rig", "verdict"),
+    ("rig", "verdict", "word"),
     [
-        (RIGHT, SelfTestVerdict.PASSED),
-        (Rig(sign=-1.0), SelfTestVerdict.SIGN),
-        (Rig(factor=0.5), SelfTestVerdict.COUNTS),
-        (Rig(factor=1.1), SelfTestVerdict.COUNTS),
-        (Rig(w2=0.7), SelfTestVerdict.W2),
-        (Rig(w2=0.9), SelfTestVerdict.W2),
-        (Rig(w2=1.1), SelfTestVerdict.W2),
-        (Rig(late=0.03), SelfTestVerdict.DELAY),
-        (Rig(zero_deg=1.0), SelfTestVerdict.ZERO),
-        (Rig(zero_deg=-1.0), SelfTestVerdict.ZERO),
-        (Rig(touch=5.0), SelfTestVerdict.NOT_UNDERSTOOD),
+        (RIGHT, SelfTestVerdict.PASSED, "as the model says"),
+        (Rig(sign=-1.0), SelfTestVerdict.FAILED, "the encoder's sign"),
+        (Rig(factor=0.5), SelfTestVerdict.FAILED, "counts per revolution"),
+        (Rig(factor=1.1), SelfTestVerdict.FAILED, "counts per revolution"),
+        (Rig(w2=0.7), SelfTestVerdict.FAILED, "w2 is"),
+        (Rig(w2=0.9), SelfTestVerdict.FAILED, "w2 is"),
+        (Rig(w2=1.1), SelfTestVerdict.FAILED, "w2 is"),
+        (Rig(late=0.03), SelfTestVerdict.FAILED, "behind the arm"),
+        (Rig(zero_deg=1.0), SelfTestVerdict.ZERO, "reference it again"),
+        (Rig(zero_deg=-1.0), SelfTestVerdict.ZERO, "reference it again"),
+        (Rig(touch=5.0), SelfTestVerdict.FAILED, "the model leaves"),
     ],
     ids=str,
 )
 @pytest.mark.parametrize("runs", [2, pytest.param(100, marks=pytest.mark.slow)])
-def test_what_is_wrong_is_named(rig, verdict, runs):
+def test_what_is_wrong_is_named(rig, verdict, word, runs):
     rng = np.random.default_rng(5)
-    named = Counter(judged(rng, rig).verdict for _ in range(runs))
-    assert named[verdict] >= 0.99 * runs, named
+    results = [judged(rng, rig) for _ in range(runs)]
+    named = [result.verdict is verdict and word in result.reason for result in results]
+    assert sum(named) >= 0.99 * runs, results
 
 
 @pytest.mark.parametrize("runs", [4, pytest.param(100, marks=pytest.mark.slow)])
@@ -150,12 +150,6 @@ def test_a_disturbed_swing_is_repeated():
     assert result.zero_half > ZERO_INTERVAL
 
 
-def with_nan(values):
-    values = values.copy()
-    values[len(values) // 2] = np.nan
-    return values
-
-
 def by_hand(t, c, s, x, r):
     return t, r + 60.0 * np.sin(2 * pi * 0.9 * t) + 40.0 * np.sin(2 * pi * 0.37 * t), s, x, r
 
@@ -166,16 +160,14 @@ def by_hand(t, c, s, x, r):
         (by_hand, "the model leaves"),
         (lambda t, c, s, x, r: (t, np.full_like(c, r), s, x, r), "encoder moved"),
         (lambda t, c, s, x, r: (t, c, s, 0.0 * x, r), "flange"),
-        (lambda t, c, s, x, r: (t, c, s, 1000.0 * x, r), "flange"),
-        (lambda t, c, s, x, r: (t, with_nan(c), s, x, r), "finite"),
-        (lambda t, c, s, x, r: (with_nan(t), c, s, x, r), "increase"),
+        (lambda t, c, s, x, r: (t[::-1], c, s, x, r), "increase"),
         (lambda t, c, s, x, r: (t[:100], c[:100], s, x, r), "samples"),
         (lambda t, c, s, x, r: (t[t < 2.5], c[t < 2.5], s, x, r), "observed"),
     ],
 )
 def test_what_cannot_be_judged_is_not_understood(change, word):
     result = judged(np.random.default_rng(10), change=change)
-    assert result.verdict is SelfTestVerdict.NOT_UNDERSTOOD
+    assert result.verdict is SelfTestVerdict.FAILED
     assert word in result.reason
 
 
