@@ -25,13 +25,14 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
     """
     from equipoise.rig.clocks import SystemClock
     from equipoise.rig.config import read_rig, world_of
-    from equipoise.rig.connection import open_encoder, open_robot, restart_instruction
+    from equipoise.rig.connection import open_encoder, open_robot
+    from equipoise.rig.plugins import robot_plugin
     from equipoise.rig.preflight import examine
 
     robot, encoder = rig.robot, rig.encoder
     if robot is not None and world_of(robot):
         raise InputError(f"{robot} has no link to time; give the address of a real robot")
-    clock = SystemClock()
+    clock, plugin = SystemClock(), None if robot is None else robot_plugin(robot)
     with output.busy("measuring"):
         findings = examine(
             None if robot is None else open_robot(robot, clock, tell=output.tell),
@@ -39,6 +40,7 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
             None if rig.rig is None else read_rig(rig.rig),
             measurement.seconds,
             (robot, encoder),
+            paced=plugin is not None and plugin.paced,
         )
     fit = all(one.status != "bad" for one in findings)
     output.result(
@@ -47,7 +49,7 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
             one.name: {"status": one.status, "found": one.found, "remedy": one.remedy}
             for one in findings
         },
-        restart=robot and restart_instruction(robot),
+        restart=plugin and plugin.restart,
         code=int(not fit),
         then=command("deploy", rig, dry_run=True) if fit and robot else "",
     )

@@ -102,7 +102,7 @@ class Rig(Options):
     """The rig."""
 
     robot: str | None = None
-    """kst://HOST:30001, franka://HOST; or twin:NAME, an emulated rig ({worlds})."""
+    """kst://HOST:30001; or twin:NAME, an emulated rig ({worlds})."""
     encoder: str | None = None
     """Address of the encoder, e.g. serial:///dev/ttyACM0."""
     rig: Path | None = None
@@ -204,11 +204,11 @@ def read_arm(name: str) -> "Arm":
     Raises:
         InputError: There is no such arm.
     """
-    from equipoise.model.arms.resolve import resolve_arm
+    from equipoise.model.arms import resolve
     from equipoise.rig.config import read_rig
 
     toml = Path(name).suffix.lower() == ".toml"
-    return read_rig(Path(name)).described_arm if toml else resolve_arm(name)
+    return read_rig(Path(name)).described_arm if toml else resolve.read_arm(name)
 
 
 def file_of(digest: str, shipped: "Artefact") -> Path | None:

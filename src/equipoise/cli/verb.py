@@ -9,7 +9,6 @@ interruption with its exit code. A help text lists the names of a table of `TABL
 import shlex
 import signal
 from collections.abc import Callable
-from importlib.metadata import entry_points
 from inspect import Parameter, Signature, getdoc, signature
 from typing import Annotated, Any, Final, get_args, get_type_hints
 
@@ -19,17 +18,18 @@ from pydantic.fields import FieldInfo
 from rich.markup import escape
 
 from equipoise.cli.output import Output, complain, signals
+from equipoise.entry_points import registered
 from equipoise.errors import INTERRUPTED, InputError
 from equipoise.learning.rewards import REWARDS
-from equipoise.model.worlds import WORLDS
+from equipoise.model.worlds import named_twins
 from equipoise.settings import RECIPES, Friction
 
 TABLES: Final = {
-    "arms": sorted(entry_points(group="equipoise.arms").names),
+    "arms": sorted(registered("equipoise.arms")),
     "frictions": get_args(Friction),
     "recipes": RECIPES,
     "rewards": REWARDS,
-    "worlds": WORLDS,
+    "worlds": named_twins(),
 }
 """Names that help texts list; each table is light to import."""
 

@@ -57,9 +57,7 @@ def open_robot(address: str, session: Session) -> KstRobot:
     return KstRobot(stream, session.clock, notify=session.notify, attend=session.attend)
 
 
-def emulate(
-    rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: int
-) -> Emulated[KstRobot]:
+def emulate(rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: int) -> Emulated:
     """Return the driver in front of an emulated server that drives a simulated arm."""
     server = KstServer(rig.body)
     host, cabinet = memory_pipe(session.clock, delay)

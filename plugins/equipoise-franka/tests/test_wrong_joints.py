@@ -12,8 +12,9 @@ from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.guarded import GuardedRobot
-from equipoise.rig.paced import PacedStream
-from equipoise.robots.franka.robot import FrankaRobot
+from equipoise.rig.plugins import Session
+from equipoise_franka.paced import PacedStream
+from equipoise_franka.robot import FrankaRobot
 from tests.rig.test_run_controller import (
     POLICY,
     REQUEST,
@@ -22,7 +23,8 @@ from tests.rig.test_run_controller import (
     H,
     balancing,
 )
-from tests.robots.franka.controller import Controller
+
+from .controller import Controller
 
 pytestmark = pytest.mark.compiled_only
 
@@ -47,7 +49,9 @@ class Rig(Course):
         self.clock.attach(lambda now: self.true.append((now, self.arm.q)))
         with pytest.MonkeyPatch.context() as patch:
             patch.setitem(sys.modules, "pylibfranka", self.arm)
-            self.stream = PacedStream(FrankaRobot("fr3", self.clock), self.clock)
+            self.stream = PacedStream(
+                FrankaRobot("fr3", Session(self.clock, self.clock)), self.clock
+            )
             self.stream.connect()
         super().__init__(q, identify, FR3)
         self.robot = GuardedRobot(self.stream, self.guard.limits, 0.005)

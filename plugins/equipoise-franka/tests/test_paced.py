@@ -11,8 +11,8 @@ from scipy.interpolate import BSpline
 from equipoise.errors import LinkError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.rig.clocks import VirtualClock
-from equipoise.rig.interfaces import Request
-from equipoise.rig.paced import MARGIN, PacedStream
+from equipoise_franka.paced import MARGIN, PacedStream
+from equipoise_franka.robot import Request
 
 T = 0.005
 HOME = np.array(iiwa(7).home)

@@ -65,7 +65,7 @@ class Lockstep:
 
 
 def _serve(pipe: Any, bodies: Bodies) -> None:
-    from equipoise.robots.franka.franky import FrankyRig
+    from equipoise_franka.franky import FrankyRig
 
     try:
         rig = FrankyRig(bodies)
