@@ -20,8 +20,7 @@ from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.interfaces import Clock
 from equipoise.rig.plugins import Bodies, ignore, robot_plugin
-from equipoise.robots.encoder.board import Board
-from equipoise.robots.encoder.terminal import Terminal
+from equipoise.robots.encoder.board import Board, Terminal
 
 PERIOD: Final = 0.001
 """Period of the service loop [s]."""
