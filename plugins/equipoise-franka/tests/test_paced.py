@@ -124,18 +124,6 @@ def test_a_late_setpoint_bends_the_path_and_a_missing_one_ends_it_at_the_last():
     assert q[-1] == setpoints[missing - 1]
 
 
-def test_a_caller_that_is_too_fast_ends_the_stream_for_good():
-    robot, clock = paced_robot(1)
-    stream = PacedStream(robot, clock, T)
-    stream.start()
-    for _ in range(8):
-        stream.send(HOME)
-    with pytest.raises(LinkError, match="8 setpoints wait"):
-        stream.send(HOME)
-    with pytest.raises(LinkError, match="8 setpoints wait"):  # for good
-        stream.start()
-
-
 @pytest.mark.parametrize("wrong", [0.1, -9.0, np.nan])
 def test_a_start_that_the_first_request_contradicts_answers_nothing(wrong):
     for lies in ("measured", "request"):

@@ -244,29 +244,23 @@ def read_world(name: str) -> World:
         ('twin:harsh', 0.03)
     """
     name = str(name)
-    twins = f"{', '.join(PREFIX + short for short in named_twins())} or {PREFIX}FILE.toml"
-    if name == MODEL:
-        raise SettingsError(f"the plant of the training is no digital twin; choose {twins}")
-    if not name.startswith(PREFIX):
-        instead = meant_world(name) or f"choose {IDEAL}, {MODEL}, {twins}"
-        raise SettingsError(f"there is no world {quoted(name)}; {instead}")
     which = name.removeprefix(PREFIX)
-    if which in WORLDS:
-        return World(PREFIX + which, TwinSettings.model_validate(WORLDS[which]))
-    if point := registered("equipoise.twins").get(which):
-        return World(PREFIX + which, TwinSettings.model_validate(point.load()))
+    if name.startswith(PREFIX):
+        if which in WORLDS:
+            return World(name, TwinSettings.model_validate(WORLDS[which]))
+        if point := registered("equipoise.twins").get(which):
+            return World(name, TwinSettings.model_validate(point.load()))
     file = Path(which)
+    if not name.startswith(PREFIX) or not which or not os.path.lexists(file):
+        twins = f"{', '.join(PREFIX + twin for twin in named_twins())} or {PREFIX}FILE.toml"
+        remedy = meant_world(name) or f"choose {twins}"
+        raise SettingsError(f"there is no twin, and no such file, {quoted(name)}; {remedy}")
     try:
         which.encode()
     except UnicodeEncodeError:  # results name their world
         raise SettingsError(
             f"the name of the world {quoted(name)} is not UTF-8; give the file another name"
         ) from None
-    if not which or not os.path.lexists(file):
-        instead = meant_world(name) or f"choose {twins}"
-        raise SettingsError(
-            f"there is no world {quoted(name)}: no set of that name, and no such file; {instead}"
-        )
     differences = read_toml(file, "the numbers of a world")
     try:
         return World(name, TwinSettings.read(differences))

@@ -35,9 +35,6 @@ LATE_FRACTION: Final = 0.5
 """Maximum further lateness of a setpoint that still bends the present part of the path, as a
 fraction of a period [-]. The path then jumps by at most half its square of the step to that
 setpoint. A later setpoint waits for the next part, before which the arm comes to rest."""
-MAX_AHEAD: Final = 8
-"""Maximum number of setpoints that wait for their part of the path; more are refused, since the
-caller sends faster than its period."""
 SILENCE: Final = 0.1
 """Time without a request after which the link is lost [s]; a stall of 70 ms is bridged."""
 
@@ -141,8 +138,7 @@ class PacedStream:
             q: The joints [rad], shape (joints,).
 
         Raises:
-            LinkError: No servo runs, the robot is silent, or setpoints come faster than their
-                period.
+            LinkError: No servo runs, or the robot is silent.
             InputError: The setpoint is not one finite number per joint; it was not added.
         """
         setpoint = checked_setpoint(q, self.joints)
@@ -151,11 +147,6 @@ class PacedStream:
         now = self._clock.now()
         if now - self._asked > SILENCE:
             self._fail(f"the robot has requested nothing for {1e3 * SILENCE:g} ms")
-        if len(self._ahead) >= MAX_AHEAD:
-            self._fail(
-                f"{MAX_AHEAD} setpoints wait for the robot, expected one each "
-                f"{1e3 * self._period:g} ms; the caller is too fast"
-            )
         self._advance(now)
         since = now - self._begin
         if self._held and since >= self._period:  # the path stands still, and begins anew

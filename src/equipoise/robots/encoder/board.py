@@ -165,17 +165,13 @@ class Board:
         return line
 
     def _damaged(self, line: bytes) -> bytes:
-        """Return a damaged line: bytes changed, lost or doubled, or noise."""
-        rng = self._rng
-        kind, place = int(rng.integers(4)), int(rng.integers(len(line)))
-        if kind == 0:
-            end = min(place + 1 + int(rng.integers(4)), len(line))
-            return line[:place] + rng.bytes(end - place) + line[end:]
-        if kind == 1:
-            return line[:place] + line[place + 1 + int(rng.integers(8)) :]
-        if kind == 2:
-            return line[:place] + line[max(place - 3, 0) :]
-        return rng.bytes(len(line))
+        """Return a line in which bytes are changed or lost."""
+        place, count = int(self._rng.integers(len(line))), 1 + int(self._rng.integers(8))
+        if self._rng.random() < 0.5:
+            return line[:place] + line[place + count :]
+        return (
+            line[:place] + self._rng.bytes(len(line[place : place + count])) + line[place + count :]
+        )
 
 
 class Terminal:
