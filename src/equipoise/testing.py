@@ -92,16 +92,18 @@ def emulated_robot(scheme: str) -> RobotUnderTest:
     pendulum = pendulum_on(shipped_pendulum(), world.settings)
     rig = emulated_rig(world, RigSettings(), pendulum, robot=scheme)
     assert rig.emulated is not None
-    link, bodies = rig.emulated[0].link, rig.bench.twin.kernel.bodies
+    link, bench = rig.emulated[0].link, rig.bench
     assert link is not None, "the suite pulls the cable of the emulator: give Emulated.link"
 
     def plug(connected: bool) -> None:
         link.cut = link.other.cut = not connected
 
     rig.clock.wait_until(3.0)  # the pendulum has pulled the arm down
-    joints = rig.bench.joints
-    misread = misreads(rig.bench.body)
-    return RobotUnderTest(rig.robot, rig.clock, plug, lambda: bodies.qpos[:joints].copy(), misread)
+
+    def true_joints() -> Array:
+        return np.array(bench.twin.data.qpos[: bench.joints])
+
+    return RobotUnderTest(rig.robot, rig.clock, plug, true_joints, misreads(bench.body))
 
 
 class RobotConformance:
