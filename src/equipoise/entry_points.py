@@ -14,4 +14,4 @@ def registered(group: str) -> dict[str, EntryPoint]:
 
 def how_to_install(name: str) -> str:
     """Return how to install the package that registers a name; empty if this project has none."""
-    return f"install it: python -m pip install {INSTALL[name]}" if name in INSTALL else ""
+    return f"install its package: python -m pip install {INSTALL[name]}" if name in INSTALL else ""

@@ -14,7 +14,7 @@ from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import World, pendulum_on, read_world
 from equipoise.rig.clocks import DrainingClock, SystemClock, VirtualClock
-from equipoise.rig.config import Load, RigSettings, world_of
+from equipoise.rig.config import RigSettings, world_of
 from equipoise.rig.emulated_operator import EmulatedOperator
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Operator, Robot
 from equipoise.rig.plugins import (
@@ -47,34 +47,6 @@ class Rig(NamedTuple):
     """Arm, pendulum, hand and button of an emulated rig."""
     emulated: tuple[Emulated, Emulated] | None = None
     """Robot and encoder of an emulated rig: their drivers and emulators, for fault injection."""
-
-
-def open_robot(
-    robot: str,
-    clock: Clock,
-    loop_clock: Clock | None = None,
-    *,
-    period: float = SETPOINT_PERIOD,
-    tell: Callable[[str], None] = ignore,
-    attend: Callable[[], None] = ignore,
-    load: Load | None = None,
-) -> Robot:
-    """Return the driver behind an address; nothing is opened before it is connected.
-
-    Args:
-        robot: Address of a robot that exists.
-        clock: Clock of the driver.
-        loop_clock: Clock of the loop; by default the same.
-        period: Time between two setpoints [s].
-        tell: Receives instructions to the operator while a connection is made.
-        attend: Called about once a second meanwhile; its exception ends the wait.
-        load: Load on the flange; None if it is unknown.
-
-    Raises:
-        InputError: The address is invalid.
-    """
-    session = Session(clock, loop_clock or clock, period, tell, attend, load)
-    return robot_plugin(robot).open(robot, session)
 
 
 def open_encoder(
@@ -137,15 +109,8 @@ def connect(
     sensor = open_encoder(
         encoder, clock, counts_per_rev=settings.counts_per_rev, sign=settings.encoder_sign
     )
-    driver = open_robot(
-        robot,
-        DrainingClock(clock, sensor),
-        clock,
-        period=period,
-        tell=tell,
-        attend=attend,
-        load=settings.load,
-    )
+    driving = DrainingClock(clock, sensor)
+    driver = plugin.open(robot, Session(driving, clock, period, tell, attend, settings.load))
     return Rig(driver, sensor, cast("Clock", driver) if plugin.paced else clock, plugin)
 
 
