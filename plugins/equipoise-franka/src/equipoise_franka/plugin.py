@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from importlib.util import find_spec
 from typing import Any, Final
 from urllib.parse import urlsplit
 
-from equipoise.errors import InputError, MissingExtraError
+from equipoise.errors import InputError
 from equipoise.model.arms.arm import Arm
 from equipoise.rig.plugins import Bodies, Emulated, Hardware, RobotPlugin, Session
+from equipoise_franka.lockstep import Lockstep, require_emulator
 from equipoise_franka.paced import PacedStream
 from equipoise_franka.robot import FrankaRobot
 
@@ -41,31 +41,14 @@ def host_of(address: str) -> str:
     )
 
 
-def driver(host: str, session: Session) -> PacedStream:
-    """Return the driver for a host; nothing is opened before it is connected."""
-    return PacedStream(FrankaRobot(host, session), session.loop_clock, session.period)
-
-
 def open_robot(address: str, session: Session) -> PacedStream:
     """Return the driver for an address; nothing is opened before it is connected."""
-    return driver(host_of(address), session)
-
-
-def bench(bodies: Bodies) -> Any:
-    """Return a rig on `franky-sim`, in lockstep.
-
-    Raises:
-        MissingExtraError: `franky-sim` is not installed.
-    """
-    _require_emulator()
-    from equipoise_franka.lockstep import Lockstep
-
-    return Lockstep(bodies)
+    return PacedStream(FrankaRobot(host_of(address), session), session.loop_clock, session.period)
 
 
 def emulate(rig: Any, arm: Arm, session: Session, delay: float, seed: int) -> Emulated:
     """Return the driver in front of a rig on `franky-sim`."""
-    return Emulated(driver(rig.host, session), emulator=rig)
+    return Emulated(open_robot(f"franka://{rig.host}", session), emulator=rig)
 
 
 def hardware(bodies: Bodies, port: int | None, say: Callable[[str], None]) -> Hardware:
@@ -74,24 +57,16 @@ def hardware(bodies: Bodies, port: int | None, say: Callable[[str], None]) -> Ha
     Raises:
         MissingExtraError: `franky-sim` is not installed.
     """
-    _require_emulator()
+    require_emulator()
     from equipoise_franka.franky import FrankyHardware
 
     return FrankyHardware(bodies, port)
 
 
-def _require_emulator() -> None:
-    if find_spec("franky_sim") is None:
-        raise MissingExtraError(
-            "an emulated FR3 needs the package franky-sim, which is not installed; install it: "
-            "python -m pip install './plugins/equipoise-franka[emulator]'"
-        )
-
-
 PLUGIN: Final = RobotPlugin(
     open=open_robot,
     paced=True,
-    bench=bench,
+    bench=Lockstep,
     emulate=emulate,
     hardware=hardware,
     failure=(
