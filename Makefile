@@ -9,6 +9,9 @@ COVERING = $(patsubst %,tests/safety/test_%.py,rules trial repeats plausibility 
            tests/test_outcomes.py tests/rig/test_release.py \
            tests/robots/kst/test_codec.py tests/robots/encoder/test_codec.py
 
+# Tests of the packages beside the core.
+PLUGINS = $(wildcard plugins/*/tests)
+
 .DEFAULT_GOAL := help
 .PHONY: help install check lint quick plain cover test full test-all slow docs generated pictures screenshots results demo bench
 
@@ -16,7 +19,7 @@ help:  ## list these words
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 install:  ## install for development, in the active virtual environment
-	$(PYTHON) -m pip install --editable '.[dev]'
+	$(PYTHON) -m pip install --editable '.[dev]' --editable './plugins/equipoise-franka[test]'
 
 check: lint quick  ## format, lint, types, imports and the quick tests, in a minute
 
@@ -40,14 +43,16 @@ cover:  ## every branch of safety rules, release, codecs and outcomes is tested;
 test:  ## the tests of every day, in three minutes
 	$(PYTHON) -m pytest -n 2
 
-full:  ## the rest of them: peers, notebooks, long runs
+full:  ## the rest of them: peers, notebooks, long runs, the package of the FR3
 	$(PYTHON) -m pytest -n 2 -m 'full and not slow'
+	$(PYTHON) -m pytest -n 2 -m 'not slow' $(PLUGINS)
 
 test-all: test full  ## every test but the full statistics
 
 
 slow:  ## the full statistics
 	$(PYTHON) -m pytest -m slow
+	$(PYTHON) -m pytest -m slow $(PLUGINS)
 
 docs:  ## the documentation site, in build/site; a warning or a broken link is an error
 	rm -rf build/site

@@ -258,7 +258,7 @@ def main() -> None:
     found = effects(study)
     draw(delay, zero, found.changes).savefig(given.out, dpi=150)
     worlds: dict[str, Any] = {}
-    for name in () if given.quick else [one for one in WORLDS if one != "fr3"]:
+    for name in () if given.quick else WORLDS:
         world = eq.read_world(f"twin:{name}").settings
         known, training = (study.survival(who, world) for who in ("cured", "training actuator"))
         worlds[name] = {

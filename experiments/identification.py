@@ -16,7 +16,7 @@ import equipoise as eq
 from equipoise.model.worlds import WORLDS
 from equipoise.worlds.twin.servo_model import equivalent_actuator
 
-KUKA = [name for name in WORLDS if name != "fr3"]
+KUKA = list(WORLDS)
 """Worlds of the default arm."""
 
 

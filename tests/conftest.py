@@ -24,8 +24,7 @@ hypothesis.settings.register_profile("equipoise", deadline=None, max_examples=50
 hypothesis.settings.load_profile("equipoise")
 
 
-collect_ignore = ["robots/franka/franka_sim_rig.py"]  # needs packages of its own
-collect_ignore += [] if find_spec("cbor") else ["coppeliasim_server.py"]
+collect_ignore = [] if find_spec("cbor") else ["coppeliasim_server.py"]
 
 
 def pytest_configure(config):

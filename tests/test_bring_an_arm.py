@@ -8,19 +8,20 @@ import re
 import runpy
 import shlex
 import tomllib
-from importlib.metadata import EntryPoint, EntryPoints
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from equipoise import entry_points
 from equipoise.cli import main
 from equipoise.control.policy import TabularPolicy
-from equipoise.errors import ArmError, InputError
+from equipoise.errors import ArmError
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
-from equipoise.model.arms import resolve
 from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.arms.resolve import read_arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.rig.config import read_rig
@@ -57,19 +58,18 @@ def test_the_page_prints_the_home_and_the_pivot_that_are_searched(folder, monkey
 def test_a_registered_arm_is_found_by_its_name(folder, monkeypatch):
     monkeypatch.syspath_prepend(folder)
     project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
-    points = [
-        EntryPoint(n, v, resolve.GROUP) for n, v in project["entry-points"][resolve.GROUP].items()
-    ]
-    monkeypatch.setattr(resolve, "entry_points", lambda group: EntryPoints(points))
-    arm = resolve.resolve_arm("my_arm")
+    points = project["entry-points"]["equipoise.arms"]
+    found = [EntryPoint(name, value, "equipoise.arms") for name, value in points.items()]
+    monkeypatch.setattr(entry_points, "entry_points", lambda group: found)
+    arm = read_arm("my_arm")
     assert [joint.name for joint in arm.joints][-1] == "spin"
     assert np.isnan(arm.compiled().wrist).all()
 
 
 def test_the_iiwas_are_registered_and_may_stand_at_another_home_with_another_pivot():
-    assert resolve.resolve_arm("iiwa14") == iiwa(14)
+    assert read_arm("iiwa14") == iiwa(14)
     home, pivot = (0.1, 0.2, 0.0, -1.0, 0.3, 0.4, 0.5), (0.0, 0.0, 0.1)
-    arm = resolve.resolve_arm("iiwa7", home=home, pivot=pivot)
+    arm = read_arm("iiwa7", home=home, pivot=pivot)
     assert (arm.home, arm.pivot, arm.digest) == (home, pivot, iiwa(7).digest)
     for name, wrong in (
         ("iiwa7", {"home": (0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0)}),
@@ -77,22 +77,14 @@ def test_the_iiwas_are_registered_and_may_stand_at_another_home_with_another_piv
         ("iiwa8", {}),
     ):
         with pytest.raises(ArmError):
-            resolve.resolve_arm(name, **wrong)
+            read_arm(name, **wrong)
 
 
-@pytest.mark.parametrize(
-    ("value", "says"),
-    [
-        ("no_such_module:arm", "raised ModuleNotFoundError"),
-        ("sys:exit", "raised SystemExit"),
-        ("equipoise.paper:__name__.upper", "is a str, expected an equipoise.Arm"),
-    ],
-)
-def test_a_broken_arm_of_a_guest_is_named(monkeypatch, value, says):
-    points = EntryPoints([EntryPoint("guest", value, resolve.GROUP)])
-    monkeypatch.setattr(resolve, "entry_points", lambda group: points)
-    with pytest.raises(InputError, match=f"the arm guest of {value}.* {says}"):
-        resolve.resolve_arm("guest")
+def test_what_is_registered_as_an_arm_and_is_none_is_named(monkeypatch):
+    point = EntryPoint("guest", "equipoise.paper:__name__.upper", "equipoise.arms")
+    monkeypatch.setattr(entry_points, "entry_points", lambda group: [point])
+    with pytest.raises(ArmError, match=r"__name__\.upper returns a str, expected an equipoise.Arm"):
+        read_arm("guest")
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from tests.faults.table import TABLE
 
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "safety-case.md").read_text(encoding="utf-8")
-NAMED = sorted(set(re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", PAGE)))
+NAMED = sorted(set(re.findall(r"`((?:plugins/[\w-]+/)?tests/[\w/]+\.py)::(\w+)`", PAGE)))
 TABLES = "\n".join(line for line in PAGE.splitlines() if line.startswith("|"))
 
 
@@ -38,7 +38,7 @@ def test_each_test_that_is_named_exists(path, name):
 
 def test_whatever_looks_like_a_test_is_read_as_one():
     # A name with a slip in its form would escape the check above.
-    assert PAGE.count("::") == len(re.findall(r"`tests/[\w/]+\.py::\w+`", PAGE))
+    assert PAGE.count("::") == len(re.findall(r"`(?:plugins/[\w-]+/)?tests/[\w/]+\.py::\w+`", PAGE))
 
 
 @pytest.mark.parametrize("rule", SAFETY_RULES, ids=lambda rule: rule.name)

@@ -2,7 +2,6 @@
 
 import json
 import unicodedata
-from importlib.metadata import EntryPoint
 from itertools import count
 
 import pytest
@@ -15,7 +14,6 @@ from equipoise.logs.conditions import RunEnd
 from equipoise.logs.recorder import Recorder, push_event
 from equipoise.logs.writer import RunWriter
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.rig import plugins
 from tests.logs.made_up import rig_conditions
 
 ESCAPES = "\x1b[2J\x1b]0;owned\x07\x9b31m\x7f\u202e"
@@ -132,16 +130,3 @@ def test_code_of_a_guest(equipoise, guest, tmp_path, text, command):
     check(ran, shown="hostile_guest")
     assert ran.code == 2
     assert not list(tmp_path.glob("*.json"))
-
-
-@pytest.mark.parametrize(
-    "command",
-    ["deploy --robot own://x --encoder serial://x", "rig doctor --robot own://x --seconds 0.05"],
-)
-def test_a_plugin_of_a_robot(equipoise, guest, monkeypatch, command):
-    text = "from equipoise.rig.plugins import *\nPLUGIN = RobotPlugin(open=end, emulate=end)"
-    entry = EntryPoint("own", f"{guest(text)}:PLUGIN", "equipoise.robots")
-    monkeypatch.setattr(plugins, "entry_points", lambda group: [entry])
-    ran = equipoise(*command.split())
-    check(ran, shown="own")
-    assert ran.code == 2

@@ -46,7 +46,7 @@ REFUSED = {
     ("train", "--learner", "sarsaa", "--out", "taken.json"): "unknown learner 'sarsaa'",
     ("train", "--reward", "nope", "--out", "taken.json"): "unknown reward 'nope'",
     ("deploy", "--world", "nominal", "--out", "taken.mcap"): "did you mean twin:nominal?",
-    ("deploy", "--excite", "--world", "fr33", "--out", "taken.mcap"): "did you mean twin:fr3?",
+    ("deploy", "--excite", "--world", "frii", "--out", "taken.mcap"): "did you mean twin:fri?",
     (*TWIN[:2], "twin:nom", "--out", "taken.mcap"): "did you mean twin:nominal?",
     ("deploy", "--robot", KST, "--encoder", "usb:///x", "--out", "taken.mcap"): "serial:",
     ("rig", "record", "--encoder", "usb:///x", "--out", "swing.csv"): "serial:",

@@ -16,15 +16,14 @@ HAND = (("button", "press"), ("Lift the pendulum", "lift"), ("Armed", "release")
 """Prompts of the run, and what a hand does at the emulated rig."""
 
 
-@pytest.mark.parametrize(
-    ("arm", "words"),
-    [
-        pytest.param("iiwa7", ("--port", "0"), marks=pytest.mark.full),
-        pytest.param("fr3", ("--robot", "franka"), marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.full
 @pytest.mark.compiled_only
-def test_a_policy_balances_over_the_wires_of_the_emulated_rig(arm, words, tmp_path):
+def test_a_policy_balances_over_the_wires_of_the_emulated_rig(tmp_path):
+    balances(tmp_path, "iiwa7", "--port", "0")
+
+
+def balances(tmp_path, arm, *words):
+    """Balance with the shipped policy on an arm over the wires of an emulated rig."""
     policy, log = tmp_path / "policy.json", tmp_path / "run.mcap"
     described = RigSettings(arm=arm).described_arm
     shipped_policy().model_copy(update={"arm": described}).save(policy)

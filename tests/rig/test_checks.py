@@ -136,11 +136,11 @@ def test_a_robot_that_sets_the_pace_is_asked_for_each_state_and_needs_a_real_tim
         time.sleep(0.001)
         return np.zeros(7)
 
-    other = dict.fromkeys(("connect", "start", "stop", "close", "request", "answer"), lambda: None)
+    other = dict.fromkeys(("connect", "close"), lambda: None)
     device = SimpleNamespace(joints=7, measured=measured, **other)
     monkeypatch.setattr(preflight, "prepare", dict)
     monkeypatch.setattr(preflight, "REALTIME", tmp_path / "none")
-    found = examine(device, None, None, 0.05)
+    found = examine(device, None, None, 0.05, paced=True)
     assert status(found, "kernel") == "warning"
     assert "a state each 1." in next(one.found for one in found if one.name == "link to the robot")
 

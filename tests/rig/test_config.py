@@ -8,12 +8,18 @@ from equipoise.errors import InputError, SettingsError
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import RigSettings, read_rig
-from equipoise.rig.connection import connect, open_robot
+from equipoise.rig.connection import connect
+from equipoise.rig.plugins import Session, robot_plugin
 from equipoise.rig.request import RunRequest
 from equipoise.robots.kst import plugin
 from tests.model.arms.witnesses import ELBOW, ELBOW_HOME
 
 POLICY = shipped_policy()
+
+
+def opened(address, **session):
+    clock = VirtualClock()
+    return robot_plugin(address).open(address, Session(clock, clock, **session))
 
 
 def written(tmp_path, text):
@@ -28,7 +34,7 @@ def test_a_load_is_half_way_to_the_pivot_unless_its_centre_is_given(tmp_path):
     text = "load_kg = 0.5\nload_mm = [1, 2, 3]\n"
     assert read_rig(written(tmp_path, text)).load == (0.5, (0.001, 0.002, 0.003))
     with pytest.raises(InputError, match="Sunrise.Workbench"):
-        open_robot("kst://127.0.0.1", VirtualClock(), load=RigSettings(load_kg=0.5).load)
+        opened("kst://127.0.0.1", load=RigSettings(load_kg=0.5).load)
 
 
 def test_a_rig_describes_an_arm_from_a_urdf_beside_it(tmp_path):
@@ -111,7 +117,7 @@ def test_an_address_that_is_none_is_refused(robot, encoder):
 def test_addresses_of_a_robot(robot, where, monkeypatch):
     dialled = []
     monkeypatch.setattr(plugin, "dial", lambda *to: dialled.append(to))
-    open_robot(robot, VirtualClock())
+    opened(robot)
     assert dialled == [where]
 
 

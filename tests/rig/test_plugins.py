@@ -1,71 +1,80 @@
-"""A defective plug-in is one message that names its entry point, and disturbs no other."""
+"""What is not registered, or is no plugin, is one message; the other robots work."""
 
 from importlib.metadata import EntryPoint
 
 import pytest
+from pydantic import ValidationError
 
-from equipoise.errors import InputError
-from equipoise.model.worlds import TwinSettings, read_world
-from equipoise.rig import plugins
-from equipoise.rig.clocks import VirtualClock
-from equipoise.rig.config import RigSettings
-from equipoise.rig.connection import emulated_rig, open_robot
+from equipoise import entry_points
+from equipoise.errors import EquipoiseError, InputError
+from equipoise.model.arms.resolve import read_arm
+from equipoise.model.worlds import read_world
 from equipoise.rig.plugins import RobotPlugin, robot_plugin
-from tests.rig.in_process import PENDULUM
 
 
-def half(*_):
-    """A driver that can only be connected and closed."""
-    return type("Half", (), {"joints": 7, "connect": print, "close": print})()
+@pytest.fixture
+def register(monkeypatch):
+    """Register one entry point in some groups, and hide those of other packages."""
+
+    def register(**values):
+        known = entry_points.entry_points
+
+        def found(group):
+            points = [one for one in known(group=group) if one.value.startswith("equipoise.")]
+            value = values.get(group.removeprefix("equipoise."))
+            return points + ([] if value is None else [EntryPoint("own", value, group)])
+
+        monkeypatch.setattr(entry_points, "entry_points", found)
+
+    return register
 
 
-DEFECTS = {
-    "no_such_module:PLUGIN": "No module named 'no_such_module'",
-    "defective:NOTHING": "no attribute 'NOTHING'",
-    "defective:A_DICT": "is a dict, expected a RobotPlugin",
-    "defective:HALF": "Half, is no Robot, without measured, replies, send, start, stop",
-    "defective:NO_ARGUMENTS": "raised TypeError",
-    "defective:EMPTY": "has no open",
-    "wrong_type": "open: Input should be callable, got 'guest'",
-    "wrong_unit": "servo.cycle: Input should be less than or equal to 0.01, got 2",
-    "wrong_name": "servo.transprot: there is no such field",
-    "wrong_share": "link_share: Input should be less than or equal to 1, got 4",
-}
-"""Values of entry points, and words of their messages."""
-FILES = {
-    "defective": "from tests.rig.test_plugins import *\nA_DICT = {}\n"
-    "HALF = RobotPlugin(open=half)\n"
-    "NO_ARGUMENTS = RobotPlugin(open=lambda: None)\nEMPTY = RobotPlugin()\n",
-    "wrong_type": "RobotPlugin(open='guest')",
-    "wrong_unit": "RobotPlugin(servo={'cycle': 2})",
-    "wrong_name": "RobotPlugin(servo={'transprot': 0.004})",
-    "wrong_share": "RobotPlugin(link_share=4)",
-}
-
-
-@pytest.mark.parametrize("value", DEFECTS)
-def test_a_defect_is_one_message_and_the_other_robots_work(value, tmp_path, monkeypatch):
-    for name, text in FILES.items():
-        text = "from equipoise.rig.plugins import RobotPlugin\n" + text
-        (tmp_path / f"{name}.py").write_text(text)
-    monkeypatch.syspath_prepend(tmp_path)
-    known = plugins.entry_points
-    entry = EntryPoint("broken", value, "equipoise.robots")
-    monkeypatch.setattr(plugins, "entry_points", lambda group: [*known(group=group), entry])
-    with pytest.raises(InputError) as caught:
-        open_robot("broken://host", VirtualClock())
-    said = str(caught.value)
-    assert said.startswith(f"the plug-in broken = {value!r}")
-    assert DEFECTS[value] in said
-    assert "\n" not in said
-    assert open_robot("kst://host", VirtualClock()).joints == 7
-    with pytest.raises(InputError, match="'other' is no known address; .* broken:, .*kst:"):
+def test_an_unknown_scheme_names_the_known_ones(register):
+    register(robots="equipoise.robots.kst.plugin:PLUGIN")
+    with pytest.raises(InputError, match="'other' is no known address; .* kst:, own:, twin:"):
         robot_plugin("other")
-    with pytest.raises(InputError, match="the plug-in broken"):
-        emulated_rig(read_world("twin:nominal"), RigSettings(), PENDULUM, robot="broken")
+    assert robot_plugin("own://host") is robot_plugin("kst")
 
 
-def test_the_numbers_of_a_servo_are_in_si_units():
-    servo = RobotPlugin(servo={"cycle": 0.002}).servo
-    assert servo.model_dump(exclude_unset=True) == {"cycle": 0.002}
-    assert TwinSettings().cycle == 0.001
+def test_what_is_no_plugin_is_named(register):
+    register(robots="equipoise.paper:__name__")
+    with pytest.raises(InputError, match="own://host: .* not a RobotPlugin"):
+        robot_plugin("own://host")
+
+
+@pytest.mark.parametrize(
+    ("look", "name"),
+    [(read_arm, "fr3"), (read_world, "twin:fr3"), (robot_plugin, "franka://172.16.0.2")],
+)
+def test_a_package_of_this_project_that_is_not_installed_is_named(register, look, name):
+    register()
+    with pytest.raises(EquipoiseError, match=r"pip install \./plugins/equipoise-franka"):
+        look(name)
+
+
+def test_a_package_registers_a_twin(register, tmp_path, monkeypatch):
+    (tmp_path / "own_twin.py").write_text("TWIN = {'transport': 0.004}")
+    monkeypatch.syspath_prepend(tmp_path)
+    register(twins="own_twin:TWIN")
+    world = read_world("twin:own")
+    assert (world.name, world.settings.transport) == ("twin:own", 0.004)
+
+
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        ({"open": "guest"}, "callable"),
+        ({"servo": {"cycle": 2}}, "less than or equal to 0.01"),
+        ({"servo": {"transprot": 0.004}}, "transprot"),
+        ({"link_fraction": 4}, "less than or equal to 1"),
+        ({"watchdog": True}, "watchdog"),
+    ],
+)
+def test_a_field_that_cannot_be_is_refused(fields, says):
+    with pytest.raises(ValidationError, match=says):
+        RobotPlugin(**{"open": print} | fields)
+
+
+def test_a_robot_without_an_emulator_says_so():
+    with pytest.raises(InputError, match="not emulated"):
+        RobotPlugin(open=print).emulate(None, None, None, 0.0, 0)

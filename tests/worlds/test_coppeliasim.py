@@ -20,10 +20,11 @@ from equipoise.control.grid import TRUNCATED
 from equipoise.control.policy import KernelPolicy, TabularPolicy, shipped_policy
 from equipoise.errors import InputError, LinkError, MissingExtraError, OutsideError, SettingsError
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.robots.franka.arm import fr3
+from equipoise.model.arms.urdf import read_urdf
 from equipoise.testing import WorldConformance
 from equipoise.worlds import Recorder, run_trial, setup_of, simulate
 from tests.coppeliasim_server import RUNNING, CoppeliaSimServer, Scene
+from tests.model.arms.witnesses import ELBOW, ELBOW_HOME
 
 pytestmark = [pytest.mark.full, pytest.mark.compiled_only]
 
@@ -97,10 +98,12 @@ def test_the_shipped_policy_balances_for_a_minute(server):
     assert np.abs(rows.state[:, 2]).max() < 0.15
 
 
-@pytest.mark.parametrize("arm", [iiwa(7), fr3()], ids=["iiwa7", "fr3"])
+@pytest.mark.parametrize(
+    "arm", [iiwa(7), read_urdf(ELBOW, home=ELBOW_HOME)], ids=["iiwa7", "elbow"]
+)
 def test_the_flange_in_coppeliasim_is_where_the_kinematics_say(server, arm):
     rig, q = rig_at(server, arm), arm.home_free + np.array([0.1, -0.2, 0.3, 0.1, -0.3, 0.2])
-    for angles in (arm.home_free, q):  # the limits of two joints of the FR3 exclude zero
+    for angles in (arm.home_free, q):
         position, R = rig.place(angles)
         expected = arm.kinematics(angles)
         np.testing.assert_allclose(position, expected.position, atol=1e-12)

@@ -25,19 +25,24 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
     """
     from equipoise.rig.clocks import SystemClock
     from equipoise.rig.config import read_rig, world_of
-    from equipoise.rig.connection import open_encoder, open_robot, restart_instruction
+    from equipoise.rig.connection import open_encoder
+    from equipoise.rig.plugins import Session, robot_plugin
     from equipoise.rig.preflight import examine
 
     robot, encoder = rig.robot, rig.encoder
     if robot is not None and world_of(robot):
         raise InputError(f"{robot} has no link to time; give the address of a real robot")
-    clock = SystemClock()
+    clock, plugin, device = SystemClock(), None, None
+    if robot is not None:
+        plugin = robot_plugin(robot)
+        device = plugin.open(robot, Session(clock, clock, notify=output.tell))
     with output.busy("measuring"):
         findings = examine(
-            None if robot is None else open_robot(robot, clock, tell=output.tell),
+            device,
             None if encoder is None else open_encoder(encoder, clock),
             None if rig.rig is None else read_rig(rig.rig),
             measurement.seconds,
+            paced=plugin is not None and plugin.paced,
         )
     fit = all(one.status != "bad" for one in findings)
     output.result(
@@ -46,7 +51,7 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
             one.name: {"status": one.status, "found": one.found, "remedy": one.remedy}
             for one in findings
         },
-        restart=robot and restart_instruction(robot),
+        restart=plugin and plugin.restart,
         code=int(not fit),
         then=command("deploy", rig, dry_run=True) if fit and robot else "",
     )

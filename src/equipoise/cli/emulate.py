@@ -15,7 +15,7 @@ class Emulated(Options):
     """The emulated rig."""
 
     robot: str = "kst"
-    """kst; or franka, with --arm fr3, by franky-sim."""
+    """kst, or another robot whose package emulates its hardware."""
     world: str = "twin:nominal"
     """twin:NAME ({worlds}), or twin:FILE."""
     arm: str = "iiwa7"

@@ -12,7 +12,6 @@ import shlex
 import signal
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from importlib.metadata import entry_points
 from inspect import Parameter, Signature, getdoc, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, get_args, get_type_hints
@@ -23,9 +22,10 @@ from rich.markup import escape
 
 from equipoise.artefacts import reserved
 from equipoise.cli.output import Output, complain, signals
+from equipoise.entry_points import registered
 from equipoise.errors import INTERRUPTED, InputError
 from equipoise.learning.rewards import REWARDS
-from equipoise.model.worlds import WORLDS
+from equipoise.model.worlds import named_twins
 from equipoise.settings import RECIPES, Friction
 
 if TYPE_CHECKING:
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from equipoise.settings import Settings
 
 TABLES: Final = {
-    "arms": sorted(entry_points(group="equipoise.arms").names),
+    "arms": sorted(registered("equipoise.arms")),
     "frictions": get_args(Friction),
     "recipes": RECIPES,
     "rewards": REWARDS,
-    "worlds": WORLDS,
+    "worlds": named_twins(),
 }
 """Names that help texts list; each table is light to import."""
 
@@ -206,7 +206,7 @@ class Rig(Options):
     """The rig."""
 
     robot: str | None = None
-    """kst://HOST:30001, franka://HOST; or twin:NAME, an emulated rig ({worlds})."""
+    """kst://HOST:30001; or twin:NAME, an emulated rig ({worlds})."""
     encoder: str | None = None
     """Address of the encoder, e.g. serial:///dev/ttyACM0."""
     rig: Path | None = None
@@ -304,11 +304,11 @@ def read_arm(name: str) -> "Arm":
     Raises:
         InputError: There is no such arm.
     """
-    from equipoise.model.arms.resolve import resolve_arm
+    from equipoise.model.arms import resolve
     from equipoise.rig.config import read_rig
 
     toml = Path(name).suffix.lower() == ".toml"
-    return read_rig(Path(name)).described_arm if toml else resolve_arm(name)
+    return read_rig(Path(name)).described_arm if toml else resolve.read_arm(name)
 
 
 def file_of(digest: str, shipped: "Artefact") -> Path | None:

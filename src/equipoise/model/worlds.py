@@ -2,7 +2,8 @@
 
 `ideal` is the paper's plant, whose arm has no delay; `model` is the training plant, with the
 identified actuator. `twin:nominal` and others of `WORLDS` are named, frozen parameter sets of the
-digital twin; `twin:FILE` is a TOML file of differences to nominal.
+digital twin; `twin:FILE` is a TOML file of differences to nominal. A package registers a further
+set, such a mapping of differences, under the entry point group `equipoise.twins`.
 
 A twin's pendulum has the identified friction: viscous, dry and drag. A world may override dry
 friction and drag: `pendulum_on`.
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 from pydantic import Field, ValidationError
 
 from equipoise.artefacts import Value, first_fault, quoted
+from equipoise.entry_points import how_to_install, registered
 from equipoise.errors import SettingsError
 from equipoise.settings import FINEST_ENCODER, QUARTER_TURN, read_toml
 
@@ -183,16 +185,6 @@ WORLDS: Final[Mapping[str, Mapping[str, Any]]] = {
     # `setMinimumTrajectoryExecutionTime` of a KST server.
     "trajectory40": {"reach_time": 0.040},
     "smart60": {"shaped": False, "transport": 0.044, "inner": "pd"},
-    # As identified over the driver's stream of velocities; rotors of `franky-sim`.
-    "fr3": {
-        "shaped": False,
-        "transport": 0.005,
-        "transport_jitter": 0.0005,
-        "reach_time": 0.004,
-        "lag": 0.001,
-        "rotor_inertia": (0.195, 0.195, 0.195, 0.195, 0.074),
-        "reply_age": 0.001,
-    },
     "fri": {"shaped": False, "transport": 0.003, "inner": "pd"},
 }
 """Frozen parameter sets of the digital twin by name: differences to the defaults of `TwinSettings`.
@@ -218,14 +210,21 @@ CLEAN: Final[Mapping[str, float]] = {
 """Numbers of the clean twin, which has none of these effects."""
 
 
+def named_twins() -> list[str]:
+    """Return the names of all twins, without their prefix: of `WORLDS`, and of packages."""
+    return [*WORLDS, *registered("equipoise.twins")]
+
+
 def meant_world(name: str) -> str:
-    """Return the question whether a wrong name means a named twin; empty if none is similar.
+    """Return the remedy for the name of a world: a similar twin, or a package; empty without any.
 
     Example:
         >>> meant_world("nominal"), meant_world("twin:hrsh"), meant_world("plant")
         ('did you mean twin:nominal?', 'did you mean twin:harsh?', '')
     """
-    close = get_close_matches(name.removeprefix(PREFIX), WORLDS, n=1)
+    if install := how_to_install(name.removeprefix(PREFIX)):
+        return install
+    close = get_close_matches(name.removeprefix(PREFIX), named_twins(), n=1)
     return f"did you mean {PREFIX}{close[0]}?" if close else ""
 
 
@@ -233,8 +232,8 @@ def read_world(name: str) -> World:
     """Return the twin of a name.
 
     Args:
-        name: `twin:` and a key of `WORLDS` (`twin:harsh`), or `twin:FILE`, where the file is TOML
-            with differences to nominal.
+        name: `twin:` and one of `named_twins` (`twin:harsh`), or `twin:FILE`, where the file is
+            TOML with differences to nominal.
 
     Raises:
         SettingsError: The world does not exist, or its file is invalid.
@@ -245,27 +244,23 @@ def read_world(name: str) -> World:
         ('twin:harsh', 0.03)
     """
     name = str(name)
-    twins = f"{', '.join(PREFIX + short for short in WORLDS)} or {PREFIX}FILE.toml"
-    if name == MODEL:
-        raise SettingsError(f"the plant of the training is no digital twin; choose {twins}")
-    if not name.startswith(PREFIX):
-        remedy = meant_world(name) or f"choose {IDEAL}, {MODEL}, {twins}"
-        raise SettingsError(f"there is no world {quoted(name)}; {remedy}")
     which = name.removeprefix(PREFIX)
-    if which in WORLDS:
-        return World(PREFIX + which, TwinSettings.model_validate(WORLDS[which]))
+    if name.startswith(PREFIX):
+        if which in WORLDS:
+            return World(name, TwinSettings.model_validate(WORLDS[which]))
+        if point := registered("equipoise.twins").get(which):
+            return World(name, TwinSettings.model_validate(point.load()))
     file = Path(which)
+    if not name.startswith(PREFIX) or not which or not os.path.lexists(file):
+        twins = f"{', '.join(PREFIX + twin for twin in named_twins())} or {PREFIX}FILE.toml"
+        remedy = meant_world(name) or f"choose {twins}"
+        raise SettingsError(f"there is no twin, and no such file, {quoted(name)}; {remedy}")
     try:
         which.encode()
     except UnicodeEncodeError:  # results name their world
         raise SettingsError(
             f"the name of the world {quoted(name)} is not UTF-8; give the file another name"
         ) from None
-    if not which or not os.path.lexists(file):
-        remedy = meant_world(name) or f"choose one of {', '.join(WORLDS)}, or give a TOML file"
-        raise SettingsError(
-            f"there is no world {quoted(name)}: no set of that name, and no such file; {remedy}"
-        )
     differences = read_toml(file, "the numbers of a world")
     try:
         return World(name, TwinSettings.read(differences))

@@ -65,8 +65,6 @@ class DrainingClock:
     def __init__(self, clock: Clock, sensor: AngleSensor) -> None:
         """Wrap a clock, and drain a sensor."""
         self._clock, self._sensor = clock, sensor
-        self.drains = True
-        """Whether samples are dropped: not while a robot that sets the pace waits in the stream."""
 
     def now(self) -> float:
         """Return the time [s]."""
@@ -79,5 +77,4 @@ class DrainingClock:
             until = min(time, until + DRAIN_PERIOD)
             self._clock.wait_until(until)
             with suppress(LinkError):  # not connected yet; or the next reader gets the error again
-                if self.drains:
-                    self._sensor.samples()
+                self._sensor.samples()

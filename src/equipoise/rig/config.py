@@ -21,7 +21,7 @@ from pydantic import Field, ValidationError, field_validator
 from equipoise.artefacts import Name, Value, first_fault
 from equipoise.errors import ArmError, SettingsError
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.resolve import SUFFIXES, resolve_arm
+from equipoise.model.arms.resolve import SUFFIXES, read_arm
 from equipoise.model.worlds import PREFIX as TWIN
 from equipoise.safety.rules import POSITION_MARGIN, TORQUE_SHARE
 from equipoise.settings import read_toml
@@ -62,8 +62,8 @@ class RigSettings(Value):
     """Pivot of the pendulum in the flange frame [mm]; by default the arm's own. On an iiwa, x is
     minus the distance from the axis of A7, and z the height of a media flange: 0, 35 or 61."""
     load_kg: float | None = Field(default=None, ge=0.01, le=20.0)
-    """Mass of pendulum and holder [kg], which `franka://` sets before a motion; by default that of
-    Desk stays in force. On a KUKA it is a tool in Sunrise.Workbench."""
+    """Mass of pendulum and holder [kg], for a robot that is told it before a motion; by default its
+    own number stays in force. On a KUKA it is a tool in Sunrise.Workbench."""
     load_mm: tuple[Millimetres, Millimetres, Millimetres] | None = None
     """Their centre of mass in the flange frame [mm]; by default half way to the pivot."""
     counts_per_rev: int = Field(default=8192, ge=64, le=2**24)
@@ -105,7 +105,7 @@ class RigSettings(Value):
             ArmError: The arm is unknown, or home is outside the joints' limits.
         """
         limit, home, pivot = self.acceleration_deg, self.home_deg, self.pivot_mm
-        return resolve_arm(
+        return read_arm(
             self.arm,
             held=self.held,
             tip=self.tip,

@@ -5,7 +5,7 @@ No other module opens devices. The plugin for the scheme of an address makes its
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -14,27 +14,18 @@ from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import World, pendulum_on, read_world
 from equipoise.rig.clocks import DrainingClock, SystemClock, VirtualClock
-from equipoise.rig.config import Load, RigSettings, world_of
+from equipoise.rig.config import RigSettings, world_of
 from equipoise.rig.emulated_operator import EmulatedOperator
-from equipoise.rig.interfaces import (
-    SETPOINT_PERIOD,
-    AngleSensor,
-    Clock,
-    Operator,
-    PacedRobot,
-    Robot,
-)
-from equipoise.rig.paced import PacedStream
+from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Operator, Robot
 from equipoise.rig.plugins import (
     Bodies,
     Emulated,
     RobotPlugin,
-    SensorPlugin,
     Session,
     ignore,
-    make_driver,
     robot_plugin,
     scheme_of,
+    sensor_plugin,
 )
 from equipoise.rig.request import RunRequest
 
@@ -54,31 +45,8 @@ class Rig(NamedTuple):
     """Emulated operator; None for a person at the rig."""
     bench: Any = None
     """Arm, pendulum, hand and button of an emulated rig."""
-    emulated: tuple[Emulated[Any], Emulated[AngleSensor]] | None = None
+    emulated: tuple[Emulated, Emulated] | None = None
     """Robot and encoder of an emulated rig: their drivers and emulators, for fault injection."""
-
-
-def open_robot(
-    robot: str,
-    clock: Clock,
-    *,
-    tell: Callable[[str], None] = ignore,
-    attend: Callable[[], None] = ignore,
-    load: Load | None = None,
-) -> Robot | PacedRobot:
-    """Return the driver behind an address; nothing is opened before it is connected.
-
-    Args:
-        robot: Address of a robot that exists.
-        clock: Clock of the robot.
-        tell: Receives instructions to the operator while a connection is made.
-        attend: Called about once a second meanwhile; its exception ends the wait.
-        load: Load on the flange; None if it is unknown.
-
-    Raises:
-        InputError: The address is invalid.
-    """
-    return make_driver(RobotPlugin, "open", robot, robot, Session(clock, tell, attend, load))
 
 
 def open_encoder(
@@ -95,17 +63,7 @@ def open_encoder(
     Raises:
         InputError: The address is invalid.
     """
-    session = Session(clock)
-    return make_driver(SensorPlugin, "open", encoder, encoder, session, counts_per_rev, sign)
-
-
-def restart_instruction(robot: str) -> str:
-    """Return the instruction to the operator before the next connection to a robot.
-
-    Raises:
-        InputError: The address is invalid.
-    """
-    return robot_plugin(robot).restart
+    return sensor_plugin(encoder).open(encoder, Session(clock, clock), counts_per_rev, sign)
 
 
 def connect(
@@ -147,25 +105,13 @@ def connect(
             f"{robot} with --encoder {encoder} is no rig: a robot needs an encoder such as "
             "serial:///dev/ttyACM0, and a twin has one of its own"
         )
-    clock, counts = SystemClock(), settings.counts_per_rev
-    sensor = open_encoder(encoder, clock, counts_per_rev=counts, sign=settings.encoder_sign)
-    draining = DrainingClock(clock, sensor)
-    opened = open_robot(robot, draining, tell=tell, attend=attend, load=settings.load)
-    return Rig(*_stream(opened, sensor, clock, draining, period), robot_plugin(robot))
-
-
-def _stream(
-    robot: Robot | PacedRobot,
-    sensor: AngleSensor,
-    clock: Clock,
-    draining: DrainingClock,
-    period: float,
-) -> tuple[Robot, AngleSensor, Clock]:
-    """Return the parts of a rig: a robot that sets the pace is behind a stream, the clock too."""
-    if not isinstance(robot, PacedRobot):
-        return robot, sensor, clock
-    stream = PacedStream(robot, clock, period, draining)
-    return stream, sensor, stream
+    clock, plugin = SystemClock(), robot_plugin(robot)
+    sensor = open_encoder(
+        encoder, clock, counts_per_rev=settings.counts_per_rev, sign=settings.encoder_sign
+    )
+    driving = DrainingClock(clock, sensor)
+    driver = plugin.open(robot, Session(driving, clock, period, tell, attend, settings.load))
+    return Rig(driver, sensor, cast("Clock", driver) if plugin.paced else clock, plugin)
 
 
 def emulated_rig(
@@ -179,7 +125,7 @@ def emulated_rig(
 ) -> Rig:
     """Return a twin behind the drivers of a kind of robot, in virtual time, with its operator.
 
-    The link of an emulated robot takes its share of the twin's reply age each way, and the servo
+    The link of an emulated robot takes its fraction of the twin's reply age each way, and the servo
     the rest of the twin's transport. A robot whose plugin makes a bench of its own has its own link
     and servo, too.
 
@@ -193,7 +139,7 @@ def emulated_rig(
 
     Raises:
         ArmError: The masses of the arm's links are unknown.
-        InputError: The robot has no emulator, or its plugin is defective.
+        InputError: The robot has no emulator.
         SettingsError: Twin and rig differ in the counts per revolution.
     """
     plugin = robot_plugin(robot)
@@ -203,20 +149,26 @@ def emulated_rig(
             f"{world.name} has {numbers.counts_per_rev} counts per revolution, rig.toml "
             f"{settings.counts_per_rev}; give one number"
         )
-    delay = plugin.link_share * numbers.reply_age
+    delay = plugin.link_fraction * numbers.reply_age
     numbers = numbers.model_copy(update={"transport": max(numbers.transport - delay, 0.0)})
     clock, arm = VirtualClock(), settings.described_arm
     # The joints begin up to 0.1 rad beside home.
     offset = 0.1 * np.random.default_rng(seed).uniform(-1.0, 1.0, FREE_JOINTS)
     bench = plugin.bench(Bodies(arm, pendulum, numbers, arm.home_free + offset, 0.0, seed))
     clock.attach(bench.advance)
-    encoder = bench, clock, settings.counts_per_rev, settings.encoder_sign, seed
-    sensor = make_driver(SensorPlugin, "emulate", "serial", *encoder)
-    draining = DrainingClock(clock, sensor.device)
-    parts = bench, arm, Session(draining, load=settings.load), delay, seed
-    emulated = make_driver(RobotPlugin, "emulate", robot, *parts)
+    sensor = sensor_plugin("serial").emulate(
+        bench, clock, settings.counts_per_rev, settings.encoder_sign, seed
+    )
+    session = Session(DrainingClock(clock, sensor.device), clock, period, load=settings.load)
+    emulated = plugin.emulate(bench, arm, session, delay, seed)
     clock.attach(emulated.advance)
     clock.attach(sensor.advance)
-    operator = EmulatedOperator(bench, clock, seed=seed)
-    stream = _stream(emulated.device, sensor.device, clock, draining, period)
-    return Rig(*stream, plugin, operator, bench, (emulated, sensor))
+    return Rig(
+        emulated.device,
+        sensor.device,
+        emulated.device if plugin.paced else clock,
+        plugin,
+        EmulatedOperator(bench, clock, seed=seed),
+        bench,
+        (emulated, sensor),
+    )

@@ -7,7 +7,7 @@ only. A device that fails raises `equipoise.errors.LinkError`, and never resumes
 
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Final, NamedTuple, Protocol, runtime_checkable
+from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -17,17 +17,6 @@ from equipoise.errors import InputError
 
 SETPOINT_PERIOD: Final = 0.005
 """Time between two setpoints [s]: half a tick of 10 ms."""
-
-
-class Request(NamedTuple):
-    """Request for the next setpoint, by a robot that sets the pace itself."""
-
-    time: float
-    """Time of the request [s]."""
-    q: tuple[float, ...]
-    """Measured joints [rad], shape (joints,)."""
-    torque: tuple[float, ...] | None
-    """External torques [N m], shape (joints,); None in a request without them."""
 
 
 @runtime_checkable
@@ -42,8 +31,12 @@ class Clock(Protocol):
         """Block until a time [s], or return at once if it is past; virtual time runs the rig."""
 
 
-class ServoedArm(Protocol):
-    """Connection, servo and joints of an arm, which both kinds of robot have."""
+@runtime_checkable
+class Robot(Protocol):
+    """An arm that follows a stream of setpoints of all its joints.
+
+    After `start` it obeys them; while none comes it goes to the last one, and rests there.
+    """
 
     @property
     def joints(self) -> int:
@@ -66,24 +59,6 @@ class ServoedArm(Protocol):
             LinkError: The reply is late or invalid.
         """
         ...
-
-    def stop(self) -> None:
-        """Stop the servo, the arm at rest. Blocks.
-
-        Raises:
-            LinkError: The reply is late or invalid.
-        """
-
-    def close(self) -> None:
-        """Disconnect; a failing link is ignored. Never raises, and may be called again."""
-
-
-@runtime_checkable
-class Robot(ServoedArm, Protocol):
-    """An arm that follows a stream of setpoints of all its joints.
-
-    After `start` it obeys them; while none comes it goes to the last one, and rests there.
-    """
 
     def start(self) -> Array:
         """Start the servo, which holds the arm at its position. Blocks until it runs.
@@ -117,40 +92,15 @@ class Robot(ServoedArm, Protocol):
         """
         ...
 
-
-@runtime_checkable
-class PacedRobot(ServoedArm, Protocol):
-    """An arm that sets the pace: it requests each setpoint, every few milliseconds.
-
-    `equipoise.rig.paced.PacedStream` makes a `Robot` of it: ticks stay at 10 ms, and each
-    request is answered with a point of a smooth path through the setpoints. The
-    requests begin with `start`.
-    """
-
-    def start(self) -> None:
-        """Start the servo, which holds the arm at its position. Blocks until it runs.
+    def stop(self) -> None:
+        """Stop the servo, the arm at rest. Blocks.
 
         Raises:
             LinkError: The reply is late or invalid.
         """
 
-    def request(self, until: float) -> Request | None:
-        """Block until the robot requests a setpoint, or until a time [s].
-
-        Returns:
-            The oldest request without an answer; None without a request at that time.
-
-        Raises:
-            LinkError: The link is down, or the robot has stopped.
-        """
-        ...
-
-    def answer(self, q: Sequence[float] | Array) -> None:
-        """Answer the last request with the joints for its next cycle [rad], shape (joints,).
-
-        Raises:
-            LinkError: The link is down.
-        """
+    def close(self) -> None:
+        """Disconnect; a failing link is ignored. Never raises, and may be called again."""
 
 
 @runtime_checkable

@@ -13,24 +13,18 @@ in the same way. `equipoise.rig.connection` is the only module that opens device
 """
 
 from collections.abc import Callable
-from importlib.metadata import EntryPoint, entry_points
-from inspect import getattr_static
-from typing import Any, Final, Generic, Literal, NamedTuple, Protocol, TypeVar
-
-from pydantic import ValidationError
+from typing import Any, NamedTuple, Protocol
 
 from equipoise.arrays import Array
-from equipoise.artefacts import Share, Value, first_fault
+from equipoise.artefacts import Share, Value
+from equipoise.entry_points import how_to_install, registered
 from equipoise.errors import InputError
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.config import Load
-from equipoise.rig.interfaces import AngleSensor, Clock, PacedRobot, Robot, Transport
+from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Robot, Transport
 from equipoise.rig.simulated_rig import Bench, SimulatedRig
-from equipoise.user_code import guest_code
-
-Device = TypeVar("Device", bound=Robot | PacedRobot | AngleSensor)
 
 
 def ignore(*_: object) -> None:
@@ -38,10 +32,16 @@ def ignore(*_: object) -> None:
 
 
 class Session(NamedTuple):
-    """Environment of a driver: the clock, and ways to reach the operator while it connects."""
+    """Environment of a driver: its clocks, and ways to reach the operator while it connects."""
 
     clock: Clock
-    """Clock of the rig. A driver waits with `clock.wait_until` only, never with `time.sleep`."""
+    """Clock of the driver, which waits with its `wait_until` only, never with `time.sleep`. Samples
+    of the encoder that come meanwhile are dropped."""
+    loop_clock: Clock
+    """Clock of the loop, for waits of a robot that sets the pace while setpoints stream: it keeps
+    the samples."""
+    period: float = SETPOINT_PERIOD
+    """Time between two setpoints [s]."""
     notify: Callable[[str], None] = ignore
     """Shows the operator an instruction, for example to start the robot's program."""
     attend: Callable[[], None] = ignore
@@ -51,18 +51,18 @@ class Session(NamedTuple):
     """Load on the flange, for a robot that is told it by this computer; None if it is unknown."""
 
 
-class Emulated(NamedTuple, Generic[Device]):
+class Emulated(NamedTuple):
     """A driver in front of an emulated device, in virtual time."""
 
-    device: Device
-    """The driver, not yet connected."""
+    device: Any
+    """The driver, a `Robot` or an `AngleSensor`, not yet connected."""
     advance: Callable[[float], None] = ignore
     """Advances the emulator to a time [s]; called each millisecond, after the arm has moved."""
     emulator: Any = None
     """The emulator, for tests that inject faults."""
     link: Any = None
     """The emulator's end of the link, a `MemoryPipe`."""
-    driver: Callable[[Callable[[], Transport], Clock], Device] | None = None
+    driver: Callable[[Callable[[], Transport], Clock], Any] | None = None
     """Makes another driver on a transport, for tests that damage bytes."""
 
 
@@ -113,23 +113,31 @@ class Hardware(Protocol):
         """Switch the robot off."""
 
 
+def no_emulator(*_: object) -> Any:
+    """Refuse; the default of emulations."""
+    raise InputError("this robot or sensor is not emulated; give the address of one that exists")
+
+
 class RobotPlugin(Value):
     """A kind of robot, by the scheme of its addresses."""
 
-    open: Callable[[str, Session], Robot | PacedRobot] | None = None
+    open: Callable[[str, Session], Robot]
     """Returns the driver for an address, without opening anything; raises `InputError` if the
-    address is invalid. None for a robot that exists in virtual time only."""
+    address is invalid."""
+    paced: bool = False
+    """Whether the robot sets the pace, and requests setpoints by itself. Its driver is then a
+    `Clock`, too, which answers it while the loop waits."""
     bench: Callable[[Bodies], Any] = simulated_rig
     """Makes the bench of the emulator: a `SimulatedRig`, or another with its acts and its angle."""
-    emulate: Callable[[Any, Arm, Session, float, int], Emulated[Any]] | None = None
+    emulate: Callable[[Any, Arm, Session, float, int], Emulated] = no_emulator
     """Returns the driver in front of an emulator. Arguments: the bench, whose `body` the emulator
     moves and measures, the arm, the driver's session, the delay of the link each way [s], and a
-    seed. None without an emulator."""
-    hardware: Callable[[Bodies, int | None, Callable[[str], None]], Hardware] | None = None
+    seed."""
+    hardware: Callable[[Bodies, int | None, Callable[[str], None]], Hardware] = no_emulator
     """Switches emulated hardware on, in real time. Arguments: the bodies, the port (0 for a free
-    one, None for the usual one), and what receives a text for each event. None without hardware."""
-    link_share: Share = 0.5
-    """Share of the twin's reply age that the emulated link takes each way [-]. The rest of the
+    one, None for the usual one), and what receives a text for each event."""
+    link_fraction: Share = 0.5
+    """Fraction of the twin's reply age that the emulated link takes each way [-]. The rest of the
     twin's transport time stays in the servo."""
     servo: TwinSettings = TwinSettings()
     """Numbers of the robot's servo on a twin; those given replace the world's: transport, cycle,
@@ -151,20 +159,13 @@ class RobotPlugin(Value):
 class SensorPlugin(Value):
     """A kind of angle sensor, by the scheme of its addresses."""
 
-    open: Callable[[str, Session, int | None, int], AngleSensor] | None = None
+    open: Callable[[str, Session, int | None, int], AngleSensor]
     """Returns the driver for an address, without opening anything; raises `InputError` if the
     address is invalid. Arguments: the address, the session, the expected counts per revolution
-    (None accepts any number), and the sign: 1 if counts grow with theta, else -1. None for a sensor
-    that exists in virtual time only."""
-    emulate: Callable[[SimulatedRig, Clock, int, int, int], Emulated[AngleSensor]] | None = None
-    """Returns the driver in front of an emulator. Arguments: the simulated rig, the clock, the
-    expected counts per revolution, the sign, and a seed. None without an emulator."""
-
-
-T = TypeVar("T", bound=RobotPlugin | SensorPlugin)
-
-CURE: Final = "repair or remove its package"
-"""Remedy for a defective plug-in."""
+    (None accepts any number), and the sign: 1 if counts grow with theta, else -1."""
+    emulate: Callable[[Any, Clock, int, int, int], Emulated] = no_emulator
+    """Returns the driver in front of an emulator. Arguments: the bench, the clock, the expected
+    counts per revolution, the sign, and a seed."""
 
 
 def scheme_of(address: str) -> str:
@@ -176,70 +177,29 @@ def robot_plugin(address: str) -> RobotPlugin:
     """Return the plugin for the address, or the scheme, of a robot.
 
     Raises:
-        InputError: No installed package registers that scheme, or its plugin is defective.
+        InputError: No installed package registers that scheme.
     """
-    return _load(_registered(RobotPlugin, address), RobotPlugin)
+    plugin = _loaded("equipoise.robots", address)
+    if not isinstance(plugin, RobotPlugin):
+        raise InputError(f"{address}: its package registers a {type(plugin)}, not a RobotPlugin")
+    return plugin
 
 
-def make_driver(
-    kind: type[RobotPlugin | SensorPlugin],
-    function: Literal["open", "emulate"],
-    address: str,
-    *arguments: Any,
-) -> Any:
-    """Call a function of the plugin for an address or a scheme, and check the driver it returns.
-
-    Args:
-        kind: Kind of the plugin.
-        function: Field of the plugin.
-        address: The address, or its scheme.
-        arguments: Arguments of the function.
+def sensor_plugin(address: str) -> SensorPlugin:
+    """Return the plugin for the address, or the scheme, of an angle sensor.
 
     Raises:
-        InputError: The plugin is missing or defective, or the driver lacks a method.
+        InputError: No installed package registers that scheme.
     """
-    point = _registered(kind, address)
-    make, what = getattr(_load(point, kind), function), _name(point)
-    if make is None:
-        raise InputError(f"{what} has no {function}, which {address} needs; {CURE}")
-    with guest_code(what, CURE):
-        made = make(*arguments)
-        if function == "emulate" and not isinstance(made, Emulated):
-            found = type(made).__name__
-            raise InputError(f"{what}: emulate returns a {found}, expected an Emulated; {CURE}")
-        device = made.device if function == "emulate" else made
-        protocol = PacedRobot if hasattr(device, "request") else Robot
-        protocol = AngleSensor if kind is SensorPlugin else protocol
-        names = [name for name in dir(protocol) if not name.startswith("_")]
-        if missing := [name for name in names if getattr_static(device, name, None) is None]:
-            raise InputError(
-                f"{what}: its driver, a {type(device).__name__}, is no {protocol.__name__}, "
-                f"without {', '.join(missing)}; {CURE}"
-            )
-        return made
+    plugin = _loaded("equipoise.sensors", address)
+    if not isinstance(plugin, SensorPlugin):
+        raise InputError(f"{address}: its package registers a {type(plugin)}, not a SensorPlugin")
+    return plugin
 
 
-def _registered(kind: type[RobotPlugin | SensorPlugin], address: str) -> EntryPoint:
-    group = "equipoise.robots" if kind is RobotPlugin else "equipoise.sensors"
-    registered, scheme = {one.name: one for one in entry_points(group=group)}, scheme_of(address)
-    if scheme not in registered:
-        known = ", ".join(f"{name}:" for name in sorted(registered))
-        raise InputError(f"{address!r} is no known address; expected one that begins with {known}")
-    return registered[scheme]
-
-
-def _name(point: EntryPoint) -> str:
-    return f"the plug-in {point.name} = {point.value!r}"
-
-
-def _load(point: EntryPoint, kind: type[T]) -> T:
-    what = _name(point)
-    with guest_code(what, CURE):
-        try:
-            plugin = point.load()
-        except ValidationError as error:
-            raise InputError(f"{what}: {first_fault(error)}; {CURE}") from None
-        if not isinstance(plugin, kind):
-            found = type(plugin).__name__
-            raise InputError(f"{what} is a {found}, expected a {kind.__name__}; {CURE}")
-        return plugin
+def _loaded(group: str, address: str) -> Any:
+    points, scheme = registered(group), scheme_of(address)
+    if scheme not in points:
+        known = f"expected one that begins with {', '.join(f'{name}:' for name in sorted(points))}"
+        raise InputError(f"{address!r} is no known address; {how_to_install(scheme) or known}")
+    return points[scheme].load()

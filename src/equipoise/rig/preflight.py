@@ -32,7 +32,7 @@ from equipoise.rig.checks import (
 from equipoise.rig.clocks import DrainingClock, SystemClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import Rig
-from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, PacedRobot, ServoedArm
+from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Robot
 from equipoise.rig.phases.balancing import POLICY_TIME_SHARE
 from equipoise.rig.realtime import prepare
 from equipoise.rig.request import RunRequest
@@ -69,7 +69,7 @@ def preflight(
     policy, settings, seconds = request.policy, request.settings, 1.0  # of each measurement
     clock = TimedClock(rig.clock)
     waiting = DrainingClock(clock, rig.sensor)
-    paced = isinstance(rig.robot, Clock)  # its stream is the clock of its rig
+    paced = rig.plugin.paced
     trips = round_trips(rig.robot, waiting, seconds, paced=paced)
     rule = rig.plugin.flange_speed
     max_speed = max_flange_speed(settings.described_arm, trips, request.max_speed, rule)
@@ -85,10 +85,12 @@ def preflight(
 
 
 def examine(
-    robot: ServoedArm | None,
+    robot: Robot | None,
     sensor: AngleSensor | None,
     rig: RigSettings | None,
     seconds: float,
+    *,
+    paced: bool = False,
 ) -> list[Finding]:
     """Measure a machine and a rig, and judge the measurements; no arm moves.
 
@@ -99,8 +101,9 @@ def examine(
         sensor: The encoder, not connected; None examines none.
         rig: Contents of `rig.toml`; None where they are unknown.
         seconds: Duration of each measurement [s].
+        paced: Whether the robot sets the pace.
     """
-    clock, paced = TimedClock(SystemClock()), isinstance(robot, PacedRobot)
+    clock = TimedClock(SystemClock())
     machine, findings = check_settings(prepare()), list[Finding]()
     machine += [check_kernel(REALTIME.exists())] if paced else []
     begin = clock.now()
@@ -182,7 +185,7 @@ class TimedClock:
         self.late.append(self.now() - due)
 
 
-def round_trips(robot: ServoedArm, clock: Clock, seconds: float, *, paced: bool = False) -> Array:
+def round_trips(robot: Robot, clock: Clock, seconds: float, *, paced: bool = False) -> Array:
     """Measure how long a connected robot at rest takes to return its joints [s], shape (n,).
 
     It is asked once per setpoint, where its reply has arrived by then; a robot that sets the pace

@@ -38,9 +38,10 @@ from equipoise.logs.recorder import (
 )
 from equipoise.logs.writer import RunWriter
 from equipoise.rig import realtime
-from equipoise.rig.connection import connect, restart_instruction
+from equipoise.rig.connection import connect
 from equipoise.rig.interfaces import Operator
 from equipoise.rig.loop import CANNOT_STOP
+from equipoise.rig.plugins import robot_plugin
 from equipoise.rig.preflight import warm_up
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import ALONE, STOP, log_warning, run_on_rig
@@ -206,7 +207,7 @@ def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
     def attend() -> None:
         """Check for a stop and the encoder, which is connected before the robot."""
         if {STOP, ALONE} & set(operator.read_input()):
-            restart = restart_instruction(request.robot) or "repeat the command"
+            restart = robot_plugin(request.robot).restart or "repeat the command"
             raise OutsideError(
                 "stopped during the wait for the robot; nothing has moved. To deploy again, "
                 f"{restart}"

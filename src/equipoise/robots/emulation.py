@@ -15,14 +15,12 @@ from typing import Final
 
 import numpy as np
 
-from equipoise.errors import InputError
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.interfaces import Clock
 from equipoise.rig.plugins import Bodies, ignore, robot_plugin
-from equipoise.robots.encoder.board import Board
-from equipoise.robots.encoder.terminal import Terminal
+from equipoise.robots.encoder.board import Board, Terminal
 
 PERIOD: Final = 0.001
 """Period of the service loop [s]."""
@@ -61,15 +59,13 @@ class Emulation:
 
         Raises:
             ArmError: The masses of the arm's links are unknown.
-            InputError: A file has the terminal's second name, or the robot has no such emulation.
+            InputError: A file has the terminal's second name, or the robot is not emulated.
             OutsideError: The port is not available, or the system has no pseudo-terminals.
         """
-        if (switch_on := robot_plugin(robot).hardware) is None:
-            raise InputError(f"{robot} has no emulated hardware; choose another robot")
         lower, upper = np.array([(joint.lower, joint.upper) for joint in arm.free_joints]).T
         q = np.clip(arm.home_free + START_OFFSET, lower, upper)
         bodies = Bodies(arm, pendulum, settings, q, clock.now(), seed)
-        self.hardware = switch_on(bodies, port, say)
+        self.hardware = robot_plugin(robot).hardware(bodies, port, say)
         """The robot, and the bench with its arm."""
         bench, self._clock, self._say = self.hardware.bench, clock, say
         counts, start = settings.counts_per_rev, clock.now()

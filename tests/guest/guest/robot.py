@@ -1,7 +1,7 @@
-"""A robot that sets the pace: every 4 ms it sends its joints, and expects the next setpoint.
+"""A robot that answers each setpoint with its joints and torques.
 
 Both sides send frames of one size over TCP: a kind, then the joints [rad] and the external torques
-[N m], as little-endian doubles. The robot stops by itself where six requests have no answer.
+[N m], as little-endian doubles. Each frame has one answer of its kind, in order.
 """
 
 import socket
@@ -14,13 +14,11 @@ import numpy as np
 
 from equipoise.errors import InputError, LinkError
 from equipoise.model.worlds import TwinSettings
-from equipoise.rig.interfaces import Request, checked_setpoint
+from equipoise.rig.interfaces import Reply, checked_setpoint
 from equipoise.rig.plugins import Emulated, RobotPlugin
 from equipoise.rig.transports import SocketTransport, memory_pipe
 
-MEASURE, START, STOP, SETPOINT, REQUEST, STOPPED = range(6)
-PERIOD_MS = 4
-UNANSWERED = 6
+MEASURE, START, STOP, SETPOINT = range(4)
 TIMEOUT = 0.5
 JOINTS = 7
 
@@ -42,76 +40,72 @@ class Frames:
         whole = len(data) // size * size
         self._rest = data[whole:]
         frames = (self.layout.unpack(data[i : i + size]) for i in range(0, whole, size))
-        return [(kind, numbers[:n], numbers[n:]) for kind, *numbers in frames]
+        return [(kind, tuple(numbers[:n]), tuple(numbers[n:])) for kind, *numbers in frames]
 
 
 class GuestRobot:
-    """The driver: a `PacedRobot`."""
+    """The driver."""
 
     def __init__(self, open_link, session, joints=JOINTS):
         self.joints, self._frames = joints, Frames(joints)
         self._open, self._clock, self._link = open_link, session.clock, None
-        self._requests, self._measured, self._failure = deque(), None, ""
+        self._sent, self._replies = deque(), []
+        self._joints, self._streams, self._failure = None, False, ""
 
     def connect(self):
         self._link = self._open()
         self.measured()
 
     def measured(self):
-        self._measured = None
-        self._send(MEASURE)
-        return np.array(self._wait_for_joints())
+        return self._ask(MEASURE)
 
     def start(self):
-        self._requests.clear()
-        self._measured = None
-        self._send(START)
-        self._wait_for_joints()
+        self._ask(START)
+        self._streams = True
+        return self.measured()
 
-    def request(self, until):
+    def send(self, q):
+        setpoint = checked_setpoint(q, self.joints)
+        link = self._working()
+        if not self._streams:
+            raise LinkError("the guest's servo does not run; start it first")
+        link.write(self._frames.pack(SETPOINT, setpoint.tolist()))
+        self._sent.append(self._clock.now())
+
+    def replies(self):
         self._read()
-        while not self._requests and self._clock.now() < until:
-            self._clock.wait_until(min(self._clock.now() + 1e-3, until))
-            self._read()
-        return self._requests[0] if self._requests else None
-
-    def answer(self, q):
-        self._requests.popleft()
-        self._send(SETPOINT, tuple(checked_setpoint(q, self.joints).tolist()))
+        if self._sent and self._clock.now() > self._sent[0] + TIMEOUT:
+            self._fail(f"the guest's robot did not answer a setpoint within {TIMEOUT:g} s")
+        replies, self._replies = self._replies, []
+        return replies
 
     def stop(self):
-        self._measured = None
-        self._send(STOP)
-        self._wait_for_joints()
-        self._requests.clear()
+        self._ask(STOP)
+        self._streams = False
 
     def close(self):
         if self._link is not None:
             with suppress(LinkError):
-                self._send(STOP)
+                self._link.write(self._frames.pack(STOP))
             self._link.close()
             self._link = None
 
-    def _send(self, kind, q=None):
-        self._working().write(self._frames.pack(kind, q))
-
-    def _read(self):
-        for kind, q, torque in self._frames.feed(self._working().read()):
-            if kind == STOPPED:
-                self._fail(f"the guest's robot stopped: {UNANSWERED} requests had no answer")
-            if kind == REQUEST:
-                self._requests.append(Request(self._clock.now(), tuple(q), tuple(torque)))
-            else:
-                self._measured = q
-
-    def _wait_for_joints(self):
-        deadline = self._clock.now() + TIMEOUT
-        while self._measured is None:
+    def _ask(self, kind):
+        self._working().write(self._frames.pack(kind))
+        self._joints, deadline = None, self._clock.now() + TIMEOUT
+        while self._joints is None:
             if self._clock.now() > deadline:
                 self._fail(f"the guest's robot said nothing for {TIMEOUT:g} s; switch it on")
             self._clock.wait_until(self._clock.now() + 1e-3)
             self._read()
-        return self._measured
+        return np.array(self._joints)
+
+    def _read(self):
+        for kind, q, torque in self._frames.feed(self._working().read()):
+            if kind == SETPOINT:
+                self._replies.append(Reply(self._sent.popleft(), self._clock.now(), q, torque))
+            else:
+                self._joints = q
 
     def _working(self):
         if self._failure or self._link is None:
@@ -128,35 +122,18 @@ class GuestController:
 
     def __init__(self, body, joints):
         self._body, self._frames = body, Frames(joints)
-        self._out, self._ms, self._open = b"", 0, 0
-        self.streams = False
 
-    def feed(self, data):
+    def answers(self, data):
+        """Obey the frames that have arrived; return the bytes to send."""
+        sent = b""
         for kind, q, _ in self._frames.feed(data):
-            if kind == SETPOINT and self.streams:
-                self._open = max(self._open - 1, 0)
+            if kind == SETPOINT:
                 self._body.target(q)
             elif kind in (START, STOP):
-                self.streams, self._open = kind == START, 0
-                self._body.servo(self.streams)
-            if kind != SETPOINT:
-                self._say(MEASURE)
-
-    def advance(self):
-        """Let a millisecond pass; return the bytes to send."""
-        self._ms += 1
-        if self.streams and self._ms % PERIOD_MS == 0:
-            self._open += 1
-            if self._open > UNANSWERED:
-                self.streams = False
-                self._body.servo(False)
-            self._say(REQUEST if self.streams else STOPPED)
-        out, self._out = self._out, b""
-        return out
-
-    def _say(self, kind):
-        q, torque = self._body.measured(), self._body.torques(external=True)
-        self._out += self._frames.pack(kind, tuple(q), tuple(torque))
+                self._body.servo(kind == START)
+            measured, torque = self._body.measured(), self._body.torques(external=True)
+            sent += self._frames.pack(kind, measured, torque)
+        return sent
 
 
 def host_and_port(address):
@@ -185,8 +162,7 @@ def emulate(rig, arm, session, delay, seed):
 
     def advance(now):
         with suppress(LinkError):  # the driver has closed the link
-            controller.feed(there.read())
-            there.write(controller.advance())
+            there.write(controller.answers(there.read()))
 
     driver = GuestRobot(lambda: here, session, rig.joints)
     return Emulated(driver, advance, controller, there)
@@ -195,7 +171,7 @@ def emulate(rig, arm, session, delay, seed):
 PLUGIN = RobotPlugin(
     open=open_robot,
     emulate=emulate,
-    servo=TwinSettings(transport=0.0045),
-    failure="If this computer or the cable fails, the robot stops by itself within 24 ms.",
+    servo=TwinSettings(transport=0.008),
+    failure="If this computer or the cable fails, the arm rests at its last setpoint.",
     restart="switch the robot's servo on",
 )

@@ -6,11 +6,8 @@ from hypothesis import strategies as st
 
 from equipoise.errors import InputError
 from equipoise.robots.encoder.codec import (
-    MAX_LINE,
-    REQUEST,
     Banner,
     Decoder,
-    Flags,
     Reading,
     Requests,
     crc8,
@@ -36,13 +33,6 @@ def signed(body):
             carry = (register & 1) ^ (byte >> place & 1)
             register = register >> 1 ^ (0b10001100 if carry else 0)
     return body + b"*%02X" % register
-
-
-def test_the_constants_are_those_of_the_firmware():
-    """As `firmware/` has them, and docs/reference/e-line.md."""
-    assert (REQUEST, MAX_LINE) == (b"?\n", 96)
-    flags = (Flags.DOWN, Flags.PRESSED, Flags.INDEX, Flags.ILLEGAL)
-    assert [int(flag) for flag in flags] == [1, 2, 4, 8]
 
 
 def test_the_checksum_is_crc_8_maxim():

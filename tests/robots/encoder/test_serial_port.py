@@ -11,11 +11,10 @@ import pytest
 
 from equipoise.errors import LinkError
 from equipoise.rig.clocks import SystemClock
-from equipoise.robots.encoder.board import Board
+from equipoise.robots.encoder.board import Board, Terminal
 from equipoise.robots.encoder.codec import Decoder
 from equipoise.robots.encoder.plugin import open_serial
 from equipoise.robots.encoder.sensor import LineEncoder
-from equipoise.robots.encoder.terminal import Terminal
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
 

@@ -5,7 +5,7 @@ from math import exp, isnan
 from equipoise.model.arms.iiwa import iiwa7
 from equipoise.rig.clocks import TICK, VirtualClock
 from equipoise.rig.transports import memory_pipe
-from equipoise.robots.kst.server_emulator import KstServer
+from equipoise.robots.kst.emulator import KstServer
 
 HOME = (0.0, 0.4364, 0.0, -1.3962, 0.0, 1.309, 0.0)
 LAG = 0.005
@@ -28,12 +28,6 @@ class Follower:
 
     def torques(self, external):
         return self.external if external else (0.0, -12.5, 0.0, 8.25, 0.0, 0.5, 0.0)
-
-    def flange(self):
-        return (450.0, 0.0, 600.0, 0.0, 0.0, 3.0)
-
-    def wrench(self):
-        return (0.0, 0.5, -4.0, 0.25, 0.0, 0.0)
 
     def servo(self, running):
         self.running = running

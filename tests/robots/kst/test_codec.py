@@ -12,13 +12,9 @@ from hypothesis import strategies as st
 
 from equipoise.errors import InputError, LinkError
 from equipoise.robots.kst.codec import (
-    END,
-    GET_JOINTS,
     JOINTS,
     MAX_LINE,
     PORT,
-    START_SERVO,
-    STOP_SERVO,
     KstLineSplitter,
     expect_done,
     expect_numbers,
@@ -122,21 +118,6 @@ def test_what_the_server_may_not_say_is_a_link_error(line):
             expect_numbers(line, count, "jpJP")
     with pytest.raises(LinkError):
         expect_done(line, "jp")
-
-
-def test_the_commands_are_those_of_the_server():
-    commands = b"getJointsPositions startDirectServoJoints stopDirectServoJoints end".split()
-    assert [each + b"\n" for each in commands] == [GET_JOINTS, START_SERVO, STOP_SERVO, END]
-
-
-def test_answers_of_the_wrong_kind_are_refused():
-    expect_done(b"done", "jp")
-    for line in (b"nak", b"interrupted", b"0.0_"):
-        with pytest.raises(LinkError):
-            expect_done(line, "jp")
-    for line in (b"done", b"nak", b"0.0_", b"0.0_" * 6, b"0.0_" * 8):
-        with pytest.raises(LinkError):
-            expect_numbers(line, JOINTS, "jpJP")
 
 
 def test_a_reply_holds_each_number():

@@ -184,14 +184,6 @@ def test_wrong_answer_ends_the_link(streaming, extra):
     assert latched(streaming)
 
 
-@pytest.mark.parametrize("what", ["start", "measured"])
-def test_refusal_at_rest_ends_the_link(rig, what):
-    rig.server.refuses = True
-    with pytest.raises(LinkError, match="nak"):
-        getattr(rig.robot, what)()
-    assert latched(rig)
-
-
 def test_closed_connection_ends_the_link_and_says_what_that_means(streaming):
     streaming.robot.send(off(0.01))
     streaming.wait(0.001)

@@ -5,7 +5,7 @@ Addresses are `serial:///dev/ttyACM0` or `serial://COM3`. Reads and writes do no
 
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from equipoise.errors import InputError, LinkError
 from equipoise.rig.interfaces import Clock
@@ -115,9 +115,7 @@ def open_sensor(
     return LineEncoder(opened, clock, counts_per_rev=counts_per_rev, sign=sign, name=address)
 
 
-def emulate(
-    rig: SimulatedRig, clock: Clock, counts_per_rev: int, sign: int, seed: int
-) -> Emulated[Any]:
+def emulate(rig: SimulatedRig, clock: Clock, counts_per_rev: int, sign: int, seed: int) -> Emulated:
     """Return the driver in front of an emulated board on a simulated spindle."""
     counts = rig.settings.counts_per_rev
     board = Board(lambda: rig.theta, counts_per_rev=counts, sign=sign, seed=seed)

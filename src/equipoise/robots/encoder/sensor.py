@@ -66,13 +66,9 @@ class LineEncoder:
         self._transport: Transport | None = None
         self._banner: Banner | None = None
         self._failed = "is not connected; connect it first"
-        self._reset()
-
-    def _reset(self) -> None:
-        self._decoder, self._dropped = Decoder(), 0
-        self._down = False
-        self._counts = 0
-        self._received = self._clock.now()
+        self._decoder = Decoder()
+        self._down, self._counts = False, 0
+        self._received = clock.now()
 
     @property
     def counts_per_rev(self) -> int:
@@ -89,19 +85,17 @@ class LineEncoder:
     @property
     def rejected(self) -> int:
         """Number of damaged and inconsistent lines since connecting."""
-        return self._decoder.rejected + self._dropped
+        return self._decoder.rejected
 
     # Connecting.
 
     def connect(self) -> None:
-        """Open the link, request the board's banner, and wait for its first line.
+        """Open the link, request the board's banner, and wait for its first line; once only.
 
         Raises:
             LinkError: The link cannot be opened, the board sends no valid banner or lines, or its
                 counts per revolution differ from the rig's.
         """
-        self.close()
-        self._reset()
         self._transport = transport = self._open()
         try:
             self._banner = self._request_banner(transport)
@@ -206,11 +200,11 @@ class LineEncoder:
         return samples
 
     def close(self) -> None:
-        """Close the link. Never raises, and may be called again."""
+        """Close the link for good. Never raises, and may be called again."""
         if self._transport is not None:
             self._transport.close()
         self._transport = None
-        self._failed = self._failed or "is closed; connect it again"
+        self._failed = self._failed or "is closed"
 
     def _take(self, line: Reading, now: float) -> list[Sample]:
         """Return the sample of a line, or no sample for an inconsistent line."""
@@ -231,7 +225,7 @@ class LineEncoder:
         return [Sample(time, self._counts, pressed, bool(line.flags & Flags.ILLEGAL), missing)]
 
     def _drop(self, line: Reading, why: Inconsistency) -> None:
-        self._dropped += 1
+        self._decoder.rejected += 1
         if not self._order.drop():
             return
         if why == "time":

@@ -17,9 +17,8 @@ from equipoise.rig.plugins import Emulated, RobotPlugin, Session
 from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.rig.transports import memory_pipe
 from equipoise.robots.kst.codec import PORT
-from equipoise.robots.kst.hardware import KstHardware
+from equipoise.robots.kst.emulator import KstHardware, KstServer
 from equipoise.robots.kst.robot import KstRobot, dial
-from equipoise.robots.kst.server_emulator import KstServer
 
 T1_SPEED: Final = 0.23
 """Flange speed limit of a run in T1 [m/s]: the controller stops the arm with its brakes at 0.25
@@ -57,9 +56,7 @@ def open_robot(address: str, session: Session) -> KstRobot:
     return KstRobot(stream, session.clock, notify=session.notify, attend=session.attend)
 
 
-def emulate(
-    rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: int
-) -> Emulated[KstRobot]:
+def emulate(rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: int) -> Emulated:
     """Return the driver in front of an emulated server that drives a simulated arm."""
     server = KstServer(rig.body)
     host, cabinet = memory_pipe(session.clock, delay)

@@ -1,4 +1,4 @@
-"""Arm of a twin as an emulated controller uses it: servo, measured joints, torques, pose.
+"""Arm of a twin as an emulated controller uses it: servo, measured joints, torques.
 
 Without a servo the arm is held at its resting position; a starting servo holds it there. The arm
 sags by a few milliradians after each braking, because the twin's drives have neither load data nor
@@ -11,7 +11,6 @@ too (the end of a joint's range does, by force), and the brakes' closing.
 """
 
 from collections.abc import Sequence
-from math import atan2, hypot
 from typing import Final
 
 import numpy as np
@@ -22,7 +21,7 @@ from equipoise.model.physics_engine import mujoco
 from equipoise.model.random import TWIN, normal_pair, philox
 from equipoise.worlds.twin.physics import build_bare
 from equipoise.worlds.twin.servo_model import send
-from equipoise.worlds.twin.twin import FLANGE, Twin
+from equipoise.worlds.twin.twin import Twin
 
 BRAKING: Final = 40
 """Braking time of the drives before they hold the arm [ms]: five times their lag."""
@@ -85,30 +84,6 @@ class SimulatedArm:
             torques = bare.qfrc_inverse + state.gravity - torques
         add_noise(self._twin.state, TORQUE_NOISE, 3, torques)
         return tuple(torques.tolist())
-
-    def wrench(self) -> tuple[float, ...]:
-        """Return the external force [N] and moment [N m] on the flange, in its axes, shape (6,).
-
-        The controller derives both from the external torques, by least squares.
-        """
-        model, data = self._twin.model, self._twin.data
-        jacobian = np.zeros((6, model.nv))
-        flange = model.body("flange").id
-        mujoco().mj_jacBody(model, data, jacobian[:3], jacobian[3:], flange)
-        wrench = np.linalg.lstsq(jacobian[:, :-1].T, self.torques(external=True))[0]
-        R = data.xmat[FLANGE].reshape(3, 3)
-        return tuple((wrench.reshape(2, 3) @ R).ravel().tolist())
-
-    def flange(self) -> tuple[float, ...]:
-        """Return the pose of the flange in the base: x, y, z [mm], a, b, c [rad].
-
-        R = Rz(a) Ry(b) Rx(c), KUKA's convention.
-        """
-        R = self._twin.data.xmat[FLANGE].reshape(3, 3)
-        a, c = atan2(R[1, 0], R[0, 0]), atan2(R[2, 1], R[2, 2])
-        b = atan2(-R[2, 0], hypot(R[0, 0], R[1, 0]))
-        x, y, z = (1e3 * self._twin.data.xpos[FLANGE]).tolist()
-        return x, y, z, a, b, c
 
     def servo(self, running: bool) -> None:
         """Start a servo, which holds the arm at its position, or stop it, which brakes the arm.

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from equipoise.robots.franka.velocity import PERIOD
+from equipoise_franka.velocity import PERIOD
 
 SHARE = 0.2
 """Share of its distance from the desired joints that the arm makes up for in a cycle [-]."""

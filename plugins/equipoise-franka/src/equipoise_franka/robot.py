@@ -1,8 +1,8 @@
-"""Driver of a Franka Research 3, a `PacedRobot`, on the vendor's `pylibfranka`.
+"""Driver of a Franka Research 3 on the vendor's `pylibfranka`, of requests and answers.
 
 The controller sends its state every millisecond, and expects a velocity. A motion stops by itself
 after 20 packets without an answer, after a reflex, and after a command beyond the limits
-(`equipoise.robots.franka.velocity`). Any such end is final: nothing here recovers from an error,
+(`equipoise_franka.velocity`). Any such end is final: nothing here recovers from an error,
 the operator does.
 
 `pylibfranka` waits up to a second for a packet, and holds Python's lock meanwhile. The driver calls
@@ -15,15 +15,16 @@ import socket
 import stat
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager, suppress
-from typing import Any, Final, NoReturn
+from importlib import import_module
+from typing import Any, Final, NamedTuple, NoReturn
 
 import numpy as np
 
 from equipoise.arrays import Array
-from equipoise.errors import LinkError, import_optional
-from equipoise.rig.config import Load
-from equipoise.rig.interfaces import Clock, Request, checked_setpoint
-from equipoise.robots.franka.velocity import GAIN, PERIOD, limited, velocity_limits
+from equipoise.errors import LinkError, OutsideError
+from equipoise.rig.interfaces import checked_setpoint
+from equipoise.rig.plugins import Session
+from equipoise_franka.velocity import GAIN, PERIOD, limited, velocity_limits
 
 JOINTS: Final = 7
 """Number of joints of the arm."""
@@ -76,20 +77,32 @@ CAUSES: Final = {
 """Cause and remedy by a part of the name of a controller's error, or of what the library says."""
 
 
+class Request(NamedTuple):
+    """Request for the next command."""
+
+    time: float
+    """Time of the request [s]."""
+    q: tuple[float, ...]
+    """Measured joints [rad], shape (7,)."""
+    torque: tuple[float, ...] | None
+    """External torques [N m], shape (7,); None in a request without them."""
+
+
 class FrankaRobot:
     """Driver of an FR3; see the module."""
 
     joints = JOINTS
 
-    def __init__(self, host: str, clock: Clock, *, load: Load | None = None) -> None:
+    def __init__(self, host: str, session: Session) -> None:
         """Create the driver; nothing is opened before `connect`.
 
         Args:
             host: Name or number of the controller.
-            clock: Clock of the rig.
-            load: Load on the flange; None leaves that of Desk in force.
+            session: Its clocks, and the load on the flange; without one that of Desk stays in
+                force.
         """
-        self._host, self._clock, self._load = host, clock, load
+        self._host, self._session = host, session
+        self._clock = session.clock
         self._library: Any = None
         self._robot: Any = None
         self._control: Any = None
@@ -109,11 +122,14 @@ class FrankaRobot:
 
         Raises:
             LinkError: There is no controller, or it accepts no motions.
-            MissingExtraError: `pylibfranka` is not installed.
+            OutsideError: `pylibfranka` is not installed.
         """
         if self._robot is not None or self._failure:
             raise LinkError("this connection was used; make another one")
-        self._library = import_optional("pylibfranka", "franka")
+        try:
+            self._library = import_module("pylibfranka")
+        except ImportError as error:
+            raise OutsideError(f"{error}; an FR3 needs a computer with Linux") from None
         before = _sockets()
         # Without a real-time kernel, too: the diagnosis measures what this machine can do.
         ignored = self._library.RealtimeConfig.kIgnore
@@ -147,10 +163,10 @@ class FrankaRobot:
         self._at_rest("start another")
         with self._final_errors():
             self._robot.set_collision_behavior(TORQUES, TORQUES, FORCES, FORCES)
-            if self._load is not None:
-                self._robot.set_load(*self._load, POINT)
+            if self._session.load is not None:
+                self._robot.set_load(*self._session.load, POINT)
         self._fresh()
-        self._streams, self._same = True, 0
+        self._clock, self._streams, self._same = self._session.loop_clock, True, 0
         self._velocity = self._acceleration = np.zeros(JOINTS)
         self._before = self._state = None
 
@@ -218,6 +234,7 @@ class FrankaRobot:
         self._link()
         if not self._streams:
             return
+        self._clock = self._session.clock
         end, rests = self._clock.now() + STOPPING, False
         while not rests:
             if self.request(self._clock.now() + SILENCE) is None:

@@ -1,7 +1,7 @@
-r"""A robot that sets the pace, as a `Robot` with setpoints of half a tick.
+r"""A driver that is asked for each command, as a `Robot` with setpoints of half a tick.
 
-Such a robot requests the next setpoint every 1 to 8 ms, on its own clock; ticks last 10 ms and give
-a setpoint each 5 ms. Each request is answered from a quadratic B-spline over the setpoints
+The controller requests a command every millisecond, on its own clock; ticks last 10 ms and give a
+setpoint each 5 ms. Each request is answered from a quadratic B-spline over the setpoints
 :math:`q_k`: from the middle of :math:`q_{k-1} q_k` to the middle of :math:`q_k q_{k+1}`, with
 :math:`0 \le s < 1` over one period T,
 
@@ -25,49 +25,31 @@ import numpy as np
 
 from equipoise.arrays import Array
 from equipoise.errors import LinkError
-from equipoise.rig.clocks import DrainingClock
-from equipoise.rig.interfaces import (
-    SETPOINT_PERIOD,
-    Clock,
-    PacedRobot,
-    Reply,
-    checked_setpoint,
-)
+from equipoise.rig.interfaces import SETPOINT_PERIOD, Clock, Reply, checked_setpoint
 from equipoise.safety.rules import FIRST_LIMIT
+from equipoise_franka.robot import FrankaRobot
 
 MARGIN: Final = 0.001
 """Lateness of a setpoint that does not change the path [s]; a tick computes for 0.3 ms."""
-LATE_SHARE: Final = 0.5
-"""Maximum further lateness of a setpoint that still bends the present part of the path, as a share
-of a period [-]. The path then jumps by at most half the square of this share of the step to that
+LATE_FRACTION: Final = 0.5
+"""Maximum further lateness of a setpoint that still bends the present part of the path, as a
+fraction of a period [-]. The path then jumps by at most half its square of the step to that
 setpoint. A later setpoint waits for the next part, before which the arm comes to rest."""
-MAX_AHEAD: Final = 8
-"""Maximum number of setpoints that wait for their part of the path; more are refused, since the
-caller sends faster than its period."""
-
 SILENCE: Final = 0.1
 """Time without a request after which the link is lost [s]; a stall of 70 ms is bridged."""
 
 
 class PacedStream:
-    """A `PacedRobot` as a `Robot`, and as the clock of its rig."""
+    """A driver of requests and answers as a `Robot`, and as the clock of its rig."""
 
-    def __init__(
-        self,
-        robot: PacedRobot,
-        clock: Clock,
-        period: float = SETPOINT_PERIOD,
-        draining: DrainingClock | None = None,
-    ) -> None:
-        """Create the stream of a robot.
+    def __init__(self, robot: FrankaRobot, clock: Clock, period: float = SETPOINT_PERIOD) -> None:
+        """Create the stream of a driver.
 
         Args:
-            robot: The robot.
-            clock: Clock of the rig.
+            robot: The driver.
+            clock: Clock of the loop.
             period: Time between two setpoints [s].
-            draining: Clock of the driver, which keeps the encoder's samples while requests come.
         """
-        self._draining = draining
         self._robot, self._clock, self._period = robot, clock, period
         self._failure, self._asked = "", -inf
         self._streams = False
@@ -146,7 +128,7 @@ class PacedStream:
         for queue in (self._ahead, self._sent, self._replies):
             queue.clear()
         self._begin, self._held, self._asked = -inf, True, self._clock.now()
-        self._set_streams(True)
+        self._streams = True
         return held
 
     def send(self, q: Sequence[float] | Array) -> None:
@@ -156,8 +138,7 @@ class PacedStream:
             q: The joints [rad], shape (joints,).
 
         Raises:
-            LinkError: No servo runs, the robot is silent, or setpoints come faster than their
-                period.
+            LinkError: No servo runs, or the robot is silent.
             InputError: The setpoint is not one finite number per joint; it was not added.
         """
         setpoint = checked_setpoint(q, self.joints)
@@ -166,17 +147,12 @@ class PacedStream:
         now = self._clock.now()
         if now - self._asked > SILENCE:
             self._fail(f"the robot has requested nothing for {1e3 * SILENCE:g} ms")
-        if len(self._ahead) >= MAX_AHEAD:
-            self._fail(
-                f"{MAX_AHEAD} setpoints wait for the robot, expected one each "
-                f"{1e3 * self._period:g} ms; the caller is too fast"
-            )
         self._advance(now)
         since = now - self._begin
         if self._held and since >= self._period:  # the path stands still, and begins anew
             self._knots.extend([self._knots[2]] * 3)
             self._begin = now + MARGIN - self._period
-        if self._held and since <= LATE_SHARE * self._period:
+        if self._held and since <= LATE_FRACTION * self._period:
             self._knots[2], self._held = setpoint, False  # bends the present part
         else:
             self._ahead.append(setpoint)
@@ -196,24 +172,19 @@ class PacedStream:
         Raises:
             LinkError: The reply is late or invalid.
         """
-        self._set_streams(False)
+        self._streams = False
         self._robot.stop()
 
     def close(self) -> None:
         """Disconnect."""
-        self._set_streams(False)
+        self._streams = False
         self._robot.close()
 
     def _fail(self, why: str) -> NoReturn:
         """Give up the stream for good; the robot stops without answers."""
         self._failure = why
-        self._set_streams(False)
+        self._streams = False
         raise LinkError(why)
-
-    def _set_streams(self, streams: bool) -> None:
-        self._streams = streams
-        if self._draining is not None:
-            self._draining.drains = not streams
 
     # The path.
 

@@ -15,8 +15,8 @@ from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import connect
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
-from equipoise.robots.franka import lockstep
-from equipoise.robots.franka import robot as driver
+from equipoise_franka import lockstep
+from equipoise_franka import robot as driver
 
 pytestmark = [pytest.mark.slow, pytest.mark.compiled_only]
 
@@ -38,8 +38,9 @@ def packages(tmp_path_factory):
 
 def serve_franka_sim(pipe, bodies):
     """Serve the rig of `franka-sim` in place of that of `franky-sim`, in its process."""
-    from equipoise.robots.franka import franky
-    from tests.robots.franka.franka_sim_rig import FrankaSimRig
+    from equipoise_franka import franky
+
+    from .franka_sim_rig import FrankaSimRig
 
     franky.FrankyRig = FrankaSimRig
     serve(pipe, bodies)

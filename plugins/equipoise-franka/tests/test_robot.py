@@ -19,15 +19,16 @@ from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import Load, RigSettings
 from equipoise.rig.connection import connect
 from equipoise.rig.explanation import explain
-from equipoise.rig.paced import PacedStream
-from equipoise.rig.plugins import Bodies
+from equipoise.rig.plugins import Bodies, Session
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
-from equipoise.robots.franka import robot as driver
-from equipoise.robots.franka.arm import fr3
-from equipoise.robots.franka.lockstep import POLL, Lockstep
-from equipoise.robots.franka.robot import FrankaRobot
 from equipoise.testing import MISREAD, RobotConformance, RobotUnderTest
+from equipoise_franka import robot as driver
+from equipoise_franka.arm import fr3
+from equipoise_franka.lockstep import POLL, Lockstep
+from equipoise_franka.paced import PacedStream
+from equipoise_franka.robot import FrankaRobot
+from tests.faults.test_over_the_wires import balances
 
 pytestmark = pytest.mark.compiled_only
 
@@ -35,14 +36,15 @@ pytestmark = pytest.mark.compiled_only
 class Bench:
     """An arm at rest at home, and its driver."""
 
-    def __init__(self, **options):
+    def __init__(self, load=None):
         arm, settings = fr3(), read_world("twin:nominal").settings
         pendulum = pendulum_on(shipped_pendulum(), settings)
         self.rig = Lockstep(Bodies(arm, pendulum, settings, arm.home_free, 0.0, 0))
         clock = VirtualClock()
         clock.attach(self.rig.advance)
         clock.wait_until(0.5)
-        self.robot = PacedStream(FrankaRobot(self.rig.host, clock, **options), clock)
+        session = Session(clock, clock, load=load)
+        self.robot = PacedStream(FrankaRobot(self.rig.host, session), clock)
 
 
 @pytest.fixture
@@ -249,3 +251,8 @@ def requested():
 def test_a_policy_balances_a_pendulum_on_an_fr3():
     end = run_virtually(requested(), None)
     assert end.outcome is Outcome.LASTED, end.reason
+
+
+@pytest.mark.slow
+def test_a_policy_balances_over_the_wires_of_the_emulated_rig(tmp_path):
+    balances(tmp_path, "fr3", "--robot", "franka")

@@ -1,8 +1,9 @@
-"""Emulator of the KST server's joint servo and motions, as bytes and times, with its faults.
+"""Emulator of a cabinet with its KST server: joint servo and motions, with the server's faults.
 
-As in the real server, two threads share one string. The *reader* receives each line, and handles
-targets, `getJointsPositions`, lamp, pins, stop and end itself. Any other line waits in that string
-for the *main* thread, which ignores it while a servo or a motion runs. Hence:
+The server is bytes and times (`KstServer`), in memory or on a TCP port (`KstHardware`). As in the
+real one, two threads share one string. The *reader* receives each line, and handles targets,
+`getJointsPositions`, stop and end itself. Any other line waits in that string for the *main*
+thread, which ignores it while a servo or a motion runs. Hence:
 
 - A servo is acknowledged before it exists; its target is then overwritten with the measured joints.
 - A point-to-point motion is acknowledged twice, at its start and at its end. It keeps its own goal:
@@ -16,22 +17,27 @@ for the *main* thread, which ignores it while a servo or a motion runs. Hence:
 - The client is not supervised: if it vanishes, the servo continues, and no other client is ever
   served.
 
-Not modelled: Cartesian, impedance and velocity servos and motions that end at a torque (`doPTP!`)
-are not answered; Cartesian motions and tools (`TFtrans`) are refused, so that pose, force and
-moment are those of the flange; all pins read 1, as those of a server without a media flange; the
-server does not end when no client connects for 60 s.
+Not modelled, and not answered: everything but joints and their torques (poses, forces, tools, pins,
+Cartesian, impedance and velocity servos), and motions that end at a torque (`doPTP!`). The server
+does not end when no client connects for 60 s.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import socket
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from typing import Final, TypeVar
 
 from equipoise.control.minimum_jerk import path_within
-from equipoise.errors import InputError, LinkError
-from equipoise.robots.kst.codec import KstLineSplitter, java_double, numbers_reply, tokens
+from equipoise.errors import InputError, LinkError, OutsideError
+from equipoise.rig.plugins import Bodies, simulated_rig
+from equipoise.rig.transports import SocketTransport
+from equipoise.robots.kst.codec import PORT, KstLineSplitter, java_double, numbers_reply, tokens
 from equipoise.worlds.twin.simulated_arm import SimulatedArm
 
 T = TypeVar("T")
 
+HOST: Final = "127.0.0.1"
+"""Address of the emulated cabinet: this machine."""
 DONE: Final = b"done\n"
 """Acknowledgement of the server."""
 NAK: Final = b"nak\n"
@@ -48,6 +54,45 @@ SETTLING_TIME: Final = 0.35
 follows by the law of the servo, which takes this for the last milliradian."""
 EPSILON: Final = 1e-9
 """Rounding of times [s]."""
+
+Answer = Callable[[SimulatedArm], bytes]
+
+
+def _done(_arm: SimulatedArm) -> bytes:
+    return DONE
+
+
+def _joints(arm: SimulatedArm) -> bytes:
+    return numbers_reply(arm.measured())
+
+
+def _external_torques(arm: SimulatedArm) -> bytes:
+    return numbers_reply(arm.torques(external=True))
+
+
+def _motor_torques(arm: SimulatedArm) -> bytes:
+    return numbers_reply(arm.torques(external=False))
+
+
+TARGETS: Final[dict[str, Answer]] = {
+    "jp_": _done,
+    "jpJP_": _joints,
+    "jpExT_": _external_torques,
+    "jpMT_": _motor_torques,
+}
+"""Replies of the reader to a line with targets, by its start."""
+READER: Final[dict[str, Answer]] = {
+    "getJointsPositions": _joints,
+    "stopDirectServoJoints": _done,
+    "blueOn": _done,
+    "blueOff": _done,
+}
+"""Replies of the reader to other lines."""
+MAIN: Final[dict[str, Answer]] = {
+    "Torques_ext_J": _external_torques,
+    "Torques_m_J": _motor_torques,
+}
+"""Replies of the main thread."""
 
 
 class KstServer:
@@ -90,7 +135,6 @@ class KstServer:
         self._tasks: dict[str, Callable[[str], Iterable[None]]] = {
             "startDirectServoJoints": self._serve,
             "doPTPinJS": self._move,
-            "doPTPinCS": self._refuse_motion,
             "jRelVel": self._set_speed,
         }
         self._main = self._run_main()
@@ -139,7 +183,7 @@ class KstServer:
         self._now, self.deserted, self._reads = now, True, False
 
     def _say(self, reply: bytes) -> None:
-        if reply and not self.drops:
+        if not self.drops:
             self._segments.append(NAK if self.refuses else reply)
 
     # The reader's thread.
@@ -152,7 +196,7 @@ class KstServer:
         """
         self._waiting = ""
         command = line.decode("latin-1")
-        if answer := _entry(_TARGETS, command):
+        if answer := _entry(TARGETS, command):
             try:
                 for i, field in enumerate(tokens(command)[1 : len(self._target) + 1]):
                     self._target[i] = java_double(field)
@@ -162,7 +206,7 @@ class KstServer:
             self._say(answer(self._body))
         elif command.startswith("end"):
             self._requested, self.ended, self._reads = False, True, False
-        elif answer := _entry(_READER, command):
+        elif answer := _entry(READER, command):
             if command.startswith("stopDirectServoJoints"):
                 self._requested = False
             self._say(answer(self._body))
@@ -174,7 +218,7 @@ class KstServer:
     def _run_main(self) -> Iterator[None]:
         while not self.ended:
             command, self._waiting = self._waiting, ""
-            if answer := _entry(_MAIN, command):
+            if answer := _entry(MAIN, command):
                 self._say(answer(self._body))
             elif task := _entry(self._tasks, command):
                 self.busy = True
@@ -211,7 +255,7 @@ class KstServer:
         self._say(DONE)
         yield from self._sleep(PLANNING_TIME)
         within = all(a.lower <= q <= a.upper for a, q in zip(joints, goal, strict=True))
-        if body.stopped or not within or self._speed > 1.0:
+        if body.stopped or not within or not 0.0 < self._speed <= 1.0:
             raise InputError("the controller cannot plan this motion")
         speeds = [self._speed * joint.velocity for joint in joints]
         path = path_within(body.measured(), goal, speeds, [joint.acceleration for joint in joints])
@@ -224,11 +268,6 @@ class KstServer:
         self._say(NAK if body.stopped else DONE)
         self._waiting = ""
 
-    def _refuse_motion(self, _command: str) -> Iterator[None]:
-        self._say(DONE)
-        yield from self._sleep(PLANNING_TIME)
-        raise InputError("Cartesian motions are not emulated")
-
     def _set_speed(self, command: str) -> Iterable[None]:
         """Set the share of the joints' speed limits at which motions run."""
         self._speed = java_double("".join(tokens(command)[1:2]))
@@ -236,55 +275,107 @@ class KstServer:
         return ()
 
 
-Answer = Callable[[SimulatedArm], bytes]
-
-
 def _entry(table: dict[str, T], command: str) -> T | None:
-    """Return the entry of the first key with which a command and its line end start."""
-    line = command + "\n"
-    return next((entry for key, entry in table.items() if line.startswith(key)), None)
+    """Return the entry of the first key with which a command starts."""
+    return next((entry for key, entry in table.items() if command.startswith(key)), None)
 
 
-def _fixed(reply: bytes) -> Answer:
-    return lambda arm: reply
+class KstHardware:
+    """A cabinet with its server on a TCP port, and the arm of a twin, in real time.
 
+    Like a real server, the emulated one serves one client and ends with it; another client is
+    accepted by the system and gets no reply. After a farewell it starts again. A client that
+    vanishes leaves the servo on, until the word `start` starts the server again.
+    """
 
-def _numbers(measure: Callable[[SimulatedArm], Sequence[float]]) -> Answer:
-    return lambda arm: numbers_reply(measure(arm))
+    def __init__(self, bodies: Bodies, port: int | None, say: Callable[[str], None]) -> None:
+        """Switch arm and cabinet on.
 
+        Args:
+            bodies: Arm, pendulum and world.
+            port: Port to listen on; for 0 the system chooses one.
+            say: Receives a text for each event.
 
-_JOINTS: Final = _numbers(lambda arm: arm.measured())
-_EXTERNAL: Final = _numbers(lambda arm: arm.torques(external=True))
-_TORQUES: Final = _numbers(lambda arm: arm.torques(external=False))
-_POSE: Final = _numbers(lambda arm: arm.flange())
-_FORCE: Final = _numbers(lambda arm: arm.wrench()[:3])
+        Raises:
+            ArmError: The masses of the arm's links are unknown.
+            OutsideError: The port is not available.
+        """
+        port = PORT if port is None else port
+        try:
+            self._listener = socket.create_server((HOST, port))
+        except OSError as error:
+            raise OutsideError(
+                f"cannot listen on {HOST}, port {port} ({error}); stop what uses it, or choose "
+                "another"
+            ) from None
+        self._listener.setblocking(False)
+        self.address = f"kst://{HOST}:{self._listener.getsockname()[1]}"
+        """Address of the robot."""
+        self.bench = simulated_rig(bodies)
+        """Bench with the arm."""
+        body = self.bench.body
+        self._warm_up()
+        self._say = say
+        self.acts: dict[str, Callable[[], object]] = {
+            "estop": lambda: body.stop("emergency stop"),
+            "free": body.set_free,
+            "start": self._restart,
+        }
+        """Actions at the robot, by the word that triggers them."""
+        self._client: SocketTransport | None = None
+        self._begin()
 
-# Replies by the start of a line; \n is its end, where the server compares the whole line.
-_TARGETS: Final[dict[str, Answer]] = {
-    "jp_": _fixed(DONE),
-    "jpJP_": _JOINTS,
-    "jpExT_": _EXTERNAL,
-    "jpMT_": _TORQUES,
-    "jpEEfP_": _POSE,
-    "jpEEfFrelEEF_": _FORCE,
-    "jf_": _fixed(b""),
-}
-_READER: Final[dict[str, Answer]] = {
-    "getJointsPositions": _JOINTS,
-    "stopDirectServoJoints": _fixed(DONE),
-    "cArtixanPosition": _fixed(DONE),
-    "blueOn": _fixed(DONE),
-    "blueOff": _fixed(DONE),
-    **{f"pin{pin}{state}": _fixed(DONE) for pin in (1, 2, 11, 12) for state in ("on", "off")},
-    **{f"getPin{pin}": _fixed(b"1\n\n") for pin in (3, 4, 10, 13, 16)},
-}
-_MAIN: Final[dict[str, Answer]] = {
-    "TFtrans": _fixed(NAK),
-    "handGuiding": _fixed(DONE),
-    "preciseHandGuiding": _fixed(DONE),
-    "Torques_ext_J": _EXTERNAL,
-    "Torques_m_J": _TORQUES,
-    "Eef_pos\n": _POSE,
-    "Eef_force\n": _FORCE,
-    "Eef_moment\n": _numbers(lambda arm: arm.wrench()[3:]),
-}
+    def advance(self, now: float) -> None:
+        """Advance the arm to a time [s], and serve the client."""
+        self.bench.advance(now)
+        server = self._server
+        if self._client is None and not (server.deserted or server.closed):
+            with suppress(BlockingIOError):
+                self._client = SocketTransport(self._listener.accept()[0])
+        try:
+            if self._client is not None:
+                server.feed(self._client.read(), now)
+            for segment in server.advance(now):
+                if self._client is not None:
+                    self._client.write(segment)
+        except LinkError:
+            self._hang_up()
+            server.vanished(now)
+            self._say("the client has vanished; a running servo continues until start")
+        if server.closed:
+            self._hang_up()
+            if not server.busy:
+                self._restart()
+
+    def close(self) -> None:
+        """Switch the cabinet off."""
+        self.bench.body.servo(False)
+        self._hang_up()
+        self._listener.close()
+
+    def _restart(self) -> None:
+        self.bench.body.servo(False)
+        self._say("the robot's server has ended, and starts again")
+        self._hang_up()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Start a server."""
+        self._server = KstServer(self.bench.body)
+        with suppress(BlockingIOError):  # whoever called the server before is not served any more
+            while True:
+                self._listener.accept()[0].close()
+
+    def _hang_up(self) -> None:
+        if self._client is not None:
+            self._client.close()
+        self._client = None
+
+    def _warm_up(self) -> None:
+        """Call each function that a client needs, since compiling it later would be a stall."""
+        body = self.bench.body
+        body.servo(True)
+        body.target(body.measured())
+        body.torques(external=True)
+        self.bench.advance(self.bench.now + 0.001)
+        body.servo(False)

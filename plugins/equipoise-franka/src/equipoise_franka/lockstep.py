@@ -8,13 +8,27 @@ driver's command, moves the arm, and sends its state.
 import multiprocessing
 from collections.abc import Callable
 from functools import partial
+from importlib.util import find_spec
 from typing import Any, Final
 
-from equipoise.errors import EquipoiseError
+from equipoise.errors import EquipoiseError, MissingExtraError
 from equipoise.rig.plugins import Bodies
 
 POLL: Final = 0.002
 """Real time without a cycle after which a waiting client is served [s]."""
+
+
+def require_emulator() -> None:
+    """Check that `franky-sim` is installed.
+
+    Raises:
+        MissingExtraError: It is not.
+    """
+    if find_spec("franky_sim") is None:
+        raise MissingExtraError(
+            "an emulated FR3 needs the package franky-sim, which is not installed; install it: "
+            "python -m pip install './plugins/equipoise-franka[emulator]'"
+        )
 
 
 class Lockstep:
@@ -25,8 +39,10 @@ class Lockstep:
 
         Raises:
             InputError: The arm is no FR3.
+            MissingExtraError: `franky-sim` is not installed.
             OutsideError: No address is free.
         """
+        require_emulator()
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs, bodies), daemon=True)
@@ -65,7 +81,7 @@ class Lockstep:
 
 
 def _serve(pipe: Any, bodies: Bodies) -> None:
-    from equipoise.robots.franka.franky import FrankyRig
+    from equipoise_franka.franky import FrankyRig
 
     try:
         rig = FrankyRig(bodies)

@@ -11,14 +11,15 @@ self-collision, and collision thresholds.
 """
 
 # pyright: reportMissingImports=false, reportUntypedBaseClass=false, reportArgumentType=false
-# pyright: reportIncompatibleMethodOverride=false
-# An optional package with few types.
+# pyright: reportIncompatibleMethodOverride=false, reportAttributeAccessIssue=false
+# Two packages with few types.
 
 import copy
 from collections.abc import Callable, Iterable
 from typing import Any, Final
 from xml.etree import ElementTree
 
+import mujoco
 import numpy as np
 from franky_sim.franka_robot_protocol import MoveStatus, RobotCommand, RobotMode, UDPCommand
 from franky_sim.franka_robot_server import FrankaRobotServer
@@ -30,12 +31,9 @@ from equipoise.errors import InputError, OutsideError
 from equipoise.model.arms.arm import Arm, Inertial
 from equipoise.model.arms.chain import rotation_from_rpy
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.physics_engine import mujoco
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.plugins import Bodies
 from equipoise.rig.simulated_rig import Bench, Mechanism
-from equipoise.robots.franka.robot import JOINTS
-from equipoise.robots.franka.velocity import ACCELERATION, JERK, PERIOD, VELOCITY
 from equipoise.worlds.twin.physics import (
     DRY_TIME,
     bar_inertial,
@@ -43,6 +41,8 @@ from equipoise.worlds.twin.physics import (
     rod_inertial,
     set_friction,
 )
+from equipoise_franka.robot import JOINTS
+from equipoise_franka.velocity import ACCELERATION, JERK, PERIOD, VELOCITY
 
 HOST: Final = "127.0.0.1"
 """Address of the emulated hardware."""
@@ -260,7 +260,7 @@ class FrankyRig(Bench):
         phi = model.joint("phi").dofadr[0]
         set_friction(model, phi, pendulum, settings.pendulum_mass)
         data.qpos[phi] = np.pi
-        mujoco().mj_forward(model, data)
+        mujoco.mj_forward(model, data)
         self._simulator: Any = simulator
         self._real_time = real_time
         # The arm as its controller knows it, without pendulum, bracket and contacts.
@@ -271,8 +271,8 @@ class FrankyRig(Bench):
         self._bracket = model.body("bracket").id
         self._rotation = rotation_from_rpy(arm.flange_rpy)
         self._bare.dof_armature[phi] = 1.0  # a joint without any mass has no solution
-        self._bare.opt.disableflags |= int(mujoco().mjtDisableBit.mjDSBL_CONSTRAINT)
-        self._bare_data = mujoco().MjData(self._bare)
+        self._bare.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        self._bare_data = mujoco.MjData(self._bare)
         flange, rod = (model.body(name).id for name in (LINK, "pendulum"))
         mechanism = Mechanism(data, flange, rod, int(phi), self._step)
         super().__init__(mechanism, pendulum, settings, seed=seed, start=start)
@@ -305,7 +305,7 @@ class FrankyRig(Bench):
         self._bare.body_mass[self._bracket] = self.robot.m_load
         self._bare.body_ipos[self._bracket] = self._rotation @ np.array(self.robot.F_x_Cload)
         bare.qpos[:], bare.qvel[:], bare.qacc[:] = data.qpos, data.qvel, data.qacc
-        mujoco().mj_inverse(self._bare, bare)
+        mujoco.mj_inverse(self._bare, bare)
         own = data.qfrc_applied + data.qfrc_constraint  # drive, dry friction, and ends of ranges
         return tuple((bare.qfrc_inverse - own)[:7].tolist())
 
@@ -313,13 +313,12 @@ class FrankyRig(Bench):
 class FrankyHardware:
     """The rig in real time, at an address of this machine."""
 
-    def __init__(self, bodies: Bodies, port: int | None, say: Callable[[str], None]) -> None:
+    def __init__(self, bodies: Bodies, port: int | None) -> None:
         """Switch the robot on.
 
         Args:
             bodies: The FR3, the pendulum and the world.
             port: None: a controller has a port of its own.
-            say: Not used.
 
         Raises:
             InputError: A port is given.
@@ -357,7 +356,7 @@ def _add_pendulum(
 
     def add(name: str, place: Any, rotation: Any, inertial: Inertial) -> ElementTree.Element:
         quaternion = np.zeros(4)
-        mujoco().mju_mat2Quat(quaternion, rotation.ravel())
+        mujoco.mju_mat2Quat(quaternion, rotation.ravel())
         pose = {"pos": text(place), "quat": text(quaternion)}
         body = ElementTree.SubElement(link, "body", {"name": name, **pose})
         inertia = text(np.take(inertial.inertia, (0, 3, 5, 1, 2, 4)))

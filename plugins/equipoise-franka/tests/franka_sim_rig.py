@@ -22,8 +22,8 @@ from franka_sim.franka_sim_server import FrankaSimServer
 from franka_sim.server import state_stream
 
 from equipoise.rig.simulated_rig import Bench, Mechanism
-from equipoise.robots.franka import franky
 from equipoise.worlds.twin.physics import rod_inertia
+from equipoise_franka import franky
 
 ASSETS = Path(franky_sim.__file__).parent / "assets"
 franky.LINK = "fr3_link7"

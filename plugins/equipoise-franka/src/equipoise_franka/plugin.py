@@ -1,14 +1,28 @@
-"""The plugin of Franka Research 3: `franka://HOST`."""
+"""The plugin of Franka Research 3: `franka://HOST`, and the twin `twin:fr3`."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, Final
 from urllib.parse import urlsplit
 
-from equipoise.errors import InputError, import_optional
+from equipoise.errors import InputError
 from equipoise.model.arms.arm import Arm
 from equipoise.rig.plugins import Bodies, Emulated, Hardware, RobotPlugin, Session
-from equipoise.robots.franka.robot import FrankaRobot
+from equipoise_franka.lockstep import Lockstep, require_emulator
+from equipoise_franka.paced import PacedStream
+from equipoise_franka.robot import FrankaRobot
+
+TWIN: Final[Mapping[str, Any]] = {
+    "shaped": False,
+    "transport": 0.005,
+    "transport_jitter": 0.0005,
+    "reach_time": 0.004,
+    "lag": 0.001,
+    "rotor_inertia": (0.195, 0.195, 0.195, 0.195, 0.074),
+    "reply_age": 0.001,
+}
+"""Differences of `twin:fr3` to the nominal twin: delay and lag as identified over the stream of
+velocities, rotors of `franky-sim`."""
 
 
 def host_of(address: str) -> str:
@@ -27,26 +41,14 @@ def host_of(address: str) -> str:
     )
 
 
-def open_robot(address: str, session: Session) -> FrankaRobot:
+def open_robot(address: str, session: Session) -> PacedStream:
     """Return the driver for an address; nothing is opened before it is connected."""
-    return FrankaRobot(host_of(address), session.clock, load=session.load)
+    return PacedStream(FrankaRobot(host_of(address), session), session.loop_clock, session.period)
 
 
-def bench(bodies: Bodies) -> Any:
-    """Return a rig on `franky-sim`, in lockstep.
-
-    Raises:
-        MissingExtraError: `franky-sim` is not installed.
-    """
-    import_optional("franky_sim", "peers")
-    from equipoise.robots.franka.lockstep import Lockstep
-
-    return Lockstep(bodies)
-
-
-def emulate(rig: Any, arm: Arm, session: Session, delay: float, seed: int) -> Emulated[FrankaRobot]:
+def emulate(rig: Any, arm: Arm, session: Session, delay: float, seed: int) -> Emulated:
     """Return the driver in front of a rig on `franky-sim`."""
-    return Emulated(FrankaRobot(rig.host, session.clock, load=session.load), emulator=rig)
+    return Emulated(open_robot(f"franka://{rig.host}", session), emulator=rig)
 
 
 def hardware(bodies: Bodies, port: int | None, say: Callable[[str], None]) -> Hardware:
@@ -55,15 +57,16 @@ def hardware(bodies: Bodies, port: int | None, say: Callable[[str], None]) -> Ha
     Raises:
         MissingExtraError: `franky-sim` is not installed.
     """
-    import_optional("franky_sim", "peers")
-    from equipoise.robots.franka.franky import FrankyHardware
+    require_emulator()
+    from equipoise_franka.franky import FrankyHardware
 
-    return FrankyHardware(bodies, port, say)
+    return FrankyHardware(bodies, port)
 
 
 PLUGIN: Final = RobotPlugin(
     open=open_robot,
-    bench=bench,
+    paced=True,
+    bench=Lockstep,
     emulate=emulate,
     hardware=hardware,
     failure=(

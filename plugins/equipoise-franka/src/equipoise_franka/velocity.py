@@ -22,7 +22,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from equipoise.arrays import Array
-from equipoise.robots.franka.arm import ACCELERATION, URDF
+from equipoise_franka.arm import ACCELERATION, URDF
 
 PERIOD: Final = 0.001
 """Cycle of the controller [s]."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from equipoise.robots.franka.velocity import (
+from equipoise_franka.velocity import (
     ACCELERATION,
     JERK,
     LOWER,
