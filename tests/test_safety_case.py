@@ -54,8 +54,7 @@ def test_the_faults_named_are_those_that_are_injected():
 
 
 def test_each_number_of_the_page_is_that_of_the_code():
-    from equipoise.rig import run_controller
-    from equipoise.rig.phases import preparation, readings
+    from equipoise.rig import readings, run_controller, script
     from equipoise.safety import plausibility, repeats, rules, stop
     from tests.faults.verdicts import MAX_NOTICE
 
@@ -70,9 +69,9 @@ def test_each_number_of_the_page_is_that_of_the_code():
     assert (repeats.MAX_REPEATS, repeats.REPEAT_WINDOW) == (3, 1.0)
     assert "a third gap within a second" in PAGE
     assert "the third stall within a second" in PAGE
-    assert preparation.HOMING_SHARE == 0.1
+    assert script.HOMING_SHARE == 0.1
     assert "a tenth of the joints' speed" in PAGE
-    assert stop.RETURN_SHARE == preparation.HOMING_SHARE
+    assert stop.RETURN_SHARE == script.HOMING_SHARE
     assert plausibility.MIN_REPLIES == 5
     assert "five replies in order" in PAGE
     assert f"within {rules.FOLLOWING_LIMIT:g} rad of the setpoints of the last 0.3 s" in PAGE

@@ -259,8 +259,8 @@ def test_a_driver_that_fails_is_no_lost_link_and_the_arm_rests_if_it_still_sends
 
     setattr(course.arm, call, defective)
     ending = course.run()
-    controller = SimpleNamespace(end=None, lasted=0.0, encoder=course.sensor, identified=None)
-    course.sensor.zero = 0.0
+    state = SimpleNamespace(encoder=SimpleNamespace(zero=0.0), identified=None)
+    controller = SimpleNamespace(end=None, lasted=0.0, run=state)
     end = run_end(controller, ending)
     assert (end.outcome, end.exit_code, end.stoppable) == ("fault", 3, call == "replies")
     assert "TypeError: float() argument must be a number" in end.evidence["text"]

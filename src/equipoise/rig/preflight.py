@@ -34,9 +34,9 @@ from equipoise.rig.clocks import DrainingClock, SystemClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import Rig
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, PacedRobot, ServoedArm
-from equipoise.rig.phases.balancing import POLICY_TIME_SHARE
 from equipoise.rig.realtime import prepare
 from equipoise.rig.request import RunRequest
+from equipoise.rig.script import POLICY_TIME_SHARE
 from equipoise.user_code import guest_code
 
 REALTIME: Final = Path("/sys/kernel/realtime")

@@ -216,9 +216,9 @@ def run_end(controller: RunController, ending: LoopResult, max_speed: float = in
         evidence=dict(end.evidence),
         lasted=controller.lasted,
         stoppable=ending.stoppable,
-        zero=controller.encoder.zero,
+        zero=controller.run.encoder.zero,
         max_speed=max_speed if max_speed < inf else None,
-        identified=controller.identified,
+        identified=controller.run.identified,
         missed=ending.missed,
     )
 

@@ -119,7 +119,7 @@ class EncoderReadings:
         """Return the newest angle from upright, in [-pi, pi) [rad]; NaN without a zero."""
         if self.zero is None or not self.samples:
             return nan
-        return self._angle(self.samples[-1].counts)
+        return self.angle(self.samples[-1].counts)
 
     def before(self, time: float, window: float) -> tuple[float, float] | None:
         """Return the newest counts within a window before a time [s] and their age [s], if any."""
@@ -139,11 +139,12 @@ class EncoderReadings:
         w, since = sqrt(w2), self.samples[-1].time - FALL_WINDOW  # samples may come late
         falls = [one for one in self.samples if one.time >= since]
         t = w * (np.array([one.time for one in falls]) - now)
-        phi = [self._angle(one.counts) for one in falls]
+        phi = [self.angle(one.counts) for one in falls]
         (a, b), *_ = np.linalg.lstsq(np.column_stack((np.cosh(t), np.sinh(t) / w)), phi)
         return float(a), float(b)
 
-    def _angle(self, counts: float) -> float:
+    def angle(self, counts: float) -> float:
+        """Return the angle from upright of counts, in [-pi, pi) [rad]."""
         return (2.0 * pi - (counts - (self.zero or 0.0)) * self._resolution) % (2.0 * pi) - pi
 
 
