@@ -23,7 +23,7 @@ import numpy as np
 
 from equipoise.arrays import Array
 from equipoise.control.grid import ANGLE, TRUNCATED
-from equipoise.control.minimum_jerk import Path
+from equipoise.control.minimum_jerk import MinimumJerk
 from equipoise.errors import EquipoiseError, InputError, LinkError
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.worlds import pendulum_on, read_world
@@ -391,7 +391,10 @@ def _same_joints(q: Any, expected: Any, tolerance: float = CLOSE) -> None:
 
 def _path(home: Array) -> Array:
     """Return a smooth motion of the first joint, and a second of rest at its end [rad]."""
-    times, move = np.arange(SETPOINT_PERIOD, 1.5, SETPOINT_PERIOD), Path((0.0,), (0.05,), 0.5)
+    times, move = (
+        np.arange(SETPOINT_PERIOD, 1.5, SETPOINT_PERIOD),
+        MinimumJerk((0.0,), (0.05,), 0.5),
+    )
     path = np.tile(home, (len(times), 1))
     path[:, 0] += [move.at(time).q[0] for time in times.tolist()]
     return path

@@ -93,8 +93,8 @@ def test_a_way_to_rest_that_ends_at_a_limit_is_not_taken_over():
         assert way.duration < v / 4.0  # the limit is near
         n = int(way.duration / PERIOD) + 3
         for k in range(1, n):
-            robot.send(way.at(k * PERIOD), **how)
-        return robot, tape, [way.at(k * PERIOD) for k in range(1, n)]
+            robot.send(way.at(k * PERIOD).q, **how)
+        return robot, tape, [way.at(k * PERIOD).q for k in range(1, n)]
 
     robot, tape, setpoints = sent_on(to_rest=True)
     assert robot.held_back is None

@@ -10,8 +10,7 @@ import numpy as np
 from equipoise.arrays import Array
 from equipoise.control.ticks import Reply, Sample
 from equipoise.safety import rules
-from equipoise.safety.plausibility import JointPlausibility
-from equipoise.safety.repeats import RepeatMonitor
+from equipoise.safety.monitors import JointPlausibility, RepeatMonitor
 from equipoise.safety.rules import Limits
 
 HISTORY: Final = 64

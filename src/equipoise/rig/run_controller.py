@@ -25,7 +25,7 @@ from equipoise.rig.readings import MAX_ROUND_TRIP, SetpointHistory
 from equipoise.rig.request import RunRequest
 from equipoise.rig.script import PhaseError, Run, Setpoints, Tick, script
 from equipoise.safety import rules
-from equipoise.safety.repeats import MAX_REPEATS, REPEAT_WINDOW, RepeatMonitor
+from equipoise.safety.monitors import MAX_REPEATS, REPEAT_WINDOW, RepeatMonitor
 from equipoise.safety.rules import SafetyInputs
 from equipoise.safety.stop import StopMotion, stoppable_speeds
 
@@ -233,12 +233,12 @@ class RunController:
             motion = StopMotion(run.q, dq, speed, run.response.safety.limits)
             self._motion = motion
         else:
-            if stalled and not motion.at_rest:
+            if stalled and motion.rested < 0.0:
                 motion.rest(run.q)
             if motion.goes_back and (reason := self._hold_reason()):
                 motion.hold()
                 run.notify("warning", f"The target holds: {reason}.")
-            elif motion.at_rest and self.from_measured and self._goes_back:
+            elif motion.rested >= 0.0 and self.from_measured and self._goes_back:
                 self._goes_back = False
                 self._go_back(motion)
         setpoints = motion.advance(run.h)

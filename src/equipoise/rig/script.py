@@ -17,7 +17,7 @@ import numpy as np
 
 from equipoise.arrays import Array
 from equipoise.control.controller import Controller, FlangeKinematics
-from equipoise.control.minimum_jerk import Path, path_within
+from equipoise.control.minimum_jerk import MinimumJerk, path_within
 from equipoise.control.policy import Policy, tick_policy
 from equipoise.control.ticks import OK, Job, OperatorMessage, Sample, TickRecord
 from equipoise.errors import InputError
@@ -189,13 +189,13 @@ class Run:
         self.dq = (0.0,) * len(self.q)
         return self.q, self.q
 
-    def along(self, path: Path) -> Setpoints:
+    def along(self, path: MinimumJerk) -> Setpoints:
         """Return the setpoints of this tick on a path of all joints that began with the phase."""
         first, second = path.at(self.time + 0.5 * self.h), path.at(self.time + self.h)
         self.q, self.dq = second.q, second.dq
         return first.q, second.q
 
-    def glide(self, path: Path, t: float) -> Setpoints:
+    def glide(self, path: MinimumJerk, t: float) -> Setpoints:
         """Move the flange along a path on its track, as the policy would, at its time t [s]."""
         v = path.at(t + self.h).dq[0] - path.at(t).dq[0]
         return self.accelerate(v / self.h)
@@ -283,7 +283,7 @@ def home(run: Run) -> Steps[None]:
             path, run.ticks = _path_home(run), 0
 
 
-def _path_home(run: Run) -> Path:
+def _path_home(run: Run) -> MinimumJerk:
     velocity = [HOMING_SHARE * joint.velocity for joint in run.arm.joints]
     acceleration = [HOMING_SHARE * joint.acceleration for joint in run.arm.joints]
     return path_within(run.q, run.arm.home, velocity, acceleration)
@@ -348,7 +348,7 @@ def swing_test(run: Run) -> Steps[bool]:
         raise PhaseError(Outcome.SELF_TEST, text=result.reason)
     at_home = False
     while not at_home:  # a stall costs a part of the way
-        path, begin = Path((run.controller.x,), (0.0,), RETURN_TIME), run.time + run.h
+        path, begin = MinimumJerk((run.controller.x,), (0.0,), RETURN_TIME), run.time + run.h
         t = -run.h
         while t < RETURN_TIME + REST_BEFORE:
             yield run.glide(path, t)

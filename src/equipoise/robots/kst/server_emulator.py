@@ -211,7 +211,7 @@ class KstServer:
         self._say(DONE)
         yield from self._sleep(PLANNING_TIME)
         within = all(a.lower <= q <= a.upper for a, q in zip(joints, goal, strict=True))
-        if body.stopped or not within or self._speed > 1.0:
+        if body.stopped or not within or not 0.0 < self._speed <= 1.0:
             raise InputError("the controller cannot plan this motion")
         speeds = [self._speed * joint.velocity for joint in joints]
         path = path_within(body.measured(), goal, speeds, [joint.acceleration for joint in joints])
