@@ -15,7 +15,7 @@ import pytest
 from equipoise.model.encoder import counts_from_theta, theta_from_counts
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.rig import release
-from equipoise.rig.release import BUFFER_SIZE, MAX_SAMPLE_GAP, ReleaseDetector, ReleaseState
+from equipoise.rig.release import MAX_SAMPLE_GAP, ReleaseDetector, ReleaseState
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
 W = sqrt(PENDULUM.w2)
@@ -198,12 +198,11 @@ def test_what_stays_between_is_held():
 @pytest.mark.parametrize(
     ("sample", "on"),
     [
-        ((0.001, float("nan")), 0.002),
         ((float("inf"), 0.0), 0.002),
         ((2 * MAX_SAMPLE_GAP, 0.0), 2 * MAX_SAMPLE_GAP + 0.001),
         ((-0.1, 0.0), -0.099),
     ],
-    ids=["no angle", "no time", "gap", "back in time"],
+    ids=["no time", "gap", "back in time"],
 )
 def test_a_sample_that_cannot_be_forgets_all(sample, on):
     detector, begin = armed()
@@ -232,10 +231,8 @@ def test_the_distance_of_samples_decides_about_the_next_one(after, phi, grip):
 
 
 def test_samples_come_as_fast_as_they_like():
-    # 20 kHz: most are passed over, and the memory still holds 0.2 s.
-    detector, _ = armed(rate=20_000)
-    assert len(detector._time) == BUFFER_SIZE
-    assert detector.state is ARMED
+    # 20 kHz: most are passed over.
+    assert armed(rate=20_000)[0].state is ARMED
 
 
 @pytest.mark.parametrize(("rate", "seen"), [(125, False), (270, False), (285, True)])

@@ -364,12 +364,14 @@ def _swing_out(run: Run, direction: float) -> Steps[SelfTest]:
     """Move the flange, record the pendulum's answer, and judge it."""
     path, begin = flange_move(run.controller.x, direction), run.time + REST_BEFORE
     encoder, pivot = list[tuple[float, float]](), list[tuple[float, float]]()
-    t = -REST_BEFORE
-    while t < MOVE_TIME + SWING_TIME:
-        tick = yield run.glide(path, t)
-        t = run.time - begin
-        encoder += [(sample.time, sample.counts) for sample in tick.samples]
-        pivot += [(time, run.flange.pose(q).x) for time, q in tick.joints]
+
+    def record(tick: Tick) -> None:
+        encoder.extend((sample.time, sample.counts) for sample in tick.samples)
+        pivot.extend((time, run.flange.pose(q).x) for time, q in tick.joints)
+
+    record((yield run.still()))
+    while (t := run.time - begin) < MOVE_TIME + SWING_TIME:
+        record((yield run.glide(path, t)))
     params = run.response.params
     job = partial(
         self_test,
