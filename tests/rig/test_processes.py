@@ -28,7 +28,7 @@ from equipoise.logs.shared import live_runs, read_info
 from equipoise.logs.writer import LogEncoder
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.outcomes import Phase
-from equipoise.rig import processes, realtime
+from equipoise.rig import host, processes
 from equipoise.rig.clocks import SystemClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.guarded import GuardedRobot
@@ -111,7 +111,7 @@ def move(request, rig, operators, recorder, *, measures, submit):
     arm, heart = Arm(), Heart()
     robot = GuardedRobot(arm, limits_of(ARM), H / 2.0)
     robot.start()
-    realtime.prepare()  # as a run does: a collection stalls the loop for 200 ms
+    host.prepare()  # as a run does: a collection stalls the loop for 200 ms
     encoder = SimpleNamespace(samples=lambda: [Sample(time.monotonic(), 0, False, False, 0)])
     clock, (operator,) = SystemClock(), operators
     ending = run_loop(robot, encoder, clock, heart, recorder, operator, submit=submit)

@@ -33,8 +33,8 @@ from equipoise.rig.checks import (
 from equipoise.rig.clocks import DrainingClock, SystemClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import Rig
+from equipoise.rig.host import prepare
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, PacedRobot, ServoedArm
-from equipoise.rig.realtime import prepare
 from equipoise.rig.request import RunRequest
 from equipoise.rig.script import POLICY_TIME_SHARE
 from equipoise.user_code import guest_code

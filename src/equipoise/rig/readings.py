@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Sequence
 from math import inf, nan, pi, sqrt
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -27,51 +27,30 @@ FALL_WINDOW: Final = 0.04
 """Window for estimating the state at release [s]."""
 
 
-class SetpointHistory:
-    """The last setpoints sent."""
+TimedJoints: TypeAlias = tuple[float, tuple[float, ...]]
+"""A time [s], and all joints [rad]."""
 
-    def __init__(self, q: Sequence[float]) -> None:
-        """Begin with an arm that rests at `q` [rad]."""
-        self.setpoints: Array = np.tile(np.array(q, np.float64), (HISTORY, 1))
-        """The last setpoints [rad], shape (HISTORY, joints), each at its number modulo HISTORY."""
-        self._sent_at, self._count = np.full(HISTORY, -inf), 0
 
-    def store(self, time: float, q: Sequence[float]) -> None:
-        """Store a setpoint [rad] that is sent at a time [s]."""
-        place = self._count % HISTORY
-        self._sent_at[place], self.setpoints[place] = time, q
-        self._count += 1
+def setpoint_history(q: Sequence[float]) -> deque[TimedJoints]:
+    """Return the last setpoints of an arm that rests at `q` [rad], with the times of sending."""
+    return deque([(-inf, tuple(q))] * HISTORY, HISTORY)
 
-    def begin_anew(self, unsent: int) -> tuple[float, ...]:
-        """Forget unsent setpoints; return the last one sent [rad]."""
-        self._count -= unsent
-        last = (self._count - 1) % HISTORY
-        return tuple(self.setpoints[last].tolist())
 
-    def last_two(self) -> tuple[list[float], list[float]]:
-        """Return the last two setpoints [rad], the older one first."""
-        before, last = ((self._count - n) % HISTORY for n in (2, 1))
-        return self.setpoints[before].tolist(), self.setpoints[last].tolist()
+def setpoint_in_force(history: deque[TimedJoints], time: float) -> tuple[float, ...]:
+    """Return the setpoint in force at a time [s]: of a history the oldest, if all came later."""
+    return next((q for sent, q in reversed(history) if sent <= time), history[0][1])
 
-    def in_force(self, time: float) -> tuple[float, ...]:
-        """Return the setpoint in force at a time [s]."""
-        place = rules.newest_before(self._sent_at, self._count, time)
-        return tuple(self.setpoints[place].tolist())
 
-    def unanswered_time(self, now: float, answered: float) -> float:
-        """Return the time since the oldest setpoint without a reply was sent [s]; or 0.
+def unanswered_time(history: deque[TimedJoints], now: float, answered: float) -> float:
+    """Return the time since the oldest setpoint without a reply was sent [s]; or 0.
 
-        Args:
-            now: The time [s].
-            answered: Time at which the newest setpoint with a reply was sent [s].
-        """
-        oldest = now
-        for back in range(1, HISTORY):
-            sent = float(self._sent_at[(self._count - back) % HISTORY])
-            if sent <= answered + SENDING_TIME:
-                break
-            oldest = sent
-        return max(now - oldest, 0.0)
+    Args:
+        history: The last setpoints.
+        now: The time [s].
+        answered: Time at which the newest setpoint with a reply was sent [s].
+    """
+    waiting = [sent for sent, _ in history if sent > answered + SENDING_TIME]
+    return max(now - min(waiting, default=now), 0.0)
 
 
 class EncoderReadings:

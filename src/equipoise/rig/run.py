@@ -19,7 +19,7 @@ from equipoise.logs.writer import RunWriter
 from equipoise.outcomes import End, Outcome
 from equipoise.printable import printable
 from equipoise.rig.checks import check_fit, require
-from equipoise.rig.clocks import DrainingClock
+from equipoise.rig.clocks import DrainingClock, ended_stalls
 from equipoise.rig.connection import Rig, connect
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import Clock, Operator
@@ -27,7 +27,6 @@ from equipoise.rig.loop import LoopResult, run_inline, run_loop
 from equipoise.rig.preflight import preflight
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
-from equipoise.rig.signals import ended_stalls
 
 QUESTION_POLL_PERIOD: Final = 0.02
 """Polling period of typed input, robot and encoder while a question is open [s]: a quarter of a

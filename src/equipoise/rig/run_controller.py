@@ -21,7 +21,12 @@ from equipoise.arrays import Array
 from equipoise.control.controller import FlangePose
 from equipoise.control.ticks import OK, TickInputs, TickOutput, TickRecord, missed_ticks
 from equipoise.outcomes import End, Outcome, Phase, describe
-from equipoise.rig.readings import MAX_ROUND_TRIP, SetpointHistory
+from equipoise.rig.readings import (
+    MAX_ROUND_TRIP,
+    setpoint_history,
+    setpoint_in_force,
+    unanswered_time,
+)
 from equipoise.rig.request import RunRequest
 from equipoise.rig.script import PhaseError, Run, Setpoints, Tick, script
 from equipoise.safety import rules
@@ -84,7 +89,7 @@ class RunController:
         self._goes_back = True  # whether a way back may begin
         self._key_after_stop = False
         self._forbidden = ""  # why the target must not go back in this tick
-        self._sent, self._monitor = SetpointHistory(q), rules.MonitorState()
+        self._sent, self._monitor = setpoint_history(q), rules.MonitorState()
         self._pose: FlangePose | None = None
         self._stalls, self._overdue, self._link_stalled = RepeatMonitor(), 0.0, False
         self._warnings = set[str]()
@@ -132,9 +137,8 @@ class RunController:
             setpoints = self._step(now)
             run.ticks += 1
         for place, setpoint in enumerate(setpoints):
-            due = now - late + place * 0.5 * h
-            self._sent.store(due, setpoint)
-            self._tick.sent.append((due, setpoint))
+            self._tick.sent.append((now - late + place * 0.5 * h, setpoint))
+        self._sent += self._tick.sent
         if run.phase is Phase.BALANCING:
             run.balanced += 1
         messages, run.messages = run.messages, []
@@ -208,7 +212,9 @@ class RunController:
             part: The part that stood still.
         """
         moved = any(self.run.dq)
-        self.run.rest(self._sent.begin_anew(unsent), missed, unsent > 0)
+        for _ in range(unsent):
+            self._sent.pop()
+        self.run.rest(self._sent[-1][1], missed, unsent > 0)
         self._tick.stalled = True
         if moved:
             self._warn_once(f"{part} stalled; `equipoise rig doctor` looks for the cause.")
@@ -226,10 +232,10 @@ class RunController:
         """Return the next setpoints after a stop: the ramp, at most one way back, a hold."""
         run, motion = self.run, self._motion
         if motion is None:
-            before, last = self._sent.last_two()
+            (_, before), (_, last) = self._sent[-2], self._sent[-1]
             dq = stoppable_speeds(run.dq, last, before, 0.5 * run.h)
             speed = 0.0 if self._stopped in OFF_TRACK else abs(run.controller.x_dot)
-            self._before_stop = self._sent.setpoints.copy()
+            self._before_stop = np.array([q for _, q in self._sent])
             motion = StopMotion(run.q, dq, speed, run.response.safety.limits)
             self._motion = motion
         else:
@@ -297,7 +303,7 @@ class RunController:
         if joints.known_since == inf or (not punctual and missed_ticks(lateness, run.h)):
             joints.known_since = now  # a late loop reads late; nothing moves meanwhile
         # The lateness of the loop itself is not the robot's delay.
-        self._overdue = self._sent.unanswered_time(now - lateness, joints.answered)
+        self._overdue = unanswered_time(self._sent, now - lateness, joints.answered)
         inputs = SafetyInputs(
             # A late tick is no danger while nothing moves; the fit of a swing causes some.
             lateness=lateness if punctual else 0.0,
@@ -310,7 +316,8 @@ class RunController:
         )
         if joints.fresh:
             self._pose = run.flange.pose(joints.q)
-            expected = self._sent.in_force(joints.time - run.response.safety.reaction)
+            since = joints.time - run.response.safety.reaction
+            expected = setpoint_in_force(self._sent, since)
             inputs = inputs._replace(measured=joints.q, expected=expected)
         phase = run.phase if self.end is None else self._stopped
         if phase not in OFF_TRACK and self._pose is not None:

@@ -34,14 +34,12 @@ from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.outcomes import End, Outcome, Phase
 from equipoise.printable import printable
 from equipoise.rig.checks import actuator_fits
-from equipoise.rig.readings import ArmReadings, EncoderReadings
+from equipoise.rig.readings import ArmReadings, EncoderReadings, TimedJoints
 from equipoise.rig.release import ReleaseDetector, ReleaseState
 from equipoise.rig.request import RunRequest, describe_fit
 from equipoise.safety.rules import STOP_DECELERATION
 
 T = TypeVar("T")
-TimedJoints: TypeAlias = tuple[float, tuple[float, ...]]
-"""A time [s], and all joints [rad]."""
 Setpoints: TypeAlias = tuple[tuple[float, ...], ...]
 """Setpoints of a tick [rad]: now, and h / 2 later; empty while nothing is to be sent."""
 

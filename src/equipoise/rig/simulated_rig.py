@@ -1,5 +1,7 @@
 """Simulated rig: an arm and a pendulum in MuJoCo with an operator's hand and button, in time.
 
+`EmulatedOperator` uses them as the messages of a run ask, and types the expected answers.
+
 The arm is that of a twin (`SimulatedRig`) with an emulated servo, or of another simulator.
 Virtual time drives it by `clock.attach(bench.advance)`, real time by calls of `advance` with the
 time: the rig catches up in whole milliseconds. Equal seeds and equal acts at equal times give equal
@@ -15,9 +17,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from equipoise.arrays import Array
+from equipoise.control.ticks import OperatorMessage
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
+from equipoise.rig.interfaces import Clock
 from equipoise.worlds.twin.hand import Hand, HandParams, Side, draw_hand_params
 from equipoise.worlds.twin.physics import TICK, rod_centre, rod_inertia
 from equipoise.worlds.twin.simulated_arm import SimulatedArm
@@ -25,6 +29,8 @@ from equipoise.worlds.twin.twin import TrueState, Twin, advance
 
 PRESS: Final = 0.1
 """Duration of a press of the button [s]."""
+REACTION_TIME: Final = (0.3, 1.0)
+"""Minimum and maximum reaction time [s]. Assumed."""
 DEFLECTION: Final = radians(50.0)
 """Angle from hanging at which the pendulum is held for a free swing [rad]."""
 
@@ -229,3 +235,51 @@ class SimulatedRig(Bench):
     def _step(self) -> None:
         self.body.tick()
         advance(self.twin.kernel, 1)
+
+
+class EmulatedOperator:
+    """Operator at a simulated rig, who perceives a run by its messages.
+
+    Each request is met after a reaction time, with the first expected answer and with the hand.
+    Equal seeds and equal messages at equal times give equal acts.
+    """
+
+    def __init__(self, bench: SimulatedRig, clock: Clock, *, seed: int = 0) -> None:
+        """Stand at a simulated rig, idle.
+
+        Args:
+            bench: The rig; its own seed draws how the hand acts.
+            clock: Time of the messages.
+            seed: Seed of the reaction times.
+        """
+        self._clock, self._random = clock, np.random.default_rng(seed)
+        self._due: list[tuple[float, str, str]] = []
+        self.ignored: frozenset[str] = frozenset()
+        """Names of messages that the operator misses."""
+        self.acts: dict[str, Callable[[], object]] = {
+            "hang": bench.steady,
+            "reference": lambda: (bench.let_go(), bench.press()),
+            "lift": lambda: bench.lift(clumsy=0.0),
+            "armed": bench.let_go,
+            "nudge": lambda: (bench.let_go(), bench.push(0.1)),
+            "disarmed": lambda: bench.lift(clumsy=0.0),
+        }
+        """Act of the hand for each message that asks for one, by its name."""
+
+    def notify(self, event: OperatorMessage) -> None:
+        """Receive a message, and plan the answer to it."""
+        if event.name in self.ignored:
+            return
+        if event.name in self.acts or event.answers:
+            moment = self._clock.now() + float(self._random.uniform(*REACTION_TIME))
+            self._due.append((moment, next(iter(event.answers), ""), event.name))
+
+    def read_input(self) -> list[str]:
+        """Carry out the acts that are due, and return the words typed by now."""
+        now = self._clock.now()
+        due = [one for one in self._due if one[0] <= now]
+        self._due = [one for one in self._due if one[0] > now]
+        for _, _, name in due:
+            if name in self.acts:
+                self.acts[name]()
+        return [word for _, word, _ in due if word]

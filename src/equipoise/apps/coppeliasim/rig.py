@@ -23,7 +23,7 @@ from equipoise.apps.coppeliasim.scene import build_scene
 from equipoise.arrays import Array
 from equipoise.errors import InputError, OutsideError
 from equipoise.model.arms.arm import Arm
-from equipoise.rig.signals import SIGNALS, handled_signals
+from equipoise.rig.host import SIGNALS, handled_signals
 
 Parameters = list[tuple[str, int, Any]]
 """Type, number and value of parameters of the simulation."""
