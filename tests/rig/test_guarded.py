@@ -136,15 +136,6 @@ def test_a_start_outside_the_limits_sends_nothing():
         guarded((HOME[0], UPPER[1] + 0.01, *HOME[2:]))
 
 
-def test_each_start_asks_where_the_arm_is_now():
-    robot, tape = guarded()
-    robot.send(HOME)
-    tape.q = HOME + 0.1
-    robot.start()
-    with pytest.raises(LinkError, match="nothing was sent"):
-        robot.send(HOME)  # the old target
-
-
 BAD = {
     "a number that is none": lambda q: (*q[:6], nan),
     "infinity": lambda q: (-inf, *q[1:]),

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
-from math import inf, nan, pi, sqrt
+from math import inf, isnan, nan, pi, sqrt
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -61,8 +61,8 @@ class EncoderReadings:
         self._resolution = resolution
         self.samples = deque[Sample](maxlen=HISTORY)
         """The last samples, the oldest first."""
-        self.zero: float | None = None
-        """Count of the hanging pendulum; None before the reference."""
+        self.zero = nan
+        """Count of the hanging pendulum; NaN before the reference."""
         self.dropouts, self.bridged = RepeatMonitor(), False
         """Monitor of lost samples, and whether one was bridged."""
         self._missing, self._illegal, self._jump = 0, False, 0.0
@@ -71,7 +71,7 @@ class EncoderReadings:
         """Add the newest sample."""
         samples = self.samples
         samples.append(sample)
-        if sample.missing and self.zero is not None:
+        if sample.missing and not isnan(self.zero):
             # Counts are absolute: a single missing sample hides a millisecond and nothing else.
             serious = self.dropouts.add(sample.time) or sample.missing > 1
             self._missing += sample.missing if serious else 0
@@ -87,7 +87,7 @@ class EncoderReadings:
         """Return the encoder's part of the safety inputs, and forget its faults."""
         found = self._missing, self._illegal, self._jump
         self._missing, self._illegal, self._jump = 0, False, 0.0
-        if self.zero is None or not self.samples:
+        if isnan(self.zero) or not self.samples:
             return {}
         names = "encoder_missing", "encoder_illegal", "encoder_jump"
         age = now - self.samples[-1].time
@@ -95,9 +95,7 @@ class EncoderReadings:
 
     def phi(self) -> float:
         """Return the newest angle from upright, in [-pi, pi) [rad]; NaN without a zero."""
-        if self.zero is None or not self.samples:
-            return nan
-        return self.angle(self.samples[-1].counts)
+        return self.angle(self.samples[-1].counts) if self.samples else nan
 
     def before(self, time: float, window: float) -> tuple[float, float] | None:
         """Return the newest counts within a window before a time [s] and their age [s], if any."""
@@ -106,7 +104,7 @@ class EncoderReadings:
             if age > window:
                 break
             if age >= 0.0:
-                return sample.counts - (self.zero or 0.0), age
+                return sample.counts - self.zero, age
         return None
 
     def falling(self, now: float, w2: float) -> tuple[float, float]:
@@ -123,7 +121,7 @@ class EncoderReadings:
 
     def angle(self, counts: float) -> float:
         """Return the angle from upright of counts, in [-pi, pi) [rad]."""
-        return (2.0 * pi - (counts - (self.zero or 0.0)) * self._resolution) % (2.0 * pi) - pi
+        return (2.0 * pi - (counts - self.zero) * self._resolution) % (2.0 * pi) - pi
 
 
 class ArmReadings:

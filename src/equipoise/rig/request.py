@@ -20,14 +20,12 @@ from equipoise.worlds.twin.excitation import excitation
 
 
 class ArmResponse(NamedTuple):
-    """An actuator of the arm, and what follows from it."""
+    """Constants and limits that follow from an actuator of the arm."""
 
-    actuator: Actuator
-    """The actuator."""
     params: ControllerParams
-    """Constants of the control step with it, with the rig's counts per revolution."""
+    """Constants of the control step, with the rig's counts per revolution."""
     safety: SafetyParams
-    """Safety limits with it."""
+    """Safety limits."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,7 @@ class RunRequest:
             speed_share=rig.speed_share,
             torque_share=rig.torque_share,
         )
-        return ArmResponse(actuator, params, safety)
+        return ArmResponse(params, safety)
 
     def excitation(self) -> Array:
         """Return the motion that identifies the arm, from home to home.

@@ -74,6 +74,8 @@ class RunController:
         """
         self.run = Run(request, q, counts_per_rev=counts_per_rev, max_speed=max_speed)
         """State of the run."""
+        self.h = self.run.h
+        """Time between ticks [s]."""
         # A kernel takes the computer's time, which virtual time does not show.
         compiled = request.policy.kernel is not None
         self._script = script(self.run, (lambda: 0.0) if compiled else clock)
@@ -95,14 +97,9 @@ class RunController:
         self._warnings = set[str]()
 
     @property
-    def h(self) -> float:
-        """Time between ticks [s]."""
-        return self.run.h
-
-    @property
     def lasted(self) -> float:
         """Time for which the policy has acted [s]."""
-        return self.run.balanced * self.run.h
+        return self.run.balanced * self.h
 
     def tick(self, now: float, inputs: TickInputs) -> TickOutput:
         """Process the inputs since the last tick, and return the setpoints of this one.
@@ -111,7 +108,7 @@ class RunController:
             now: The time [s].
             inputs: Samples, replies, the operator's input and faults.
         """
-        run, h = self.run, self.run.h
+        run, h = self.run, self.h
         missed = missed_ticks(inputs.lateness, h)
         late = max(inputs.lateness - missed * h, 0.0)
         run.job = None
@@ -203,18 +200,18 @@ class RunController:
                 self.stop(error.end)
         return self._come_to_rest(tick.stalled)
 
-    def _rest(self, missed: int, unsent: int, part: str) -> None:
+    def _rest(self, missed: int, unsent: bool, part: str) -> None:
         """Begin the motion anew from the last setpoint sent, where the arm rests.
 
         Args:
             missed: Number of missed ticks.
-            unsent: Number of setpoints of the last tick that were not sent.
+            unsent: Whether the second setpoint of the last tick was not sent.
             part: The part that stood still.
         """
         moved = any(self.run.dq)
-        for _ in range(unsent):
+        if unsent:
             self._sent.pop()
-        self.run.rest(self._sent[-1][1], missed, unsent > 0)
+        self.run.rest(self._sent[-1][1], missed, unsent)
         self._tick.stalled = True
         if moved:
             self._warn_once(f"{part} stalled; `equipoise rig doctor` looks for the cause.")
@@ -222,7 +219,7 @@ class RunController:
     def _wait(self) -> None:
         """Send nothing while the link stands still; the time of a balance continues."""
         run = self.run
-        self._rest(0, 0, "The robot's link")
+        self._rest(0, False, "The robot's link")
         if run.phase in (Phase.SELF_TEST, Phase.BALANCING):
             run.controller.hold()
         if run.phase is Phase.BALANCING:
@@ -331,8 +328,6 @@ class RunController:
     def _observe(self, now: float) -> None:
         """Pass the measurements of this tick to the observer."""
         encoder, joints, h = self.run.encoder, self.run.joints, self.run.h
-        if not encoder.samples or encoder.zero is None:
-            return
         age = now - encoder.samples[-1].time
         counts = encoder.samples[-1].counts - encoder.zero if age <= h else None
         q, reply_age = (joints.q if joints.fresh else None), now - joints.time

@@ -187,12 +187,6 @@ class Run:
         self.dq = (0.0,) * len(self.q)
         return self.q, self.q
 
-    def along(self, path: MinimumJerk) -> Setpoints:
-        """Return the setpoints of this tick on a path of all joints that began with the phase."""
-        first, second = path.at(self.time + 0.5 * self.h), path.at(self.time + self.h)
-        self.q, self.dq = second.q, second.dq
-        return first.q, second.q
-
     def glide(self, path: MinimumJerk, t: float) -> Setpoints:
         """Move the flange along a path on its track, as the policy would, at its time t [s]."""
         v = path.at(t + self.h).dq[0] - path.at(t).dq[0]
@@ -276,7 +270,9 @@ def home(run: Run) -> Steps[None]:
     run.notify("homing", text)
     yield run.still()
     while run.time < path.duration:
-        tick = yield run.along(path)
+        first = path.at(run.time + 0.5 * run.h)
+        run.q, run.dq = path.at(run.time + run.h)
+        tick = yield first.q, run.q
         if tick.stalled:
             path, run.ticks = _path_home(run), 0
 
@@ -304,7 +300,7 @@ def confirm(run: Run) -> Steps[None]:
 def reference(run: Run) -> Steps[None]:
     """Take the count of the hanging pendulum, once it is still and the operator confirms."""
     run.enter(Phase.REFERENCING)
-    run.encoder.zero = None
+    run.encoder.zero = nan
     run.notify("hang", "Let the pendulum hang freely, and steady it with a finger.")
     since = newest = 0.0
     low = high = total = number = 0
@@ -354,7 +350,7 @@ def swing_test(run: Run) -> Steps[bool]:
         at_home = abs(run.controller.x) <= HOME_TOLERANCE
     if result.verdict is SelfTestVerdict.ZERO:
         return False
-    run.encoder.zero = (run.encoder.zero or 0.0) + result.zero / run.response.params.resolution
+    run.encoder.zero += result.zero / run.response.params.resolution
     return True
 
 
@@ -377,7 +373,7 @@ def _swing_out(run: Run, direction: float) -> Steps[SelfTest]:
         *np.array(pivot).reshape(-1, 2).T.copy(),
         pendulum=params.pendulum,
         counts_per_rev=round(2.0 * pi / params.resolution),
-        resting=run.encoder.zero or 0.0,
+        resting=run.encoder.zero,
         delay=0.0,
     )
     try:

@@ -25,10 +25,8 @@ from equipoise.rig.interfaces import Clock
 from equipoise.worlds.twin.hand import Hand, HandParams, Side, draw_hand_params
 from equipoise.worlds.twin.physics import TICK, rod_centre, rod_inertia
 from equipoise.worlds.twin.simulated_arm import SimulatedArm
-from equipoise.worlds.twin.twin import TrueState, Twin, advance
+from equipoise.worlds.twin.twin import Twin, advance
 
-PRESS: Final = 0.1
-"""Duration of a press of the button [s]."""
 REACTION_TIME: Final = (0.3, 1.0)
 """Minimum and maximum reaction time [s]. Assumed."""
 DEFLECTION: Final = radians(50.0)
@@ -81,7 +79,6 @@ class Bench:
         self._start, self._ticks = start, 0
         self._down_until = self._slip = 0.0
         self._touching = False
-        self._watching: list[Callable[[], None]] = []
 
     @property
     def now(self) -> float:
@@ -95,22 +92,11 @@ class Bench:
             self._grasp()
             self._mechanism.step()
             self._ticks += 1
-            for work in self._watching:
-                work()
-
-    def watch(self, work: Callable[[], None]) -> None:
-        """Run `work()` at the end of each millisecond from now on."""
-        self._watching.append(work)
 
     @property
     def phi(self) -> float:
         """Angle of the pendulum from upright, relative to the flange, beyond a turn [rad]."""
         return float(self._mechanism.data.qpos[self._mechanism.phi])
-
-    @property
-    def phi_dot(self) -> float:
-        """Rate of that angle [rad/s]."""
-        return float(self._mechanism.data.qvel[self._mechanism.phi])
 
     @property
     def theta(self) -> float:
@@ -122,9 +108,9 @@ class Bench:
         """Whether the button is down."""
         return self.now < self._down_until
 
-    def press(self, duration: float = PRESS) -> None:
-        """Press the button for a while [s]."""
-        self._down_until = self.now + duration
+    def press(self) -> None:
+        """Press the button for a tenth of a second."""
+        self._down_until = self.now + 0.1
 
     def lift(self, *, side: Side | None = None, clumsy: float = 0.25) -> HandParams:
         """Grip the pendulum, bring it upright, and hold it until `let_go`.
@@ -178,7 +164,8 @@ class Bench:
                 data.xfrc_applied[pendulum, :3] = 0.0
                 self._touching = False
             return
-        torque = self.hand.torque(self.now, self.phi, self.phi_dot)
+        phi_dot = float(data.qvel[self._mechanism.phi])
+        torque = self.hand.torque(self.now, self.phi, phi_dot)
         across = data.xmat[pendulum, 0::3]
         data.xfrc_applied[pendulum, :3] = torque / self._reach * across
         self._touching = True
@@ -219,18 +206,9 @@ class SimulatedRig(Bench):
         self.body = SimulatedArm(self.twin, arm, settings)
         """Arm that an emulated robot moves and measures."""
         bodies = self.twin.kernel.bodies
-        mechanism = Mechanism(
-            self.twin.data,
-            bodies.flange,
-            bodies.pendulum,
-            self.joints,
-            self._step,
-        )
+        data, phi = self.twin.data, self.joints
+        mechanism = Mechanism(data, bodies.flange, bodies.pendulum, phi, self._step)
         super().__init__(mechanism, pendulum, settings, seed=seed, start=start)
-
-    def truth(self) -> TrueState:
-        """Return the true state of flange and pendulum."""
-        return self.twin.truth()
 
     def _step(self) -> None:
         self.body.tick()
