@@ -3,7 +3,7 @@
 The arm is where it was sent a little while ago, the pendulum where each test puts it.
 """
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from math import cosh, pi, radians, sinh, sqrt
 
 import numpy as np
@@ -31,7 +31,18 @@ PER_RADIAN = COUNTS / (2.0 * pi)
 TORQUES = np.array([0.1, 1.7, 0.0, -1.2, 0.1, 0.3, -0.1])
 FALLS = sqrt(POLICY.pendulum.parameters().w2)
 SOUND = SelfTest(SelfTestVerdict.PASSED, "all well", *(1.0, 70.0, 0.0, 0.0, 0.01), 0.1)
-REQUEST = RunRequest(POLICY, POLICY.actuator, RigSettings(), "twin:nominal", None, 60.0)
+SWAY = 0.02 * np.sin(np.linspace(0.0, 8.0 * pi, 401))[:, None] ** 2
+"""Two seconds of motion of every joint, from home to home [rad]."""
+
+
+class Swaying(RunRequest):
+    """A request with a short excitation."""
+
+    def excitation(self):
+        return np.array(self.settings.described_arm.home) + SWAY
+
+
+REQUEST = Swaying(POLICY, POLICY.actuator, RigSettings(), "twin:nominal", None, 60.0)
 
 
 def executed(job):
@@ -182,21 +193,11 @@ def course():
 
 SLOW = Actuator.assumed("kst", delay=0.01, lag=0.02, cycle=0.1)
 """An actuator that the policy does not fit."""
-SWAYS = np.array(ARM.home) + 0.02 * np.sin(np.linspace(0.0, 8.0 * pi, 401))[:, None] ** 2
-"""Two seconds of motion from home to home."""
-
-
-class Swaying(RunRequest):
-    """A request whose excitation is `SWAYS`."""
-
-    def excitation(self):
-        return SWAYS
 
 
 def exciting(identify):
-    """A course that excites the arm, its setpoints from `SWAYS`."""
-    request = Swaying(*(getattr(REQUEST, one.name) for one in fields(REQUEST)))
-    return Course(identify=identify, request=request).until(Phase.EXCITING)
+    """A course that excites the arm, its setpoints from `SWAY`."""
+    return Course(identify=identify).until(Phase.EXCITING)
 
 
 def test_an_excitation_identifies_the_arm_before_the_lift():
@@ -213,7 +214,7 @@ def test_an_excitation_identifies_the_arm_before_the_lift():
     assert course.pilot.run.identified is found
     # All setpoints were sent, and recorded with the joints that answered.
     ((sent, measured),) = records
-    free = SWAYS[:, list(ARM.free)]
+    free = REQUEST.excitation()[:, list(ARM.free)]
     first = next(i for i, row in enumerate(sent[:, 1:]) if np.array_equal(row, free[1]))
     assert np.array_equal(sent[first : first + 400, 1:], free[1:])
     assert np.diff(sent[first : first + 400, 0]) == pytest.approx(0.5 * H)

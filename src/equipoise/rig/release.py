@@ -67,8 +67,6 @@ MAX_SAMPLE_GAP: Final = 0.02
 """Maximum gap between samples [s]; after a longer one the pendulum counts as held."""
 MIN_SAMPLE_SPACING: Final = 4e-4
 """Minimum spacing of samples [s]; closer ones are skipped, which bounds the memory."""
-MIN_FIT_SAMPLES: Final = 12
-"""Minimum number of samples in the window for the cubic fit."""
 
 
 class ReleaseState(Enum):
@@ -165,7 +163,7 @@ class ReleaseDetector:
         half = 0.5 * FIT_WINDOW
         t = (newest_first[:, 0] - now) / half + 1.0
         within = t >= -1.0
-        if within.sum() < MIN_FIT_SAMPLES:
+        if within.sum() < 12:  # too few for a cubic
             return False, 0.0
         powers = t[within, None] ** np.arange(4)
         a, b, d, e = np.linalg.solve(powers.T @ powers, powers.T @ newest_first[within, 1])

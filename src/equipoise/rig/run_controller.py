@@ -157,8 +157,7 @@ class RunController:
         if self.end is None:
             self.end, self._stopped = end, self.run.phase
             self._script.close()
-            self.run.enter(Phase.STOPPING)
-            self.run.notify("stopping", describe(end))
+            self.run.enter(Phase.STOPPING, "stopping", describe(end))
 
     # Inputs.
 

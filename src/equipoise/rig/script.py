@@ -57,8 +57,6 @@ HOME_TOLERANCE: Final = 2e-5
 first setpoint it is an acceleration of 1 m/s^2."""
 MAX_SWINGS: Final = 4
 """Maximum number of swings of a self-test, repeated until the zero's interval is small."""
-NUDGE_PERIOD: Final = 5.0
-"""Time between two reminders to let go of the pendulum [s]."""
 POLICY_TIME_SHARE: Final = 0.5
 """Maximum computing time of the policy, as a fraction of a tick [-]: later, the second setpoint,
 due after half a tick, would be late too."""
@@ -169,9 +167,10 @@ class Run:
         boxes = self.request.policy.settings.boxes
         self.controller = Controller(self.arm, response.params, boxes)
 
-    def enter(self, phase: Phase) -> None:
-        """Begin a phase."""
+    def enter(self, phase: Phase, name: str, text: str, answers: tuple[str, ...] = ()) -> None:
+        """Begin a phase with a message, see `notify`."""
         self.phase, self.ticks, self.answers = phase, 0, ()
+        self.notify(name, text, answers)
 
     # The operator.
 
@@ -265,9 +264,8 @@ def script(run: Run, clock: Callable[[], float]) -> Steps[End]:
 def home(run: Run) -> Steps[None]:
     """Move to home, inside the servo stream."""
     path = _path_home(run)
-    run.enter(Phase.HOMING)
     text = f"Moving to home, {path.duration:.1f} s. Press any key to stop, at any time."
-    run.notify("homing", text)
+    run.enter(Phase.HOMING, "homing", text)
     yield run.still()
     while run.time < path.duration:
         first = path.at(run.time + 0.5 * run.h)
@@ -285,11 +283,10 @@ def _path_home(run: Run) -> MinimumJerk:
 
 def confirm(run: Run) -> Steps[None]:
     """Hold the arm at home until the operator confirms."""
-    run.enter(Phase.AT_HOME)
+    question = "Is this home, the spindle level, the track free on both sides? y or n"
+    run.enter(Phase.AT_HOME, "home", question, ("y", "n"))
     run.controller.begin(0.0, 0.0)
     run.q = run.controller.q
-    question = "Is this home, the spindle level, the track free on both sides? y or n"
-    run.notify("home", question, ("y", "n"))
     answer = None
     while answer is None:
         answer = (yield run.still()).answer
@@ -299,9 +296,9 @@ def confirm(run: Run) -> Steps[None]:
 
 def reference(run: Run) -> Steps[None]:
     """Take the count of the hanging pendulum, once it is still and the operator confirms."""
-    run.enter(Phase.REFERENCING)
+    text = "Let the pendulum hang freely, and steady it with a finger."
+    run.enter(Phase.REFERENCING, "hang", text)
     run.encoder.zero = nan
-    run.notify("hang", "Let the pendulum hang freely, and steady it with a finger.")
     since = newest = 0.0
     low = high = total = number = 0
     pressed = False
@@ -331,8 +328,8 @@ def swing_test(run: Run) -> Steps[bool]:
     Returns:
         Whether the zero is known; otherwise a new reference is needed.
     """
-    run.enter(Phase.SELF_TEST)
-    run.notify("swing", "Self-test: the arm moves by 40 mm. Keep your hands off.")
+    text = "Self-test: the arm moves by 40 mm. Keep your hands off."
+    run.enter(Phase.SELF_TEST, "swing", text)
     result, swings = None, 0
     while result is None or (result.verdict is SelfTestVerdict.REPEAT and swings < MAX_SWINGS):
         result = yield from _swing_out(run, -1.0 if swings % 2 else 1.0)
@@ -390,10 +387,9 @@ def excite(run: Run, motion: Array, identify: Callable[[Array, Array], Actuator]
         motion: All joints [rad], h / 2 apart, shape (m, joints).
         identify: Identification, as of `RunRequest.identify`.
     """
-    run.enter(Phase.EXCITING)
     seconds = 0.5 * run.h * len(motion)
     text = f"Excitation: every joint moves about home for {seconds:.0f} s. Keep away."
-    run.notify("excitation", text)
+    run.enter(Phase.EXCITING, "excitation", text)
     sent, measured = list[TimedJoints](), list[TimedJoints]()
     row, setpoints = 0, run.still()
     while 0.5 * run.h * (row - len(motion)) <= REST_BEFORE:
@@ -430,9 +426,10 @@ def _free_joints(run: Run, rows: list[TimedJoints]) -> Array:
 
 def lift(run: Run) -> Steps[float]:
     """Hold the arm until the operator has lifted and released the pendulum; return the time [s]."""
-    run.enter(Phase.LIFTING)
-    run.notify("lift", "Lift the pendulum until it stands upright, and hold it there.")
-    detector, nudge = ReleaseDetector(run.response.params.pendulum), round(NUDGE_PERIOD / run.h)
+    text = "Lift the pendulum until it stands upright, and hold it there."
+    run.enter(Phase.LIFTING, "lift", text)
+    detector = ReleaseDetector(run.response.params.pendulum)
+    nudge = round(5.0 / run.h)  # every 5 s
     while True:
         tick = yield run.still()
         for sample in tick.samples:
@@ -441,11 +438,10 @@ def lift(run: Run) -> Steps[float]:
             return tick.now
         armed = detector.state is ReleaseState.ARMED
         if armed and run.phase is Phase.LIFTING:
-            run.enter(Phase.ARMED)
-            run.notify("armed", "\aArmed. Let go.")
+            run.enter(Phase.ARMED, "armed", "\aArmed. Let go.")
         elif run.phase is Phase.ARMED and not armed:
-            run.enter(Phase.LIFTING)
-            run.notify("disarmed", "You are still holding the pendulum. Hold it upright again.")
+            text = "You are still holding the pendulum. Hold it upright again."
+            run.enter(Phase.LIFTING, "disarmed", text)
         elif armed and run.ticks % nudge == nudge - 1:
             run.notify("nudge", "Let go. If it stands by itself, nudge it.")
 
@@ -459,10 +455,9 @@ def balance(run: Run, released: float, policy: Policy, clock: Callable[[], float
         policy: The policy.
         clock: Clock for its computing time [s].
     """
-    run.enter(Phase.BALANCING)
+    run.enter(Phase.BALANCING, "balancing", "Balancing. Press any key to stop.")
     run.controller.begin(*run.encoder.falling(released, run.response.params.pendulum.w2))
     run.lost_speed = 0.0
-    run.notify("balancing", "Balancing. Press any key to stop.")
     begin, duration = run.balanced, run.request.duration
     while (run.balanced - begin) * run.h < duration - 0.5 * run.h:
         yield run.accelerate(_decide(run, policy, clock, first=run.balanced == begin))

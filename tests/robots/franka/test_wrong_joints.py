@@ -17,7 +17,6 @@ from equipoise.robots.franka.robot import FrankaRobot
 from tests.rig.test_run_controller import (
     POLICY,
     REQUEST,
-    SWAYS,
     Course,
     H,
     balancing,
@@ -95,7 +94,6 @@ def phase(name):
         rig.ticks(30)
     elif name == "excitation":
         rig = Rig(lambda *_: None)
-        rig.pilot.excitation = ARM.home + SWAYS - SWAYS[0]
         rig.until(Phase.EXCITING).ticks(50)
     else:
         rig = balancing(Rig)
@@ -132,7 +130,7 @@ def test_a_single_joint_that_stands_still_is_not_following(moving):
     rig.stopped()
     assert rig.cause == Outcome.NOT_FOLLOWING
     assert rig.pilot.end.evidence["joint"] == 1
-    assert abs(rig.pilot.q[0] - frozen) < 0.02
+    assert abs(rig.pilot.run.q[0] - frozen) < 0.02
 
 
 def replaced(**values):
