@@ -69,9 +69,9 @@ def test_each_number_of_the_page_is_that_of_the_code():
     assert (monitors.MAX_REPEATS, monitors.REPEAT_WINDOW) == (3, 1.0)
     assert "a third gap within a second" in PAGE
     assert "the third stall within a second" in PAGE
-    assert script.HOMING_SHARE == 0.1
+    assert script.HOMING_FRACTION == 0.1
     assert "a tenth of the joints' speed" in PAGE
-    assert stop.RETURN_SHARE == script.HOMING_SHARE
+    assert stop.RETURN_FRACTION == script.HOMING_FRACTION
     assert monitors.MIN_REPLIES == 5
     assert "five replies in order" in PAGE
     assert f"within {rules.FOLLOWING_LIMIT:g} rad of the setpoints of the last 0.3 s" in PAGE

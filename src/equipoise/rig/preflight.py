@@ -36,7 +36,7 @@ from equipoise.rig.connection import Rig
 from equipoise.rig.host import prepare
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, PacedRobot, ServoedArm
 from equipoise.rig.request import RunRequest
-from equipoise.rig.script import POLICY_TIME_SHARE
+from equipoise.rig.script import POLICY_TIME_FRACTION
 from equipoise.user_code import guest_code
 
 REALTIME: Final = Path("/sys/kernel/realtime")
@@ -158,7 +158,7 @@ def warm_up(request: RunRequest) -> None:
     FlangeKinematics(arm, params).pose(arm.home)
     if request.identify is not None:
         shipped_policy()  # to read it in a tick takes 50 ms, once all memory is locked
-    typical, limit = median(took), POLICY_TIME_SHARE * request.policy.h
+    typical, limit = median(took), POLICY_TIME_FRACTION * request.policy.h
     if typical > limit:
         raise InputError(
             f"{request.policy.name} takes {1e3 * typical:.1f} ms, expected at most "

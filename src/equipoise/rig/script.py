@@ -43,7 +43,7 @@ T = TypeVar("T")
 Setpoints: TypeAlias = tuple[tuple[float, ...], ...]
 """Setpoints of a tick [rad]: now, and h / 2 later; empty while nothing is to be sent."""
 
-HOMING_SHARE: Final = 0.1
+HOMING_FRACTION: Final = 0.1
 """Fraction of the joints' velocity and acceleration limits on the way home [-]."""
 REST_TIME: Final = 2.0
 """Minimum time for which the count stays within one before it is a reference [s]."""
@@ -57,7 +57,7 @@ HOME_TOLERANCE: Final = 2e-5
 first setpoint it is an acceleration of 1 m/s^2."""
 MAX_SWINGS: Final = 4
 """Maximum number of swings of a self-test, repeated until the zero's interval is small."""
-POLICY_TIME_SHARE: Final = 0.5
+POLICY_TIME_FRACTION: Final = 0.5
 """Maximum computing time of the policy, as a fraction of a tick [-]: later, the second setpoint,
 due after half a tick, would be late too."""
 RESTART_ACCELERATION: Final = 0.5 * STOP_DECELERATION
@@ -276,8 +276,8 @@ def home(run: Run) -> Steps[None]:
 
 
 def _path_home(run: Run) -> MinimumJerk:
-    velocity = [HOMING_SHARE * joint.velocity for joint in run.arm.joints]
-    acceleration = [HOMING_SHARE * joint.acceleration for joint in run.arm.joints]
+    velocity = [HOMING_FRACTION * joint.velocity for joint in run.arm.joints]
+    acceleration = [HOMING_FRACTION * joint.acceleration for joint in run.arm.joints]
     return path_within(run.q, run.arm.home, velocity, acceleration)
 
 
@@ -478,7 +478,7 @@ def _decide(run: Run, policy: Policy, clock: Callable[[], float], *, first: bool
     except BaseException as error:  # not even a request to exit may end the loop
         failure = printable(str(error)) or type(error).__name__
     evidence: dict[str, float] = {}
-    took, limit = clock() - began, POLICY_TIME_SHARE * run.h
+    took, limit = clock() - began, POLICY_TIME_FRACTION * run.h
     if not failure and took > limit:
         failure = f"it took {1e3 * took:.1f} ms, expected at most {1e3 * limit:.1f} ms"
         evidence = {"took": took, "limit": limit}

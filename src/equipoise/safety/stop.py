@@ -24,7 +24,7 @@ from equipoise.control.minimum_jerk import MinimumJerk, Point, path_within
 from equipoise.errors import InputError
 from equipoise.safety.rules import STOP_DECELERATION, Limits
 
-RETURN_SHARE: Final = 0.1
+RETURN_FRACTION: Final = 0.1
 """Fraction of the joints' velocity and acceleration limits on the way to the measured joints [-],
 as on the way home."""
 ROUNDING_RESERVE: Final = 1e-9
@@ -159,8 +159,8 @@ class StopMotion:
             # A measured joint may be beyond a limit by its noise; a setpoint may not.
             low = max(begin[i] - reach, limits.lower[i])
             end.append(min(max(place, low), begin[i] + reach, limits.upper[i]))
-        velocity = [RETURN_SHARE * limit for limit in limits.velocity]
-        acceleration = [RETURN_SHARE * limit for limit in limits.acceleration]
+        velocity = [RETURN_FRACTION * limit for limit in limits.velocity]
+        acceleration = [RETURN_FRACTION * limit for limit in limits.acceleration]
         self._motion = path_within(self.q, end, velocity, acceleration)
         self._time = 0.0
         return max(abs(b - a) for a, b in zip(self.q, end, strict=True))
