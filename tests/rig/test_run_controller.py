@@ -58,7 +58,7 @@ class Course:
     def __init__(self, q=ARM.home, identify=None, request=REQUEST):
         request = replace(request, identify=identify)
         self.pilot = RunController(request, q, counts_per_rev=COUNTS)
-        self.guard = self.pilot.run.response.safety
+        self.guard = self.pilot.run.safety
         self.tick_number, self.now = 0, 0.0
         self.theta = lambda time: 0.0
         self.samples_lost = frozenset()

@@ -143,7 +143,7 @@ def warm_up(request: RunRequest) -> None:
     """
     settings, policy = request.settings, tick_policy(request.policy)
     arm = settings.described_arm
-    params = request.response(request.actuator, settings.counts_per_rev).params
+    params, _ = request.parameters(request.actuator, settings.counts_per_rev)
     controller, took = Controller(arm, params, request.policy.settings.boxes), list[float]()
     policy.reset()
     for _ in range(20):

@@ -131,8 +131,8 @@ def run_on_rig(
         InputError: The policy does not fit the rig.
         OutsideError: A device fails.
     """
-    response = request.response(request.actuator, request.settings.counts_per_rev)
-    robot = GuardedRobot(rig.robot, response.safety.limits, request.policy.h / 2.0)
+    _, safety = request.parameters(request.actuator, request.settings.counts_per_rev)
+    robot = GuardedRobot(rig.robot, safety.limits, request.policy.h / 2.0)
 
     def check_links() -> None:
         """Request the joints, and drop the encoder's samples; each raises where its link failed."""

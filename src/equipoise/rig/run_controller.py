@@ -232,7 +232,7 @@ class RunController:
             dq = stoppable_speeds(run.dq, last, before, 0.5 * run.h)
             speed = 0.0 if self._stopped in OFF_TRACK else abs(run.controller.x_dot)
             self._before_stop = np.array([q for _, q in self._sent])
-            motion = StopMotion(run.q, dq, speed, run.response.safety.limits)
+            motion = StopMotion(run.q, dq, speed, run.safety.limits)
             self._motion = motion
         else:
             if stalled and motion.rested < 0.0:
@@ -270,7 +270,7 @@ class RunController:
 
     def _check_rules(self, now: float, lateness: float) -> None:
         """Check the safety rules, and stop where one is broken."""
-        run, params = self.run, self.run.response.safety
+        run, params = self.run, self.run.safety
         if run.joints.torque_at_home is None:
             # The robot controller knows the arm's weight, but not the load on its flange.
             uncertain = tuple(UNCERTAIN_TORQUE_FACTOR * torque for torque in params.torque)
@@ -312,7 +312,7 @@ class RunController:
         )
         if joints.fresh:
             self._pose = run.flange.pose(joints.q)
-            since = joints.time - run.response.safety.reaction
+            since = joints.time - run.safety.reaction
             expected = setpoint_in_force(self._sent, since)
             inputs = inputs._replace(measured=joints.q, expected=expected)
         phase = run.phase if self.end is None else self._stopped

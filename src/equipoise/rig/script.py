@@ -122,14 +122,11 @@ class Run:
             SettingsError: The delay exceeds the controller's history.
         """
         self.request, self.arm = request, request.settings.described_arm
-        self._respond = partial(
-            request.response, counts_per_rev=counts_per_rev, max_speed=max_speed
-        )
+        self._counts_per_rev, self._max_speed = counts_per_rev, max_speed
         self.assume(request.actuator)
-        params = self.response.params
-        self.h, self.flange = params.h, FlangeKinematics(self.arm, params)
-        self.encoder = EncoderReadings(params.resolution)
-        self.joints = ArmReadings(q, self.response.safety.limits)
+        self.h, self.flange = self.params.h, FlangeKinematics(self.arm, self.params)
+        self.encoder = EncoderReadings(self.params.resolution)
+        self.joints = ArmReadings(q, self.safety.limits)
         self.phase = Phase.HOMING
         """The phase."""
         self.ticks = 0
@@ -163,9 +160,9 @@ class Run:
             ArmError: Home is a singular posture.
             SettingsError: The delay exceeds the controller's history.
         """
-        self.response = response = self._respond(actuator)
-        boxes = self.request.policy.settings.boxes
-        self.controller = Controller(self.arm, response.params, boxes)
+        request, speed = self.request, self._max_speed
+        self.params, self.safety = request.parameters(actuator, self._counts_per_rev, speed)
+        self.controller = Controller(self.arm, self.params, request.policy.settings.boxes)
 
     def enter(self, phase: Phase, name: str, text: str, answers: tuple[str, ...] = ()) -> None:
         """Begin a phase with a message, see `notify`."""
@@ -347,7 +344,7 @@ def swing_test(run: Run) -> Steps[bool]:
         at_home = abs(run.controller.x) <= HOME_TOLERANCE
     if result.verdict is SelfTestVerdict.ZERO:
         return False
-    run.encoder.zero += result.zero / run.response.params.resolution
+    run.encoder.zero += result.zero / run.params.resolution
     return True
 
 
@@ -363,13 +360,12 @@ def _swing_out(run: Run, direction: float) -> Steps[SelfTest]:
     record((yield run.still()))
     while (t := run.time - begin) < MOVE_TIME + SWING_TIME:
         record((yield run.glide(path, t)))
-    params = run.response.params
     job = partial(
         self_test,
         *np.array(encoder).reshape(-1, 2).T.copy(),
         *np.array(pivot).reshape(-1, 2).T.copy(),
-        pendulum=params.pendulum,
-        counts_per_rev=round(2.0 * pi / params.resolution),
+        pendulum=run.params.pendulum,
+        counts_per_rev=round(2.0 * pi / run.params.resolution),
         resting=run.encoder.zero,
         delay=0.0,
     )
@@ -428,7 +424,7 @@ def lift(run: Run) -> Steps[float]:
     """Hold the arm until the operator has lifted and released the pendulum; return the time [s]."""
     text = "Lift the pendulum until it stands upright, and hold it there."
     run.enter(Phase.LIFTING, "lift", text)
-    detector = ReleaseDetector(run.response.params.pendulum)
+    detector = ReleaseDetector(run.params.pendulum)
     nudge = round(5.0 / run.h)  # every 5 s
     while True:
         tick = yield run.still()
@@ -456,7 +452,7 @@ def balance(run: Run, released: float, policy: Policy, clock: Callable[[], float
         clock: Clock for its computing time [s].
     """
     run.enter(Phase.BALANCING, "balancing", "Balancing. Press any key to stop.")
-    run.controller.begin(*run.encoder.falling(released, run.response.params.pendulum.w2))
+    run.controller.begin(*run.encoder.falling(released, run.params.pendulum.w2))
     run.lost_speed = 0.0
     begin, duration = run.balanced, run.request.duration
     while (run.balanced - begin) * run.h < duration - 0.5 * run.h:
