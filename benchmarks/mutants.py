@@ -44,8 +44,7 @@ ROOT = Path(__file__).resolve().parent.parent
 MODULES = {
     "rules": "safety/rules",
     "trial": "safety/trial",
-    "repeats": "safety/repeats",
-    "plausibility": "safety/plausibility",
+    "monitors": "safety/monitors",
     "stop": "safety/stop",
     "release": "rig/release",
     "kst": "robots/kst/codec",

@@ -54,9 +54,8 @@ def test_the_faults_named_are_those_that_are_injected():
 
 
 def test_each_number_of_the_page_is_that_of_the_code():
-    from equipoise.rig import run_controller
-    from equipoise.rig.phases import preparation, readings
-    from equipoise.safety import plausibility, repeats, rules, stop
+    from equipoise.rig import readings, run_controller, script
+    from equipoise.safety import monitors, rules, stop
     from tests.faults.verdicts import MAX_NOTICE
 
     assert f"within {1e3 * MAX_NOTICE:.0f} ms" in PAGE
@@ -67,13 +66,13 @@ def test_each_number_of_the_page_is_that_of_the_code():
     assert f"a following error of {rules.FOLLOWING_LIMIT:g} rad" in PAGE
     share = 100 * run_controller.UNCERTAIN_TORQUE_FACTOR * rules.TORQUE_SHARE
     assert f"on the way there {share:.0f} % beyond what the start shows" in PAGE
-    assert (repeats.MAX_REPEATS, repeats.REPEAT_WINDOW) == (3, 1.0)
+    assert (monitors.MAX_REPEATS, monitors.REPEAT_WINDOW) == (3, 1.0)
     assert "a third gap within a second" in PAGE
     assert "the third stall within a second" in PAGE
-    assert preparation.HOMING_SHARE == 0.1
+    assert script.HOMING_FRACTION == 0.1
     assert "a tenth of the joints' speed" in PAGE
-    assert stop.RETURN_SHARE == preparation.HOMING_SHARE
-    assert plausibility.MIN_REPLIES == 5
+    assert stop.RETURN_FRACTION == script.HOMING_FRACTION
+    assert monitors.MIN_REPLIES == 5
     assert "five replies in order" in PAGE
     assert f"within {rules.FOLLOWING_LIMIT:g} rad of the setpoints of the last 0.3 s" in PAGE
     assert readings.HISTORY == 64

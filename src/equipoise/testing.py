@@ -26,10 +26,10 @@ from equipoise.control.grid import ANGLE, TRUNCATED
 from equipoise.errors import EquipoiseError, InputError, LinkError
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.rig.clocks import ended_stalls
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig
 from equipoise.rig.interfaces import SETPOINT_PERIOD, Clock, Reply, Robot
-from equipoise.rig.signals import ended_stalls
 from equipoise.worlds import ClosedLoop, Setup, Simulation, predicted
 
 CLOSE: Final = 2e-3

@@ -9,7 +9,7 @@ import pytest
 from equipoise.control.policy import shipped_policy
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
-from equipoise.rig import signals
+from equipoise.rig import clocks
 from equipoise.robots.kst.robot import KstRobot
 from tests.cli.conftest import contents
 from tests.robots.encoder.by_hand import RELEASE, ByHand
@@ -54,7 +54,7 @@ def test_an_arm_that_fits_no_policy_leads_to_a_training_for_it(equipoise, pendul
 
 
 def test_a_driver_that_sleeps_ends_a_run_on_a_twin(equipoise, monkeypatch):
-    monkeypatch.setattr(signals, "STALL", 0.5)
+    monkeypatch.setattr(clocks, "STALL", 0.5)
     monkeypatch.setattr(KstRobot, "_wait", lambda robot, duration: time.sleep(1e-3))
     ran = equipoise("deploy", "--robot", "twin:nominal")
     assert ran.code == 3, ran

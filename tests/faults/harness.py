@@ -209,7 +209,7 @@ class FaultHarness:
         self._ms += 1
         if self._ms % 2 == 0:
             q = tuple(self.bench.twin.data.qpos[: self.bench.joints].tolist())
-            self.observations.append(ArmObservation(now, float(self.bench.truth().x), q))
+            self.observations.append(ArmObservation(now, float(self.bench.twin.truth().x), q))
         if self._ms == 90_000:  # the longest run
             self.typed.append("stop")
 

@@ -330,7 +330,8 @@ def _stop_behind_slow_link(harness: FaultHarness) -> None:
 
 # fmt: off
 ROBOT = (
-    Fault("TCP drop", _ends("link lost"), _drop, stoppable=False, within=0.02),
+    Fault("TCP drop", _ends("link lost"), _drop, stoppable=False, within=0.02,
+          check=_no_bytes_after),
     Fault("half-open link", _ends("link lost"), _half_open, stoppable=False, within=0.1),
     Fault("command backlog", _ends("link overdue"), _back_up, within=0.1, says="has not answered"),
     Fault("stall of the link", _ends("lasted"), lambda harness: hold_back(harness, "robot"),
@@ -339,8 +340,6 @@ ROBOT = (
           says="at last the robot's link"),
     Fault("nak", _ends("link lost"), _change("robot.emulator", refuses=True),
           stoppable=False, within=0.03),
-    Fault("reconnect in mid-run", _ends("link lost"), _drop, stoppable=False, within=0.02,
-          check=_no_bytes_after),
     Fault("robot not following", _ends("robot not following", "following error"),
           _call("bench.body.stop", "the drives' protection"), Trigger("homing", 0.4), within=0.4),
     Fault("E-stop", _ends("robot not following", "following error", "angle"),

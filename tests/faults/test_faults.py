@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.outcomes import Outcome
 from equipoise.rig.config import RigSettings
 from equipoise.safety.rules import POSITION_MARGIN
@@ -97,7 +96,3 @@ def test_a_setpoint_beyond_a_limit_is_found():
     velocity = ARM.joints[0].velocity
     assert check_limits(ARM, course(0.999 * velocity)) == []
     assert check_limits(ARM, course(1.001 * velocity))
-
-
-def test_the_arm_of_the_faults_is_the_one_that_the_policy_knows():
-    assert ARM.digest == iiwa(7).digest

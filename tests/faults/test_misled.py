@@ -5,7 +5,7 @@ import pytest
 
 from equipoise.outcomes import Outcome
 from equipoise.rig.run_controller import MAX_ROUND_TRIP
-from equipoise.safety.repeats import MAX_REPEATS, REPEAT_WINDOW
+from equipoise.safety.monitors import MAX_REPEATS, REPEAT_WINDOW
 from equipoise.safety.rules import FIRST_LIMIT
 from tests.faults.harness import FaultHarness, Scenario, Trigger
 from tests.faults.table import change_replies, run_off

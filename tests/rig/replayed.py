@@ -70,7 +70,7 @@ def compared(run, controller, clock):
     reply = reply[np.isfinite(reply["sent"])]
     result = job = None
     ends = [*np.searchsorted(stream["time"], tick["time"][1:]).tolist(), len(stream)]
-    unsent = 0
+    unsent = False
     for number, (row, end) in enumerate(zip(tick, ends, strict=True)):
         now = float(row["time"])
         events = [event for event in run.events if event.time == now]
@@ -103,7 +103,7 @@ def compared(run, controller, clock):
         job = output.job or job
         first = int(np.searchsorted(stream["time"], now))
         sent = stream["q"][first:end][: len(output.setpoints)]
-        unsent = len(output.setpoints) - len(sent)
+        unsent = len(sent) < len(output.setpoints)
         made = output.record._asdict() | {"state": output.state, "q": output.q, "dq": output.dq}
         pairs = {
             name: (row[name], made[name]) for name in (*TickRecord._fields, "state", "q", "dq")

@@ -19,7 +19,7 @@ import pytest
 
 from equipoise.apps.console.watch import RunWatch
 from equipoise.control.policy import shipped_policy
-from equipoise.control.ticks import OperatorMessage, Reply, Sample, TickOutput, TickRecord
+from equipoise.control.ticks import OperatorMessage, Sample, TickOutput, TickRecord
 from equipoise.errors import LinkError, OutsideError
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.recorder import CONNECTING, ENDED, live_runs, read_info
@@ -27,7 +27,7 @@ from equipoise.logs.run_log import RunLog
 from equipoise.logs.writer import LogEncoder
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.outcomes import Phase
-from equipoise.rig import processes, realtime
+from equipoise.rig import host, processes
 from equipoise.rig.clocks import SystemClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.guarded import GuardedRobot
@@ -36,6 +36,7 @@ from equipoise.rig.processes import HEARTBEAT_TIMEOUT, POLL_PERIOD, run_in_proce
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import PHASES
 from equipoise.safety.rules import limits_of
+from tests.rig.test_loop import Arm
 
 pytestmark = [
     pytest.mark.compiled_only,
@@ -52,28 +53,6 @@ REQUEST = RunRequest(
 
 
 # What stands in the loop's process.
-
-
-class Arm:
-    joints = 7
-
-    def __init__(self):
-        self.waiting, self.sent = [], []
-
-    def measured(self):
-        return np.array(ARM.home)
-
-    def start(self):
-        return self.measured()
-
-    def send(self, q):
-        now = time.monotonic()
-        self.waiting.append(Reply(now, now, tuple(q), None))
-        self.sent.append(q[6])
-
-    def replies(self):
-        waiting, self.waiting = self.waiting, []
-        return waiting
 
 
 class Heart:
@@ -107,15 +86,15 @@ class Heart:
 
 def move(request, rig, operators, recorder, *, measures, submit):
     """Be the course: no more than a stream."""
-    arm, heart = Arm(), Heart()
+    clock, (operator,) = SystemClock(), operators
+    arm, heart = Arm(clock), Heart()
     robot = GuardedRobot(arm, limits_of(ARM), H / 2.0)
     robot.start()
-    realtime.prepare()  # as a run does: a collection stalls the loop for 200 ms
+    host.prepare()  # as a run does: a collection stalls the loop for 200 ms
     encoder = SimpleNamespace(samples=lambda: [Sample(time.monotonic(), 0, False, False, 0)])
-    clock, (operator,) = SystemClock(), operators
     ending = run_loop(robot, encoder, clock, heart, recorder, operator, submit=submit)
     if "SENT" in os.environ:
-        np.save(os.environ["SENT"], arm.sent)
+        np.save(os.environ["SENT"], [q[6] for _, q in arm.sent])
     outcome = "operator" if heart.typed else "lasted"
     evidence = {"typed": heart.typed}
     return RunEnd(outcome=outcome, evidence=evidence, stoppable=ending.stoppable, lasted=0.0)

@@ -14,8 +14,7 @@ import pytest
 
 from equipoise.model.encoder import counts_from_theta, theta_from_counts
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.rig import release
-from equipoise.rig.release import BUFFER_SIZE, MAX_SAMPLE_GAP, ReleaseDetector, ReleaseState
+from equipoise.rig.release import MAX_SAMPLE_GAP, ReleaseDetector, ReleaseState
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
 W = sqrt(PENDULUM.w2)
@@ -47,19 +46,6 @@ def fall(start_deg, rate_deg, begin, rate=RATE):
 
 
 # What the rules say.
-
-
-def test_the_numbers_are_those_that_were_asked_for_and_those_of_the_decision():
-    in_degrees = (
-        *(release.ARM_ANGLE, release.ARM_RATE, release.RELEASE_ANGLE, release.HELD_ANGLE),
-        release.FALL_GROWTH_ANGLE,
-    )
-    assert np.degrees(in_degrees) == pytest.approx([1.0, 5.0, 1.5, 4.0, 4.0])
-    assert (release.ARM_AVERAGING_TIME, release.ARM_TIME, release.FIT_WINDOW) == (0.2, 0.5, 0.04)
-    assert (release.ACCELERATION_TOLERANCE, release.RATE_RATIO) == (0.3, (0.6, 3.0))
-    assert (release.FALL_TIME, release.MAX_FALL_TIME) == (0.01, 0.2)
-    # At 1 kHz two samples are 1 ms apart.
-    assert 0.0 < release.FAST_FALL_TIME < 1e-3
 
 
 def test_a_pendulum_that_stands_still_arms_after_the_mean_and_half_a_second():
@@ -198,12 +184,11 @@ def test_what_stays_between_is_held():
 @pytest.mark.parametrize(
     ("sample", "on"),
     [
-        ((0.001, float("nan")), 0.002),
         ((float("inf"), 0.0), 0.002),
         ((2 * MAX_SAMPLE_GAP, 0.0), 2 * MAX_SAMPLE_GAP + 0.001),
         ((-0.1, 0.0), -0.099),
     ],
-    ids=["no angle", "no time", "gap", "back in time"],
+    ids=["no time", "gap", "back in time"],
 )
 def test_a_sample_that_cannot_be_forgets_all(sample, on):
     detector, begin = armed()
@@ -229,13 +214,6 @@ def test_a_sample_that_cannot_be_forgets_all(sample, on):
 def test_the_distance_of_samples_decides_about_the_next_one(after, phi, grip):
     detector, begin = armed()
     assert detector.feed(begin + after, radians(phi)) is grip
-
-
-def test_samples_come_as_fast_as_they_like():
-    # 20 kHz: most are passed over, and the memory still holds 0.2 s.
-    detector, _ = armed(rate=20_000)
-    assert len(detector._time) == BUFFER_SIZE
-    assert detector.state is ARMED
 
 
 @pytest.mark.parametrize(("rate", "seen"), [(125, False), (270, False), (285, True)])

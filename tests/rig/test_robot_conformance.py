@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from equipoise.errors import LinkError
-from equipoise.rig import plugins, signals
+from equipoise.rig import clocks, plugins
 from equipoise.rig.interfaces import checked_setpoint
 from equipoise.robots.kst.robot import KstRobot
 from equipoise.testing import RobotConformance, RobotUnderTest, emulated_robot, misreads
@@ -186,7 +186,7 @@ def test_a_driver_that_sleeps_where_it_should_wait_is_told_so(monkeypatch):
             time.sleep(1e-3)
             robot._read()
 
-    monkeypatch.setattr(signals, "STALL", 0.5)
+    monkeypatch.setattr(clocks, "STALL", 0.5)
     suite = type("Suite", (TestGuest,), {"driver": driver(_ask=sleeps)})
     said = complaint(suite)
     assert "connect has waited for 0.5 s" in said

@@ -83,12 +83,6 @@ def test_an_excitation_before_the_lift_refuses_a_policy_for_another_arm(tmp_path
     assert describe_fit(trained, found).endswith("It fits the actuator of policy.")
 
 
-def test_it_stands_behind_the_protocols_of_the_hardware():
-    wanted = request(robot="kst://twin:nominal", settings=RigSettings(encoder_sign=-1))
-    outcome = run_virtually(wanted, None, Spy())
-    assert (outcome.outcome, outcome.lasted) == ("lasted", 2.0)
-
-
 @pytest.mark.parametrize("when", ["homing", "swing", "balancing"])
 def test_any_word_stops_it_in_the_same_tick_and_the_arm_comes_to_rest(tmp_path, when):
     out = tmp_path / "run.mcap"

@@ -29,7 +29,7 @@ def test_with_the_hand_off_it_is_the_twin_bit_by_bit():
         wait(clock, 0.05)
         twin.advance(0.05)
         assert bench.now == pytest.approx(twin.now)
-        assert bench.truth() == twin.truth()
+        assert bench.twin.truth() == twin.truth()
         assert np.array_equal(bench.twin.data.qpos, twin.data.qpos)
 
 

@@ -11,7 +11,7 @@ from equipoise.errors import InputError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.safety.rules import STOP_DECELERATION, check_setpoint, limits_of
 from equipoise.safety.stop import (
-    RETURN_SHARE,
+    RETURN_FRACTION,
     ROUNDING_RESERVE,
     StopMotion,
     ramp,
@@ -29,7 +29,7 @@ shares = st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7)
 def stream(way, n=None):
     """Return the setpoints from the begin of a ramp until after its end."""
     n = int(way.duration / DT) + 4 if n is None else n
-    return np.array([way.at(i * DT) for i in range(n)])
+    return np.array([way.at(i * DT).q for i in range(n)])
 
 
 @given(shares, st.floats(0.0, 2.0))
@@ -47,8 +47,7 @@ def test_the_arm_slows_down_at_once_goes_on_straight_and_ends_at_rest(share, spe
     np.testing.assert_allclose(np.outer(steps[:, 0], dq), steps * dq[0], atol=1e-12)
     # Exactly at rest, and it stays.
     assert np.array_equal(q[-1], q[-2])
-    assert way.speed_at(way.duration + DT) == pytest.approx((0.0,) * 7)
-    assert way.at(1e9) == tuple(q[-1])
+    assert way.at(1e9) == (tuple(q[-1]), pytest.approx((0.0,) * 7))
 
 
 @given(shares, st.floats(0.0, 2.0))
@@ -97,7 +96,7 @@ def test_a_ramp_leaves_room_for_rounding_before_a_limit():
     room = 0.5 * 0.2**2 / LIMITS.acceleration[6] * 1.5
     q = (*HOME[:6], LIMITS.upper[6] - room)
     way = ramp(q, (*(0.0,) * 6, 0.2), 1.0, LIMITS)
-    left = LIMITS.upper[6] - way.at(way.duration)[6]
+    left = LIMITS.upper[6] - way.at(way.duration).q[6]
     assert left == pytest.approx(room * ROUNDING_RESERVE, abs=2e-15)
     assert 0.0 < ROUNDING_RESERVE < 1e-6
 
@@ -114,7 +113,7 @@ def test_the_flange_slows_down_as_it_shall():
         x = np.array([ARM.kinematics(ARM.without_held(q)).position[0] for q in stream(way)])
         # Where the flange comes to rest: v^2 / 2a, but for the bend of its path in joint space.
         assert x[-1] - x[0] == pytest.approx(x_dot**2 / (2 * STOP_DECELERATION), rel=0.02)
-        half = [ARM.without_held(row(0.5 * way.duration)) for row in (way.at, way.speed_at)]
+        half = map(ARM.without_held, way.at(0.5 * way.duration))
         speed = np.linalg.norm(ARM.kinematics(*half).twist[:3])
         assert speed == pytest.approx(0.5 * x_dot, rel=0.02)
 
@@ -145,7 +144,7 @@ def test_near_a_position_limit_it_stops_sooner(side, room, rate):
     way = ramp(q, dq, 2.0, LIMITS)
     assert min(way.rates) == pytest.approx(rate)
     if room >= 0.08:
-        assert abs(way.at(inf)[0]) <= LIMITS.upper[0] + 1e-12
+        assert abs(way.at(inf).q[0]) <= LIMITS.upper[0] + 1e-12
     # Away from the limit it does not matter.
     dq[0] = -dq[0]
     assert ramp(q, dq, 2.0, LIMITS).rates[0] == pytest.approx(2.0)
@@ -157,10 +156,10 @@ def test_a_joint_near_its_limit_does_not_wait_for_one_that_cannot_stop_so_soon()
     q[0], dq[0] = LIMITS.upper[0] - 0.02, 0.5  # would go 0.05 rad meanwhile
     way = ramp(q, dq, 0.0, LIMITS)
     assert way.rates[6] == pytest.approx(10.0 / 2.0)
-    assert way.at(inf)[0] == pytest.approx(LIMITS.upper[0])
-    assert way.at(inf)[6] == pytest.approx(HOME[6] + 2.0**2 / (2 * 10.0))
-    assert way.speed_at(0.1)[0] == 0.0
-    assert way.speed_at(0.1)[6] == pytest.approx(1.0)
+    assert way.at(inf).q[0] == pytest.approx(LIMITS.upper[0])
+    assert way.at(inf).q[6] == pytest.approx(HOME[6] + 2.0**2 / (2 * 10.0))
+    assert way.at(0.1).dq[0] == 0.0
+    assert way.at(0.1).dq[6] == pytest.approx(1.0)
     assert way.duration == pytest.approx(0.2)
     assert np.all(stream(way) <= np.array(LIMITS.upper) + 1e-12)
 
@@ -169,28 +168,24 @@ def test_at_rest_it_holds():
     way = ramp(HOME, (0.0,) * 7, 0.3, LIMITS)
     assert way.duration == 0.0
     for time in (-1.0, 0.0, DT, 10.0):
-        assert way.at(time) == HOME
-        assert way.speed_at(time) == (0.0,) * 7
+        assert way.at(time) == (HOME, (0.0,) * 7)
 
     # Before its begin it is where it begins.
     way = ramp(HOME, (0.5,) + (0.0,) * 6, 0.0, LIMITS)
-    assert way.at(-1.0) == way.at(0.0) == HOME
-    assert way.speed_at(-1.0) == way.speed_at(0.0) == way.dq0
-    assert way.speed_at(0.5 * way.duration)[0] == pytest.approx(0.25)
+    assert way.at(-1.0) == way.at(0.0) == (HOME, way.dq0)
+    assert way.at(0.5 * way.duration).dq[0] == pytest.approx(0.25)
 
 
 @pytest.mark.parametrize(
-    ("q", "dq", "speed", "name"),
+    ("q", "dq", "speed"),
     [
-        (HOME[:6], (0.0,) * 7, 0.0, "q"),
-        (HOME, (0.0,) * 8, 0.0, "dq"),
-        ((*HOME[:6], nan), (0.0,) * 7, 0.0, "q"),
-        (HOME, (inf,) + (0.0,) * 6, 0.0, "dq"),
-        (HOME, (0.0,) * 7, nan, "flange_speed"),
+        ((*HOME[:6], nan), (0.0,) * 7, 0.0),
+        (HOME, (inf,) + (0.0,) * 6, 0.0),
+        (HOME, (0.0,) * 7, nan),
     ],
 )
-def test_it_starts_from_numbers(q, dq, speed, name):
-    with pytest.raises(InputError, match=f"^{name} is"):
+def test_it_starts_from_numbers(q, dq, speed):
+    with pytest.raises(InputError, match="expected finite numbers"):
         ramp(q, dq, speed, LIMITS)
 
 
@@ -204,7 +199,7 @@ SLIDING = tuple(0.2 * limit for limit in LIMITS.velocity)
 def stopped(dq=SLIDING, speed=0.5, q=HOME):
     """Return a stop at the end of its ramp, and the setpoints of the ramp."""
     motion, sent = StopMotion(q, dq, speed, LIMITS), [q]
-    while not motion.at_rest:
+    while motion.rested < 0.0:
         sent += motion.advance(H)
     return motion, np.array(sent)
 
@@ -214,7 +209,7 @@ def sent_until_rest(motion, ticks=1000):
     sent = [motion.q]
     for _ in range(ticks):
         sent += motion.advance(H)
-        if motion.at_rest:
+        if motion.rested >= 0.0:
             return np.array(sent)
     raise AssertionError("it does not come to rest")
 
@@ -223,8 +218,8 @@ def test_a_stop_is_its_ramp_and_then_rests():
     motion, sent = stopped()
     way = ramp(HOME, SLIDING, 0.5, LIMITS)
     assert sent == pytest.approx(stream(way, len(sent)))
-    assert motion.q == way.at(inf)
-    assert motion.advance(H) == (way.at(inf),) * 2
+    assert motion.q == way.at(inf).q
+    assert motion.advance(H) == (way.at(inf).q,) * 2
     assert motion.dq == (0.0,) * 7
     assert 0.0 < motion.rested < 2.0 * H
     assert not motion.goes_back
@@ -233,9 +228,6 @@ def test_a_stop_is_its_ramp_and_then_rests():
 def test_the_way_back_ends_where_the_arm_is():
     motion, ramped = stopped()
     end = tuple(0.4 * a + 0.6 * b for a, b in zip(HOME, motion.q, strict=True))
-    for measured in (HOME[:6], (*HOME, 0.0)):
-        with pytest.raises((ValueError, IndexError)):
-            stopped()[0].go_back(measured)
     moved = motion.go_back(end)
     assert moved == pytest.approx(0.4 * np.abs(ramped[-1] - HOME).max())
     assert motion.goes_back
@@ -245,8 +237,8 @@ def test_the_way_back_ends_where_the_arm_is():
     assert not motion.goes_back
     dq, ddq = np.diff(sent, axis=0) / DT, np.diff(sent, n=2, axis=0) / DT**2
     used = np.abs(dq / LIMITS.velocity).max(), np.abs(ddq / LIMITS.acceleration).max()
-    assert max(used) == pytest.approx(RETURN_SHARE, rel=0.05)
-    assert RETURN_SHARE == 0.1  # as on the way home
+    assert max(used) == pytest.approx(RETURN_FRACTION, rel=0.05)
+    assert RETURN_FRACTION == 0.1  # as on the way home
 
 
 @given(
@@ -293,7 +285,6 @@ def test_where_the_stream_stood_still_the_arm_rests_at_its_last_setpoint():
     motion = StopMotion(HOME, SLIDING, 0.5, LIMITS)
     _, last = motion.advance(H)
     motion.rest(last)
-    assert motion.at_rest
     assert motion.rested == 0.0
     assert motion.advance(H) == (last, last)
 

@@ -181,7 +181,7 @@ def test_a_fault_ends_a_balance_with_the_arm_at_rest_and_its_cause_in_the_log(
         tick = controller.tick
 
         def faulty(now, inputs):
-            if controller.phase.kind is Phase.BALANCING and controller.phase.ticks == 100:
+            if controller.run.balanced == 100 and controller.run.phase is Phase.BALANCING:
                 before.append(rig.bench.q)
                 fault(rig.bench, now)
             return tick(now, inputs)

@@ -18,7 +18,6 @@ from equipoise_franka.robot import FrankaRobot
 from tests.rig.test_run_controller import (
     POLICY,
     REQUEST,
-    SWAYS,
     Course,
     H,
     balancing,
@@ -99,7 +98,6 @@ def phase(name):
         rig.ticks(30)
     elif name == "excitation":
         rig = Rig(lambda *_: None)
-        rig.pilot.excitation = ARM.home + SWAYS - SWAYS[0]
         rig.until(Phase.EXCITING).ticks(50)
     else:
         rig = balancing(Rig)

@@ -40,7 +40,7 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     """
     from equipoise.model.pendulum import read_pendulum
     from equipoise.model.worlds import pendulum_on, read_world
-    from equipoise.rig import realtime
+    from equipoise.rig import host
     from equipoise.rig.clocks import SystemClock
     from equipoise.robots.emulation import Emulation
 
@@ -73,7 +73,7 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     then = command("deploy", yours, **links, **task)
     # The emulated robot takes the first core: the loop of the run stays on the last one. The
     # kernel's threads that carry its bytes get their turns there.
-    realtime.prepare(core=0, priority=0)
+    host.prepare(core=0, priority=0)
     output.result(robot=links["robot"], encoder=encoder, actions=sorted(emulation.acts), then=then)
     output.stream.flush()
 

@@ -171,7 +171,7 @@ def signals(*, raising: bool = False) -> Generator[threading.Event]:
     Args:
         raising: Whether the main thread is interrupted as well; others look at the event.
     """
-    from equipoise.rig.signals import SIGNALS, handled_signals
+    from equipoise.rig.host import SIGNALS, handled_signals
 
     stopped = threading.Event()
 

@@ -10,33 +10,27 @@ from collections.abc import Sequence
 from math import sqrt
 from typing import Final, NamedTuple
 
-from equipoise.errors import InputError
-
 PEAK_VELOCITY: Final = 1.875
 """Largest ds/dtau, in the middle: 15 / 8."""
 PEAK_ACCELERATION: Final = 10.0 / sqrt(3.0)
 """Largest |d2s/dtau2|, at tau = 1/2 -+ sqrt(3)/6."""
 
-Numbers = tuple[float, ...]
-
 
 class Point(NamedTuple):
-    """State of a path at a time."""
+    """State of a motion at a time."""
 
-    q: Numbers
+    q: tuple[float, ...]
     """Positions: joints [rad] or the track [m]."""
-    dq: Numbers
+    dq: tuple[float, ...]
     """Their velocities [rad/s] or [m/s]."""
-    ddq: Numbers
-    """Their accelerations [rad/s^2] or [m/s^2]."""
 
 
-class Path(NamedTuple):
+class MinimumJerk(NamedTuple):
     """A minimum-jerk path from rest to rest."""
 
-    start: Numbers
+    start: tuple[float, ...]
     """Positions at its start."""
-    end: Numbers
+    end: tuple[float, ...]
     """Positions at its end."""
     duration: float
     """Duration T [s]; zero without motion."""
@@ -44,20 +38,16 @@ class Path(NamedTuple):
     def at(self, time: float) -> Point:
         """Return the state at a time since the start [s]; at rest before and after the path."""
         if time <= 0.0 and self.duration > 0.0:
-            return Point(self.start, (0.0,) * len(self.start), (0.0,) * len(self.start))
+            return Point(self.start, (0.0,) * len(self.start))
         if time >= self.duration:
-            return Point(self.end, (0.0,) * len(self.end), (0.0,) * len(self.end))
+            return Point(self.end, (0.0,) * len(self.end))
         T = self.duration
         tau = time / T
         s = tau**3 * (10.0 - tau * (15.0 - 6.0 * tau))
         ds = 30.0 * (tau * (1.0 - tau)) ** 2 / T
-        dds = 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / T**2
         ways = [b - a for a, b in zip(self.start, self.end, strict=True)]
-        return Point(
-            tuple(a + s * way for a, way in zip(self.start, ways, strict=True)),
-            tuple(ds * way for way in ways),
-            tuple(dds * way for way in ways),
-        )
+        q = tuple(a + s * way for a, way in zip(self.start, ways, strict=True))
+        return Point(q, tuple(ds * way for way in ways))
 
 
 def path_within(
@@ -65,7 +55,7 @@ def path_within(
     end: Sequence[float],
     velocity: Sequence[float],
     acceleration: Sequence[float],
-) -> Path:
+) -> MinimumJerk:
     """Return the quickest minimum-jerk path within limits.
 
     Args:
@@ -73,16 +63,9 @@ def path_within(
         end: Positions at its end, shape (n,).
         velocity: Limits of the velocities, positive, shape (n,).
         acceleration: Limits of the accelerations, positive, shape (n,).
-
-    Raises:
-        InputError: A limit is not above zero.
     """
     duration = 0.0
     for a, b, v, acc in zip(start, end, velocity, acceleration, strict=True):
-        if not (v > 0.0 and acc > 0.0):
-            raise InputError(
-                f"limits of {v:g} (velocity) and {acc:g} (acceleration); give positive numbers"
-            )
         way = abs(b - a)
         duration = max(duration, PEAK_VELOCITY * way / v, sqrt(PEAK_ACCELERATION * way / acc))
-    return Path(tuple(start), tuple(end), duration)
+    return MinimumJerk(tuple(start), tuple(end), duration)

@@ -115,8 +115,8 @@ class TickInputs(NamedTuple):
     again at the time of a later one: the lateness is then whole ticks, to half a tick."""
     result: Any = None
     """Result of a job, passed once; an exception where it failed."""
-    unsent: int = 0
-    """Number of setpoints of the tick before that were not sent, because the loop stood still."""
+    unsent: bool = False
+    """Whether the second setpoint of the tick before was not sent, because the loop stood still."""
 
     def paused(self, h: float) -> bool:
         """Return whether the arm has come to rest at the last setpoint sent: the loop stood still.
@@ -124,7 +124,7 @@ class TickInputs(NamedTuple):
         Args:
             h: Time between ticks [s].
         """
-        return self.unsent > 0 or missed_ticks(self.lateness, h) > 0
+        return self.unsent or missed_ticks(self.lateness, h) > 0
 
 
 def missed_ticks(lateness: float, h: float) -> int:

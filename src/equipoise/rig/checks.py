@@ -77,7 +77,7 @@ def require(findings: Sequence[Finding], error: type[EquipoiseError] = InputErro
 
 
 def check_settings(granted: dict[str, str]) -> list[Finding]:
-    """Judge the real-time settings of a process, see `equipoise.rig.realtime.prepare`."""
+    """Judge the real-time settings of a process, see `equipoise.rig.host.prepare`."""
     remedy = (
         "on Linux: sudo groupadd -f realtime; sudo usermod -aG realtime $USER; put `@realtime - "
         "rtprio 99` and `@realtime - memlock unlimited` into /etc/security/limits.conf; log in "

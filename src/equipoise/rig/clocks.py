@@ -1,11 +1,20 @@
-"""Clocks of a rig: the machine's, virtual time that passes only in waits, and one that drains."""
+"""Clocks of a rig: the machine's, virtual time that passes only in waits, and one that drains.
 
+Virtual time stands still while a driver waits in another way than at its clock; `ended_stalls` ends
+such a wait.
+"""
+
+import signal
+import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+import traceback
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, suppress
+from types import FrameType
 from typing import Final
 
 from equipoise.errors import LinkError
+from equipoise.rig.host import handled_signals
 from equipoise.rig.interfaces import AngleSensor, Clock
 
 TICK: Final = 0.001
@@ -15,6 +24,8 @@ ROUNDING: Final = 1e-9
 DRAIN_PERIOD: Final = 0.010
 """Time between two reads of the encoder while a clock drains it [s]; a terminal buffers 0.1 s of
 lines."""
+STALL: Final = 10.0
+"""Real time in which a clock has to advance while a device is called [s]."""
 
 
 class SystemClock:
@@ -78,3 +89,44 @@ class DrainingClock:
             self._clock.wait_until(until)
             with suppress(LinkError):  # not connected yet; or the next reader gets the error again
                 self._sensor.samples()
+
+
+@contextmanager
+def ended_stalls(clock: Clock, *devices: object) -> Generator[None]:
+    """End calls of devices in which the clock stands still; in the main thread only.
+
+    Compilation takes real time only, and is no stall.
+
+    Args:
+        clock: Clock of the rig.
+        devices: The devices, the clock among them if it runs a rig.
+
+    Raises:
+        LinkError: The clock stood still for `STALL` real seconds; names call and line.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    seen, calls = clock.now(), {id(device) for device in devices}
+
+    def look(_: int, frame: FrameType | None) -> None:
+        nonlocal seen
+        before, seen = seen, clock.now()
+        stack = [one for one, _ in traceback.walk_stack(frame)]
+        if seen != before or any("numba" in one.f_globals.get("__name__", "") for one in stack):
+            return
+        for call in reversed(stack):
+            if id(caller := call.f_locals.get("self")) in calls:
+                where, line = stack[0].f_code.co_filename, stack[0].f_lineno
+                raise LinkError(
+                    f"{type(caller).__name__}.{call.f_code.co_name} has waited for {STALL:g} s, "
+                    f"in which virtual time stood still at {seen:.3f} s ({where}, line {line}); "
+                    "a driver waits with the clock that it receives, never with time.sleep"
+                )
+
+    with handled_signals([signal.SIGALRM], look):
+        before = signal.setitimer(signal.ITIMER_REAL, STALL, STALL)
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, *before)

@@ -15,7 +15,6 @@ from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import World, pendulum_on, read_world
 from equipoise.rig.clocks import DrainingClock, SystemClock, VirtualClock
 from equipoise.rig.config import RigSettings, world_of
-from equipoise.rig.emulated_operator import EmulatedOperator
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Operator, Robot
 from equipoise.rig.plugins import (
     Bodies,
@@ -28,6 +27,7 @@ from equipoise.rig.plugins import (
     sensor_plugin,
 )
 from equipoise.rig.request import RunRequest
+from equipoise.rig.simulated_rig import EmulatedOperator
 
 
 class Rig(NamedTuple):

@@ -33,7 +33,7 @@ from equipoise.identification.refine import ModelMotion, read_motion
 from equipoise.logs.run_log import RunLog
 from equipoise.outcomes import SYMPTOMS, EndCause, Outcome, describe
 from equipoise.rig.checks import STALL
-from equipoise.rig.phases.context import RESTART_ACCELERATION
+from equipoise.rig.script import RESTART_ACCELERATION
 from equipoise.worlds.reachability import diverging_angle, fall_rate, recoverable_angle
 
 GRID_STEP: Final = 0.005

@@ -124,4 +124,4 @@ class GuardedRobot:
     @property
     def _upcoming(self) -> tuple[float, ...]:
         assert self._ramp is not None  # noqa: S101 - its only callers have begun it
-        return self._ramp.at((self._sent + 1) * self._period)
+        return self._ramp.at((self._sent + 1) * self._period).q

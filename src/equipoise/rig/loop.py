@@ -26,6 +26,9 @@ from equipoise.rig.interfaces import AngleSensor, Clock, Operator, Sample
 from equipoise.rig.run_controller import RunController
 from equipoise.user_code import format_error
 
+CANNOT_STOP: Final = "software no longer commands the robot: press the E-stop"
+"""Message to the operator when the link to the robot is lost."""
+
 
 class LoopResult(NamedTuple):
     """End of a loop."""
@@ -74,7 +77,7 @@ def run_loop(
     """
     h = controller.h
     pending: Future[Any] | None = None
-    missed = unsent = 0
+    missed, unsent = 0, False
     faults: list[End] = []
     sensor_lost = refused = still = False
     deadline = clock.now() + h
@@ -89,7 +92,6 @@ def run_loop(
                 missed += skipped
                 clock.wait_until(deadline)
             now, begin = clock.now(), perf_counter()
-            lateness = now - due
             samples: list[Sample] = []
             if not sensor_lost:
                 try:
@@ -101,31 +103,25 @@ def run_loop(
             result = None
             if pending is not None and pending.done():
                 result, pending = pending.exception() or pending.result(), None
-            inputs = TickInputs(samples, replies, words, faults, lateness, result, unsent)
+            inputs = TickInputs(samples, replies, words, faults, now - due, result, unsent)
             output, faults = controller.tick(now, inputs), []
-            first, rest = output.setpoints[:1], output.setpoints[1:]
-            still = still or inputs.paused(h)
-            for setpoint in first:
-                robot.send(setpoint, to_rest=output.to_rest, from_rest=still)
-            still = not first
+            if output.setpoints:
+                from_rest = still or inputs.paused(h)
+                robot.send(output.setpoints[0], to_rest=output.to_rest, from_rest=from_rest)
             sent, took = clock.now(), perf_counter() - begin
             recorder.record_tick(now, took, inputs, output)
-            if first:
-                recorder.stream.push(
-                    time=sent, q=robot.last
-                )  # as sent: the guard may have replaced it
+            if output.setpoints:  # as sent: the guard may have replaced it
+                recorder.stream.push(time=sent, q=robot.last)
             for event in output.events:
                 _notify(recorder, operator, now, event)
-            unsent = 0
-            for place, setpoint in enumerate(rest, start=1):
-                period = h / len(output.setpoints)
-                clock.wait_until(deadline + place * period)
+            still, unsent = not output.setpoints, False
+            if output.setpoints:
+                clock.wait_until(deadline + 0.5 * h)
                 moment = clock.now()
-                if moment > deadline + (place + 1) * period:
-                    unsent = len(rest) + 1 - place
-                    break
-                robot.send(setpoint, to_rest=output.to_rest)
-                recorder.stream.push(time=moment, q=robot.last)
+                unsent = moment > deadline + h
+                if not unsent:
+                    robot.send(output.setpoints[1], to_rest=output.to_rest)
+                    recorder.stream.push(time=moment, q=robot.last)
             if output.job is not None:
                 pending = submit(output.job)
             if robot.held_back is not None and not refused:
@@ -146,20 +142,21 @@ def run_loop(
     except BaseException as error:  # after any failure the arm has to come to rest
         text = f"a part of the run failed ({format_error(error)})"
         fault = End(Outcome.FAULT, {"text": text})
+
+    def warn(text: str) -> None:
+        """Report a fault; an exception is suppressed, since the arm still has to come to rest."""
+        with suppress(Exception):
+            _notify(recorder, operator, clock.now(), OperatorMessage("fault", text))
+
     if fault is not None:
-        text = describe(fault) if stoppable else f"{describe(fault)}; {CANNOT_STOP}"
-        _notify_best_effort(recorder, operator, clock, text)
+        warn(describe(fault) if stoppable else f"{describe(fault)}; {CANNOT_STOP}")
     if stoppable and (fault is not None or not robot.at_rest):
         stoppable = _rest(robot, clock, recorder, h / 2.0)
         if not stoppable:
-            _notify_best_effort(recorder, operator, clock, CANNOT_STOP)
+            warn(CANNOT_STOP)
     recorder.pulse["ticks"] = 0.0  # no further tick
     idle()
     return LoopResult(fault, stoppable, missed)
-
-
-CANNOT_STOP: Final = "software no longer commands the robot: press the E-stop"
-"""Message to the operator when the link to the robot is lost."""
 
 
 def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) -> bool:
@@ -178,12 +175,6 @@ def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) 
     except BaseException:  # the link is lost, or a part that has failed fails again
         return False
     return True
-
-
-def _notify_best_effort(recorder: Recorder, operator: Operator, clock: Clock, text: str) -> None:
-    """Report a fault; an exception is suppressed, since the arm still has to come to rest."""
-    with suppress(Exception):
-        _notify(recorder, operator, clock.now(), OperatorMessage("fault", text))
 
 
 def _notify(recorder: Recorder, operator: Operator, now: float, event: OperatorMessage) -> None:

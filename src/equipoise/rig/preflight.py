@@ -32,10 +32,10 @@ from equipoise.rig.checks import (
 from equipoise.rig.clocks import DrainingClock, SystemClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import Rig
+from equipoise.rig.host import prepare
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Robot
-from equipoise.rig.phases.balancing import POLICY_TIME_SHARE
-from equipoise.rig.realtime import prepare
 from equipoise.rig.request import RunRequest
+from equipoise.rig.script import POLICY_TIME_FRACTION
 from equipoise.user_code import guest_code
 
 REALTIME: Final = Path("/sys/kernel/realtime")
@@ -141,7 +141,7 @@ def warm_up(request: RunRequest) -> None:
     """
     settings, policy = request.settings, tick_policy(request.policy)
     arm = settings.described_arm
-    params = request.response(request.actuator, settings.counts_per_rev).params
+    params, _ = request.parameters(request.actuator, settings.counts_per_rev)
     controller, took = Controller(arm, params, request.policy.settings.boxes), list[float]()
     policy.reset()
     for _ in range(20):
@@ -156,7 +156,7 @@ def warm_up(request: RunRequest) -> None:
     FlangeKinematics(arm, params).pose(arm.home)
     if request.identify is not None:
         shipped_policy()  # to read it in a tick takes 50 ms, once all memory is locked
-    typical, limit = median(took), POLICY_TIME_SHARE * request.policy.h
+    typical, limit = median(took), POLICY_TIME_FRACTION * request.policy.h
     if typical > limit:
         raise InputError(
             f"{request.policy.name} takes {1e3 * typical:.1f} ms, expected at most "

@@ -37,8 +37,9 @@ from equipoise.logs.recorder import (
     share,
 )
 from equipoise.logs.writer import RunWriter
-from equipoise.rig import realtime
+from equipoise.rig import host
 from equipoise.rig.connection import connect
+from equipoise.rig.host import SIGNALS, handled_signals
 from equipoise.rig.interfaces import Operator
 from equipoise.rig.loop import CANNOT_STOP
 from equipoise.rig.plugins import robot_plugin
@@ -46,7 +47,6 @@ from equipoise.rig.preflight import warm_up
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import ALONE, STOP, log_warning, run_on_rig
 from equipoise.rig.run_controller import PHASES
-from equipoise.rig.signals import SIGNALS, handled_signals, start_process
 from equipoise.user_code import format_error, guest_code
 
 Live = Callable[[str, float], None]
@@ -96,7 +96,11 @@ def run_in_processes(request: RunRequest, out: Path, person: Operator, live: Liv
         loop = context.Process(target=_loop, args=(data, memory, len(arm.joints), theirs))
         end = RunEnd()
         try:
-            start_process(loop)
+            blocked = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # until it is ready
+            try:
+                loop.start()
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
             theirs.close()
             end = _attend(loop, results, recorder, writer, person, live, signalled)
             return end
@@ -227,7 +231,7 @@ def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
                 rig,
                 [operator],
                 recorder,
-                measures=realtime.prepare,
+                measures=host.prepare,
                 submit=helper.submit,
             )
         except EquipoiseError as error:

@@ -18,8 +18,10 @@ fall from phi = 0 it comes below 1.4 only after the growing part has become 2.4 
 `docs/decisions/release.md` gives the reasons for the ratio of 3, the 10 ms and the 4 deg.
 """
 
+from collections import deque
 from enum import Enum
-from math import cosh, inf, isfinite, radians, sin, sinh, sqrt
+from itertools import islice
+from math import cosh, inf, radians, sin, sinh, sqrt
 from typing import Final
 
 import numpy as np
@@ -65,14 +67,6 @@ MAX_SAMPLE_GAP: Final = 0.02
 """Maximum gap between samples [s]; after a longer one the pendulum counts as held."""
 MIN_SAMPLE_SPACING: Final = 4e-4
 """Minimum spacing of samples [s]; closer ones are skipped, which bounds the memory."""
-BUFFER_SIZE: Final = 512
-"""Number of samples in memory: those of 0.2 s."""
-MIN_FIT_SAMPLES: Final = 12
-"""Minimum number of samples in the window for the cubic fit."""
-NEWEST_SAMPLES: Final = np.arange(int(FIT_WINDOW / MIN_SAMPLE_SPACING) + 1)
-"""Offsets, back from the newest, of the samples that may lie in the window."""
-CUBIC_POWERS: Final = np.arange(4)
-"""Powers of the cubic."""
 
 
 class ReleaseState(Enum):
@@ -87,10 +81,7 @@ class ReleaseState(Enum):
 
 
 class ReleaseDetector:
-    """Detector of a release, from successive encoder samples.
-
-    Its memory has a fixed size. `RELEASED` stays.
-    """
+    """Detector of a release, from successive encoder samples; `RELEASED` stays."""
 
     def __init__(self, pendulum: PendulumParameters) -> None:
         """Start with the pendulum held.
@@ -99,10 +90,10 @@ class ReleaseDetector:
             pendulum: The pendulum in use; w2 and c are needed.
         """
         self._w2, self._c, self._w = pendulum.w2, pendulum.c, sqrt(pendulum.w2)
-        self._time, self._phi = np.zeros(BUFFER_SIZE), np.zeros(BUFFER_SIZE)
         self.state: ReleaseState
         """Holder of the pendulum."""
-        self._forget()
+        self._samples = deque[tuple[float, float]]()  # those of the averaging time: t, phi
+        self._deny()
 
     def feed(self, time: float, phi: float) -> ReleaseState:
         """Process a sample.
@@ -114,50 +105,30 @@ class ReleaseDetector:
         Returns:
             The holder of the pendulum now.
         """
-        if self.state is ReleaseState.RELEASED:
-            return self.state
-        if not (isfinite(time) and isfinite(phi)):
-            self._forget()
-            return self.state
-        since_last = time - self._last
-        if 0.0 <= since_last < MIN_SAMPLE_SPACING:
+        samples = self._samples
+        since_last = time - samples[-1][0] if samples else inf
+        if self.state is ReleaseState.RELEASED or 0.0 <= since_last < MIN_SAMPLE_SPACING:
             return self.state
         if not 0.0 <= since_last <= MAX_SAMPLE_GAP:
-            self._forget()
-        self._keep(time, phi)
+            self._deny()
+            samples.clear()
+        samples.append((time, phi))
+        # The oldest sample is the newest one that is at least 0.2 s old.
+        while len(samples) > 1 and time - samples[1][0] >= ARM_AVERAGING_TIME:
+            samples.popleft()
         if self.state is ReleaseState.HELD:
             self._wait(time, phi)
         else:
             self._watch(time, phi)
         return self.state
 
-    def _forget(self) -> None:
-        self._deny()
-        self._count, self._oldest, self._last = 0, 0, -inf
-
     def _deny(self) -> None:
         self.state = ReleaseState.HELD
         self._still_since = self._beyond_since = self._falling_since = inf
 
-    def _keep(self, time: float, phi: float) -> None:
-        place = self._count % BUFFER_SIZE
-        self._time[place], self._phi[place] = time, phi
-        self._count += 1
-        self._last = time
-        # The newest sample that is at least 0.2 s old.
-        while (
-            self._oldest + 1 < self._count
-            and time - self._of(self._oldest + 1)[0] >= ARM_AVERAGING_TIME
-        ):
-            self._oldest += 1
-
-    def _of(self, number: int) -> tuple[float, float]:
-        """Return time [s] and phi [rad] of a sample."""
-        return float(self._time[number % BUFFER_SIZE]), float(self._phi[number % BUFFER_SIZE])
-
     def _wait(self, time: float, phi: float) -> None:
         """Arm a pendulum that has been still for long enough."""
-        before, phi_before = self._of(self._oldest)
+        before, phi_before = self._samples[0]
         long_enough = time - before >= ARM_AVERAGING_TIME
         still = abs(phi) < ARM_ANGLE and abs(phi - phi_before) < ARM_RATE * (time - before)
         if not (long_enough and still):
@@ -186,15 +157,16 @@ class ReleaseDetector:
 
     def _falls(self, now: float) -> tuple[bool, float]:
         """Return whether the last 40 ms look like a fall, and |phi + phi_dot / w| [rad]."""
-        places = (self._count - 1 - NEWEST_SAMPLES[: self._count]) % BUFFER_SIZE
+        most = int(FIT_WINDOW / MIN_SAMPLE_SPACING) + 1
+        newest_first = np.array(list(islice(reversed(self._samples), most)))
         # In half windows from the middle, for the condition of the fit.
         half = 0.5 * FIT_WINDOW
-        t = (self._time[places] - now) / half + 1.0
+        t = (newest_first[:, 0] - now) / half + 1.0
         within = t >= -1.0
-        if within.sum() < MIN_FIT_SAMPLES:
+        if within.sum() < 12:  # too few for a cubic
             return False, 0.0
-        powers = t[within, None] ** CUBIC_POWERS
-        a, b, d, e = np.linalg.solve(powers.T @ powers, powers.T @ self._phi[places[within]])
+        powers = t[within, None] ** np.arange(4)
+        a, b, d, e = np.linalg.solve(powers.T @ powers, powers.T @ newest_first[within, 1])
         phi, phi_dot = float(a), float(b) / half
         phi_ddot, jerk = 2.0 * float(d) / half**2, 6.0 * float(e) / half**3
         free = self._w2 * sin(phi) - self._c * phi_dot
@@ -204,8 +176,8 @@ class ReleaseDetector:
         c, s = cosh(w * half), sinh(w * half)
         phi, phi_dot = phi * c + phi_dot * s / w, phi * w * s + phi_dot * c
         grown = abs(phi + phi_dot / w)
-        share = ACCELERATION_TOLERANCE * abs(free)
-        tolerance = share if grown < FALL_GROWTH_ANGLE else max(share, ACCELERATION_NOISE)
+        fraction = ACCELERATION_TOLERANCE * abs(free)
+        tolerance = fraction if grown < FALL_GROWTH_ANGLE else max(fraction, ACCELERATION_NOISE)
         agrees = off <= tolerance and off_jerk <= JERK_TOLERANCE
         # The ratio's bounds, without a division by phi.
         along = phi_dot if phi > 0.0 else -phi_dot

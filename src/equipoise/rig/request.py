@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf, radians
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,17 +16,6 @@ from equipoise.rig.checks import actuator_fits
 from equipoise.rig.config import RigSettings
 from equipoise.safety.rules import SafetyParams, make_safety_params
 from equipoise.worlds.twin.excitation import excitation
-
-
-class ArmResponse(NamedTuple):
-    """An actuator of the arm, and what follows from it."""
-
-    actuator: Actuator
-    """The actuator."""
-    params: ControllerParams
-    """Constants of the control step with it, with the rig's counts per revolution."""
-    safety: SafetyParams
-    """Safety limits with it."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +44,10 @@ class RunRequest:
     """Identification of the arm from an excitation before the lift, such as
     `equipoise.identification.actuator.identify_actuator`; None without one."""
 
-    def response(
+    def parameters(
         self, actuator: Actuator, counts_per_rev: int, max_speed: float = inf
-    ) -> ArmResponse:
-        """Return an actuator, the constants of the control step with it, and the safety limits.
+    ) -> tuple[ControllerParams, SafetyParams]:
+        """Return the constants of the control step with an actuator, and the safety limits.
 
         Args:
             actuator: The actuator.
@@ -91,7 +79,7 @@ class RunRequest:
             speed_share=rig.speed_share,
             torque_share=rig.torque_share,
         )
-        return ArmResponse(actuator, params, safety)
+        return params, safety
 
     def excitation(self) -> Array:
         """Return the motion that identifies the arm, from home to home.

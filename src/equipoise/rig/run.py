@@ -7,7 +7,7 @@ one in virtual time; arguments carry the differences.
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from itertools import count
-from math import inf
+from math import inf, isnan
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,15 +19,14 @@ from equipoise.logs.writer import RunWriter
 from equipoise.outcomes import End, Outcome
 from equipoise.printable import printable
 from equipoise.rig.checks import check_fit, require
-from equipoise.rig.clocks import DrainingClock
+from equipoise.rig.clocks import DrainingClock, ended_stalls
 from equipoise.rig.connection import Rig, connect
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import Clock, Operator
-from equipoise.rig.loop import LoopResult, run_inline, run_loop
+from equipoise.rig.loop import run_inline, run_loop
 from equipoise.rig.preflight import preflight
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
-from equipoise.rig.signals import ended_stalls
 
 QUESTION_POLL_PERIOD: Final = 0.02
 """Polling period of typed input, robot and encoder while a question is open [s]: a quarter of a
@@ -132,8 +131,8 @@ def run_on_rig(
         InputError: The policy does not fit the rig.
         OutsideError: A device fails.
     """
-    response = request.response(request.actuator, request.settings.counts_per_rev)
-    robot = GuardedRobot(rig.robot, response.safety.limits, request.policy.h / 2.0)
+    _, safety = request.parameters(request.actuator, request.settings.counts_per_rev)
+    robot = GuardedRobot(rig.robot, safety.limits, request.policy.h / 2.0)
 
     def check_links() -> None:
         """Request the joints, and drop the encoder's samples; each raises where its link failed."""
@@ -196,7 +195,19 @@ def run_on_rig(
             except LinkError as error:
                 fault = End(Outcome.LINK_LOST, {"text": str(error)})
                 ending = ending._replace(fault=fault, stoppable=False)
-        return run_end(controller, ending, max_speed)
+        zero = controller.run.encoder.zero
+        end = ending.fault or controller.end
+        end = end or End(Outcome.FAULT, {"text": "the run ended without a cause"})
+        return RunEnd(
+            outcome=end.outcome,
+            evidence=dict(end.evidence),
+            lasted=controller.lasted,
+            stoppable=ending.stoppable,
+            zero=None if isnan(zero) else zero,
+            max_speed=max_speed if max_speed < inf else None,
+            identified=controller.run.identified,
+            missed=ending.missed,
+        )
     finally:
         rig.robot.close()
         rig.sensor.close()
@@ -204,23 +215,6 @@ def run_on_rig(
 
 def _unmoved(outcome: Outcome, **evidence: float | str) -> RunEnd:
     return RunEnd(outcome=outcome, evidence=evidence, lasted=0.0)
-
-
-def run_end(controller: RunController, ending: LoopResult, max_speed: float = inf) -> RunEnd:
-    """Return the end of a run from the states of its controller and its loop."""
-    end = controller.end or End(Outcome.FAULT, {"text": "the run ended without a cause"})
-    if ending.fault is not None:
-        end = ending.fault
-    return RunEnd(
-        outcome=end.outcome,
-        evidence=dict(end.evidence),
-        lasted=controller.lasted,
-        stoppable=ending.stoppable,
-        zero=controller.encoder.zero,
-        max_speed=max_speed if max_speed < inf else None,
-        identified=controller.identified,
-        missed=ending.missed,
-    )
 
 
 def log_warning(problem: str) -> OperatorMessage:
@@ -255,12 +249,9 @@ def run_virtually(
     ticks = count(1)
 
     def idle() -> None:
-        if next(ticks) % 25:  # a quarter of a second, of the ten that the rings hold
-            return
-        if writer is not None:
+        """Write the log every quarter of a second; the rings hold ten."""
+        if writer is not None and next(ticks) % 25 == 0:
             writer.drain(recorder)
-        else:
-            recorder.take()
 
     operators = [one for one in (rig.operator, operator) if one is not None]
     end = RunEnd()

@@ -1,8 +1,8 @@
 """Controller of a run on a rig, from the first setpoint to rest.
 
-In each tick it takes samples, replies and typed lines, checks the safety rules, and lets the phase
-of the run (`equipoise.rig.phases`) make the setpoints. Any failure latches a stop, whose ramp
-begins in the tick that detects it.
+In each tick it takes samples, replies and typed lines, checks the safety rules, and lets the script
+of the run (`equipoise.rig.script`) make the setpoints. Any failure latches a stop, whose ramp
+begins in the tick that detects it; the script is closed, and nothing but the ramp moves the arm.
 
 The controller uses no clock, link or file. Equal inputs give equal outputs: the replay of a log
 gives the same setpoints.
@@ -11,47 +11,95 @@ The two setpoints of a tick are the arm's targets half a tick later and a whole 
 training (`equipoise.control.control_step`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import inf
-from typing import Any, Final
+from typing import Final
 
+import numpy as np
+
+from equipoise.arrays import Array
 from equipoise.control.controller import FlangePose
 from equipoise.control.ticks import OK, TickInputs, TickOutput, TickRecord, missed_ticks
 from equipoise.outcomes import End, Outcome, Phase, describe
-from equipoise.rig.phases.context import RunContext
-from equipoise.rig.phases.preparation import Homing
-from equipoise.rig.phases.readings import MAX_ROUND_TRIP
-from equipoise.rig.phases.stopping import Stopping
+from equipoise.rig.readings import (
+    MAX_ROUND_TRIP,
+    setpoint_history,
+    setpoint_in_force,
+    unanswered_time,
+)
 from equipoise.rig.request import RunRequest
+from equipoise.rig.script import PhaseError, Run, Setpoints, Tick, script
 from equipoise.safety import rules
-from equipoise.safety.repeats import MAX_REPEATS, REPEAT_WINDOW, RepeatMonitor
+from equipoise.safety.monitors import MAX_REPEATS, REPEAT_WINDOW, RepeatMonitor
 from equipoise.safety.rules import SafetyInputs
+from equipoise.safety.stop import StopMotion, stoppable_speeds
 
 UNCERTAIN_TORQUE_FACTOR: Final = 2.0
 """Factor on the torque limits until the torques at home are known [-]: the reference is then that
 at the start of the servo, where the load on the flange pulls differently."""
+SETTLING_TIME: Final = 0.5
+"""Hold after a ramp before the servo ends [s]."""
 PHASES: Final = tuple(Phase)
 """Phases by the index that logs use."""
+MOVING: Final = {Phase.HOMING, Phase.SELF_TEST, Phase.EXCITING, Phase.BALANCING}
+"""Phases in which the arm moves: Enter stops them, too, and a silent link is sent nothing."""
+OFF_TRACK: Final = {Phase.HOMING, Phase.EXCITING}
+"""Phases in which the rules of the flange do not apply."""
 
 
-class RunController(RunContext):
-    """Controller of a run: measurements, safety rules, phase."""
+class RunController:
+    """Controller of a run: measurements, safety rules, script, stop."""
 
-    def __init__(self, request: RunRequest, q: Sequence[float], **rig: Any) -> None:
-        """Begin the way home from the posture that the servo holds; see `RunContext`."""
-        super().__init__(request, q, **rig)
-        self.phase, self.stopping = Homing(self), Stopping(self)
-        self.phase.enter()
-        self._monitor = rules.MonitorState()
+    def __init__(
+        self,
+        request: RunRequest,
+        q: Sequence[float],
+        *,
+        counts_per_rev: int,
+        max_speed: float = inf,
+        clock: Callable[[], float] = lambda: 0.0,
+    ) -> None:
+        """Begin the way home from the posture that the servo holds.
+
+        Args:
+            request: The run.
+            q: Measured joints, all of them [rad].
+            counts_per_rev: Counts per revolution that the rig's encoder reports.
+            max_speed: Flange speed limit from the pre-flight [m/s].
+            clock: Clock for the computing time of a policy in Python [s]; the default gives zero.
+
+        Raises:
+            ArmError: Home is a singular posture, or too close to a limit for the excitation.
+            SettingsError: The delay exceeds the controller's history.
+        """
+        self.run = Run(request, q, counts_per_rev=counts_per_rev, max_speed=max_speed)
+        """State of the run."""
+        self.h = self.run.h
+        """Time between ticks [s]."""
+        # A kernel takes the computer's time, which virtual time does not show.
+        compiled = request.policy.kernel is not None
+        self._script = script(self.run, (lambda: 0.0) if compiled else clock)
+        next(self._script)
+        self._tick = Tick()
+        self.end: End | None = None
+        """Cause of the latched stop, the first one."""
+        self.from_measured = False
+        """Whether any cause so far shows that the arm is not at its setpoint."""
+        self._stopped = Phase.STOPPING  # the phase before the stop
+        self._motion: StopMotion | None = None  # after the stop
+        self._before_stop: Array = np.zeros((0, len(q)))  # the last setpoints before it
+        self._goes_back = True  # whether a way back may begin
+        self._key_after_stop = False
+        self._forbidden = ""  # why the target must not go back in this tick
+        self._sent, self._monitor = setpoint_history(q), rules.MonitorState()
         self._pose: FlangePose | None = None
         self._stalls, self._overdue, self._link_stalled = RepeatMonitor(), 0.0, False
+        self._warnings = set[str]()
 
     @property
     def lasted(self) -> float:
         """Time for which the policy has acted [s]."""
-        if self.began is None:
-            return 0.0
-        return self.phase.ticks * self.h if self.ended is None else self.ended - self.began
+        return self.run.balanced * self.h
 
     def tick(self, now: float, inputs: TickInputs) -> TickOutput:
         """Process the inputs since the last tick, and return the setpoints of this one.
@@ -60,68 +108,170 @@ class RunController(RunContext):
             now: The time [s].
             inputs: Samples, replies, the operator's input and faults.
         """
-        h = self.h
+        run, h = self.run, self.h
         missed = missed_ticks(inputs.lateness, h)
         late = max(inputs.lateness - missed * h, 0.0)
+        run.job = None
         if paused := inputs.paused(h):
-            warning = "The control loop stalled; `equipoise rig doctor` looks for the cause."
-            self.begin_anew(missed, inputs.unsent, warning)
+            self._rest(missed, inputs.unsent, "The control loop")
         self._take_measurements(inputs)
         self._take_lines(inputs.lines)
-        self.result, self.job = inputs.result, None
         for fault in inputs.faults:
             self.stop(fault)
         self._check_rules(now, inputs.lateness)
-        self.record = TickRecord(estimated_phi=self.encoder.phi())
+        run.record = TickRecord(estimated_phi=run.encoder.phi())
         silent, before = self._overdue > MAX_ROUND_TRIP, self._link_stalled
-        self._link_stalled = silent or self.joints.late
+        self._link_stalled = silent or run.joints.late
         stalls = paused or (self._link_stalled and not before)
-        if stalls and self.phase.moves and self._stalls.add(now):
+        if stalls and run.phase in MOVING and self._stalls.add(now):
             name = "the loop" if paused else "the robot's link"
             counted = {"value": MAX_REPEATS, "duration": REPEAT_WINDOW}
             self.stop(End(Outcome.STALLS, {"name": name, **counted}))
-        waits = silent and self.phase.moves
-        setpoints = self.phase.wait(now) if waits else self.phase.tick(now)
-        stops = self.phase is self.stopping
+        setpoints: Setpoints = ()
+        if silent and run.phase in MOVING:
+            self._wait()
+        else:
+            setpoints = self._step(now)
+            run.ticks += 1
         for place, setpoint in enumerate(setpoints):
-            sent = now - late + place * 0.5 * h
-            self.sent.store(sent, setpoint)
-            self.phase.note_sent(sent, setpoint)
-        self.phase.ticks += 1
-        events, self.events = self.events, []
-        output = TickOutput(
-            setpoints, self.q, self.dq, PHASES.index(self.phase.kind), self.record, events, self.job
+            self._tick.sent.append((now - late + place * 0.5 * h, setpoint))
+        self._sent += self._tick.sent
+        if run.phase is Phase.BALANCING:
+            run.balanced += 1
+        messages, run.messages = run.messages, []
+        return TickOutput(
+            setpoints,
+            run.q,
+            run.dq,
+            PHASES.index(run.phase),
+            run.record,
+            messages,
+            run.job,
+            to_rest=run.phase is Phase.STOPPING,
+            done=self._motion is not None and self._motion.rested > SETTLING_TIME,
         )
-        return output._replace(to_rest=stops, done=self.stopping.done)
+
+    def stop(self, end: End) -> None:
+        """Latch a stop; the ramp begins with this tick's setpoints."""
+        self.from_measured = self.from_measured or end.outcome in rules.FROM_MEASURED
+        if self.end is None:
+            self.end, self._stopped = end, self.run.phase
+            self._script.close()
+            self.run.enter(Phase.STOPPING, "stopping", describe(end))
+
+    # Inputs.
 
     def _take_measurements(self, inputs: TickInputs) -> None:
+        run = self.run
         for sample in inputs.samples:
-            self.encoder.add(sample)
-            self.pressed = self.pressed or sample.pressed
-            self.phase.take_sample(sample)
-        self.joints.begin_tick()
-        rests_at_home = self.phase.kind in (Phase.AT_HOME, Phase.REFERENCING)
+            run.encoder.add(sample)
+        self._tick.samples += inputs.samples
+        run.joints.begin_tick()
+        rests_at_home = run.phase in (Phase.AT_HOME, Phase.REFERENCING)
         for reply in inputs.replies:
-            if self.joints.add(reply, rests_at_home):
-                self.phase.take_joints(self.joints.time, self.joints.q)
+            if run.joints.add(reply, rests_at_home):
+                self._tick.joints.append((run.joints.time, run.joints.q))
+        if inputs.result is not None:
+            self._tick.result = inputs.result
 
     def _take_lines(self, lines: Sequence[str]) -> None:
         """Accept an expected answer; other input stops, except Enter while nothing moves."""
-        self.answer = None
-        self.key_after_stop = self.key_after_stop or (self.end is not None and bool(lines))
+        self._key_after_stop = self._key_after_stop or (self.end is not None and bool(lines))
         for line in lines:
             answer = line.strip().lower() or OK
-            if answer in self.answers:
-                self.answer = answer
-            elif answer != OK or self.phase.moves:
+            if answer in self.run.answers:
+                self._tick.answer = answer
+            elif answer != OK or self.run.phase in MOVING:
                 self.stop(End(Outcome.OPERATOR, {"typed": line.strip() or "Enter"}))
+
+    # Motion.
+
+    def _step(self, now: float) -> Setpoints:
+        """Return the next setpoints of the script, or those of the way to rest after a stop."""
+        tick, self._tick = self._tick, Tick()
+        if self.end is None:
+            tick.now = now
+            try:
+                return self._script.send(tick)
+            except StopIteration as finished:
+                self.stop(finished.value)
+            except PhaseError as error:
+                self.stop(error.end)
+        return self._come_to_rest(tick.stalled)
+
+    def _rest(self, missed: int, unsent: bool, part: str) -> None:
+        """Begin the motion anew from the last setpoint sent, where the arm rests.
+
+        Args:
+            missed: Number of missed ticks.
+            unsent: Whether the second setpoint of the last tick was not sent.
+            part: The part that stood still.
+        """
+        moved = any(self.run.dq)
+        if unsent:
+            self._sent.pop()
+        self.run.rest(self._sent[-1][1], missed, unsent)
+        self._tick.stalled = True
+        if moved:
+            self._warn_once(f"{part} stalled; `equipoise rig doctor` looks for the cause.")
+
+    def _wait(self) -> None:
+        """Send nothing while the link stands still; the time of a balance continues."""
+        run = self.run
+        self._rest(0, False, "The robot's link")
+        if run.phase in (Phase.SELF_TEST, Phase.BALANCING):
+            run.controller.hold()
+        if run.phase is Phase.BALANCING:
+            run.record_decision(0.0)
+
+    def _come_to_rest(self, stalled: bool) -> Setpoints:
+        """Return the next setpoints after a stop: the ramp, at most one way back, a hold."""
+        run, motion = self.run, self._motion
+        if motion is None:
+            (_, before), (_, last) = self._sent[-2], self._sent[-1]
+            dq = stoppable_speeds(run.dq, last, before, 0.5 * run.h)
+            speed = 0.0 if self._stopped in OFF_TRACK else abs(run.controller.x_dot)
+            self._before_stop = np.array([q for _, q in self._sent])
+            motion = StopMotion(run.q, dq, speed, run.safety.limits)
+            self._motion = motion
+        else:
+            if stalled and motion.rested < 0.0:
+                motion.rest(run.q)
+            if motion.goes_back and (reason := self._hold_reason()):
+                motion.hold()
+                run.notify("warning", f"The target holds: {reason}.")
+            elif motion.rested >= 0.0 and self.from_measured and self._goes_back:
+                self._goes_back = False
+                self._go_back(motion)
+        setpoints = motion.advance(run.h)
+        run.q, run.dq = motion.q, motion.dq
+        return setpoints
+
+    def _hold_reason(self) -> str:
+        """Return why the target holds after a stop, though the arm is elsewhere; empty for none."""
+        return "a key was pressed" if self._key_after_stop else self._forbidden
+
+    def _go_back(self, motion: StopMotion) -> None:
+        """Begin the way back towards the measured posture, or say why the target holds."""
+        measured = self.run.joints.q
+        away, joint = rules.largest_difference(measured, motion.q)
+        place = f"Joint {joint} is measured {away:.3g} rad from its target"
+        reason = self._hold_reason()
+        if doubt := self.run.joints.plausibility.doubt(measured, self._before_stop):
+            reason = f"the measurement is not plausible ({doubt})"
+        if reason:
+            text = f"{place}, which holds: {reason}. Look at the arm."
+        else:
+            moved = motion.go_back(measured)
+            text = f"{place}, which goes back by {moved:.3f} rad. Any key ends this."
+        self.run.notify("warning", text)
 
     # Safety.
 
     def _check_rules(self, now: float, lateness: float) -> None:
         """Check the safety rules, and stop where one is broken."""
-        params = self.response.safety
-        if self.joints.torque_at_home is None:
+        run, params = self.run, self.run.safety
+        if run.joints.torque_at_home is None:
             # The robot controller knows the arm's weight, but not the load on its flange.
             uncertain = tuple(UNCERTAIN_TORQUE_FACTOR * torque for torque in params.torque)
             params = params._replace(torque=uncertain)
@@ -130,25 +280,26 @@ class RunController(RunContext):
         # The observer receives no forbidden measurement; the rules then check its estimate, too.
         measured = inputs._replace(on_track=False, balancing=False)
         if inputs.balancing and rules.check(params, self._monitor, measured) is None:
-            self.observe(now)
-            estimate = self.controller.estimate
+            self._observe(now)
+            estimate = run.controller.estimate
             inputs = inputs._replace(x_dot=estimate.v, phi=estimate.phi)
         broken = list(rules.violations(params, self._monitor, inputs))
         for violation in broken:
             self.stop(violation)
-        others = (each for each in broken if each.outcome not in rules.FROM_MEASURED)
-        self.forbidden = next(map(describe, others), "")
-        if not broken and self.encoder.bridged:
-            self.warn_once("An encoder sample was lost on its way. Look at its cable later.")
+        others = (end for end in broken if end.outcome not in rules.FROM_MEASURED)
+        self._forbidden = next(map(describe, others), "")
+        if not broken and run.encoder.bridged:
+            self._warn_once("An encoder sample was lost on its way. Look at its cable later.")
 
     def _safety_inputs(self, now: float, lateness: float) -> SafetyInputs:
         """Return the inputs of the safety rules, with the estimate of the tick before."""
-        joints, balancing = self.joints, self.phase.kind is Phase.BALANCING
-        punctual = self.phase.moves or self.phase.kind in (Phase.ARMED, Phase.STOPPING)
-        if joints.known_since == inf or (not punctual and missed_ticks(lateness, self.h)):
+        run, joints, controller = self.run, self.run.joints, self.run.controller
+        balancing = run.phase is Phase.BALANCING
+        punctual = run.phase in (*MOVING, Phase.ARMED, Phase.STOPPING)
+        if joints.known_since == inf or (not punctual and missed_ticks(lateness, run.h)):
             joints.known_since = now  # a late loop reads late; nothing moves meanwhile
         # The lateness of the loop itself is not the robot's delay.
-        self._overdue = self.sent.unanswered_time(now - lateness, joints.answered)
+        self._overdue = unanswered_time(self._sent, now - lateness, joints.answered)
         inputs = SafetyInputs(
             # A late tick is no danger while nothing moves; the fit of a swing causes some.
             lateness=lateness if punctual else 0.0,
@@ -156,16 +307,35 @@ class RunController(RunContext):
             measured_age=now - joints.known_since,
             torque=joints.new_torque(),
             balancing=balancing,
-            phi=self.controller.estimate.phi if balancing else 0.0,
-            **self.encoder.take_checks(now),
+            phi=controller.estimate.phi if balancing else 0.0,
+            **run.encoder.take_checks(now),
         )
         if joints.fresh:
-            self._pose = self.flange.pose(joints.q)
-            expected = self.sent.in_force(joints.time - self.response.safety.reaction)
+            self._pose = run.flange.pose(joints.q)
+            since = joints.time - run.safety.reaction
+            expected = setpoint_in_force(self._sent, since)
             inputs = inputs._replace(measured=joints.q, expected=expected)
-        if self.phase.on_track and self._pose is not None:
-            x_dot = self.controller.estimate.v if balancing else self.controller.x_dot
-            if (speed := self.stopping.flange_speed) is not None:
-                x_dot = speed
+        phase = run.phase if self.end is None else self._stopped
+        if phase not in OFF_TRACK and self._pose is not None:
+            x_dot = controller.estimate.v if balancing else controller.x_dot
+            if self._motion is not None:  # the controller does not know the way to rest
+                before = [q - run.h * dq for q, dq in zip(run.q, run.dq, strict=True)]
+                x_dot = (run.flange.pose(run.q).x - run.flange.pose(before).x) / run.h
             inputs = inputs._replace(on_track=True, x_dot=x_dot, **self._pose._asdict())
         return inputs
+
+    def _observe(self, now: float) -> None:
+        """Pass the measurements of this tick to the observer."""
+        encoder, joints, h = self.run.encoder, self.run.joints, self.run.h
+        age = now - encoder.samples[-1].time
+        counts = encoder.samples[-1].counts - encoder.zero if age <= h else None
+        q, reply_age = (joints.q if joints.fresh else None), now - joints.time
+        self.run.controller.observe(
+            counts, age, q, reply_age, lambda back: encoder.before(now - back, h)
+        )
+
+    def _warn_once(self, text: str) -> None:
+        """Send a warning, the first time only."""
+        if text not in self._warnings:
+            self._warnings.add(text)
+            self.run.notify("warning", text)

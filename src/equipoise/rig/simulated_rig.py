@@ -1,5 +1,7 @@
 """Simulated rig: an arm and a pendulum in MuJoCo with an operator's hand and button, in time.
 
+`EmulatedOperator` uses them as the messages of a run ask, and types the expected answers.
+
 The arm is that of a twin (`SimulatedRig`) with an emulated servo, or of another simulator.
 Virtual time drives it by `clock.attach(bench.advance)`, real time by calls of `advance` with the
 time: the rig catches up in whole milliseconds. Equal seeds and equal acts at equal times give equal
@@ -15,16 +17,18 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from equipoise.arrays import Array
+from equipoise.control.ticks import OperatorMessage
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
+from equipoise.rig.interfaces import Clock
 from equipoise.worlds.twin.hand import Hand, HandParams, Side, draw_hand_params
 from equipoise.worlds.twin.physics import TICK, rod_centre, rod_inertia
 from equipoise.worlds.twin.simulated_arm import SimulatedArm
-from equipoise.worlds.twin.twin import FLANGE, ROD, TrueState, Twin
+from equipoise.worlds.twin.twin import FLANGE, ROD, Twin
 
-PRESS: Final = 0.1
-"""Duration of a press of the button [s]."""
+REACTION_TIME: Final = (0.3, 1.0)
+"""Minimum and maximum reaction time [s]. Assumed."""
 DEFLECTION: Final = radians(50.0)
 """Angle from hanging at which the pendulum is held for a free swing [rad]."""
 
@@ -75,7 +79,6 @@ class Bench:
         self._start, self._ticks = start, 0
         self._down_until = self._slip = 0.0
         self._touching = False
-        self._watching: list[Callable[[], None]] = []
 
     @property
     def now(self) -> float:
@@ -89,22 +92,11 @@ class Bench:
             self._grasp()
             self._mechanism.step()
             self._ticks += 1
-            for work in self._watching:
-                work()
-
-    def watch(self, work: Callable[[], None]) -> None:
-        """Run `work()` at the end of each millisecond from now on."""
-        self._watching.append(work)
 
     @property
     def phi(self) -> float:
         """Angle of the pendulum from upright, relative to the flange, beyond a turn [rad]."""
         return float(self._mechanism.data.qpos[self._mechanism.phi])
-
-    @property
-    def phi_dot(self) -> float:
-        """Rate of that angle [rad/s]."""
-        return float(self._mechanism.data.qvel[self._mechanism.phi])
 
     @property
     def theta(self) -> float:
@@ -116,9 +108,9 @@ class Bench:
         """Whether the button is down."""
         return self.now < self._down_until
 
-    def press(self, duration: float = PRESS) -> None:
-        """Press the button for a while [s]."""
-        self._down_until = self.now + duration
+    def press(self) -> None:
+        """Press the button for a tenth of a second."""
+        self._down_until = self.now + 0.1
 
     def lift(self, *, side: Side | None = None, clumsy: float = 0.25) -> HandParams:
         """Grip the pendulum, bring it upright, and hold it until `let_go`.
@@ -172,7 +164,8 @@ class Bench:
                 data.xfrc_applied[pendulum, :3] = 0.0
                 self._touching = False
             return
-        torque = self.hand.torque(self.now, self.phi, self.phi_dot)
+        phi_dot = float(data.qvel[self._mechanism.phi])
+        torque = self.hand.torque(self.now, self.phi, phi_dot)
         across = data.xmat[pendulum, 0::3]
         data.xfrc_applied[pendulum, :3] = torque / self._reach * across
         self._touching = True
@@ -215,10 +208,54 @@ class SimulatedRig(Bench):
         mechanism = Mechanism(self.twin.data, FLANGE, ROD, self.joints, self._step)
         super().__init__(mechanism, pendulum, settings, seed=seed, start=start)
 
-    def truth(self) -> TrueState:
-        """Return the true state of flange and pendulum."""
-        return self.twin.truth()
-
     def _step(self) -> None:
         self.body.tick()
         self.twin.advance(TICK)
+
+
+class EmulatedOperator:
+    """Operator at a simulated rig, who perceives a run by its messages.
+
+    Each request is met after a reaction time, with the first expected answer and with the hand.
+    Equal seeds and equal messages at equal times give equal acts.
+    """
+
+    def __init__(self, bench: SimulatedRig, clock: Clock, *, seed: int = 0) -> None:
+        """Stand at a simulated rig, idle.
+
+        Args:
+            bench: The rig; its own seed draws how the hand acts.
+            clock: Time of the messages.
+            seed: Seed of the reaction times.
+        """
+        self._clock, self._random = clock, np.random.default_rng(seed)
+        self._due: list[tuple[float, str, str]] = []
+        self.ignored: frozenset[str] = frozenset()
+        """Names of messages that the operator misses."""
+        self.acts: dict[str, Callable[[], object]] = {
+            "hang": bench.steady,
+            "reference": lambda: (bench.let_go(), bench.press()),
+            "lift": lambda: bench.lift(clumsy=0.0),
+            "armed": bench.let_go,
+            "nudge": lambda: (bench.let_go(), bench.push(0.1)),
+            "disarmed": lambda: bench.lift(clumsy=0.0),
+        }
+        """Act of the hand for each message that asks for one, by its name."""
+
+    def notify(self, event: OperatorMessage) -> None:
+        """Receive a message, and plan the answer to it."""
+        if event.name in self.ignored:
+            return
+        if event.name in self.acts or event.answers:
+            moment = self._clock.now() + float(self._random.uniform(*REACTION_TIME))
+            self._due.append((moment, next(iter(event.answers), ""), event.name))
+
+    def read_input(self) -> list[str]:
+        """Carry out the acts that are due, and return the words typed by now."""
+        now = self._clock.now()
+        due = [one for one in self._due if one[0] <= now]
+        self._due = [one for one in self._due if one[0] > now]
+        for _, _, name in due:
+            if name in self.acts:
+                self.acts[name]()
+        return [word for _, word, _ in due if word]

@@ -20,27 +20,25 @@ from collections.abc import Sequence
 from math import inf, isfinite
 from typing import Final, NamedTuple
 
-from equipoise.control.minimum_jerk import Path, path_within
+from equipoise.control.minimum_jerk import MinimumJerk, Point, path_within
 from equipoise.errors import InputError
 from equipoise.safety.rules import STOP_DECELERATION, Limits
 
-Numbers = tuple[float, ...]
-
-RETURN_SHARE: Final = 0.1
-"""Share of the joints' velocity and acceleration limits on the way to the measured joints [-], as
-on the way home."""
+RETURN_FRACTION: Final = 0.1
+"""Fraction of the joints' velocity and acceleration limits on the way to the measured joints [-],
+as on the way home."""
 ROUNDING_RESERVE: Final = 1e-9
-"""Share of the distance to a position limit that a ramp leaves for rounding [-]."""
+"""Fraction of the distance to a position limit that a ramp leaves for rounding [-]."""
 
 
 class Ramp(NamedTuple):
     """Ramp to rest."""
 
-    q0: Numbers
+    q0: tuple[float, ...]
     """Joints at its start [rad]."""
-    dq0: Numbers
+    dq0: tuple[float, ...]
     """Their velocities there [rad/s]."""
-    rates: Numbers
+    rates: tuple[float, ...]
     """Rate r of each joint [1/s]; inf at rest."""
 
     @property
@@ -48,35 +46,21 @@ class Ramp(NamedTuple):
         """Duration [s]."""
         return 1.0 / min(self.rates)
 
-    def at(self, time: float) -> Numbers:
-        """Return the joints at a time since its start [rad]; the last ones after its end."""
-        return tuple(
-            q + dq * _sigma(rate, time)
-            for q, dq, rate in zip(self.q0, self.dq0, self.rates, strict=True)
-        )
-
-    def speed_at(self, time: float) -> Numbers:
-        """Return the velocities at a time since its start [rad/s]."""
-        if time <= 0.0:
-            return self.dq0
-        return tuple(
-            max(1.0 - rate * time, 0.0) * dq for dq, rate in zip(self.dq0, self.rates, strict=True)
-        )
-
-
-def at_rest(q: Sequence[float]) -> Ramp:
-    """Return the ramp of joints at rest."""
-    return Ramp(tuple(q), (0.0,) * len(q), (inf,) * len(q))
-
-
-def _sigma(rate: float, time: float) -> float:
-    t = min(max(time, 0.0), 1.0 / rate)
-    return t * (1.0 - 0.5 * rate * t) if t > 0.0 else 0.0
+    def at(self, time: float) -> Point:
+        """Return the joints [rad] and their velocities [rad/s] at a time since its start [s]."""
+        q, dq = list(self.q0), list(self.dq0)
+        for i, rate in enumerate(self.rates):
+            t = min(max(time, 0.0), 1.0 / rate)
+            if t > 0.0:
+                q[i] += dq[i] * (t * (1.0 - 0.5 * rate * t))
+            if time > 0.0:
+                dq[i] *= max(1.0 - rate * time, 0.0)
+        return Point(tuple(q), tuple(dq))
 
 
 def stoppable_speeds(
     dq: Sequence[float], last: Sequence[float], before: Sequence[float], dt: float
-) -> Numbers:
+) -> tuple[float, ...]:
     """Return the velocities at the start of a ramp [rad/s], shape (n,).
 
     The commanded velocities; for an accelerating joint the mean velocity to the last setpoint, from
@@ -102,27 +86,25 @@ def ramp(q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: L
         limits: Limits of the joints.
 
     Raises:
-        InputError: A value is not finite, or their number is not n.
+        InputError: A value is not finite.
     """
-    for name, values in (("q", q), ("dq", dq), ("flange_speed", (flange_speed,) * limits.joints)):
-        if len(values) != limits.joints or not all(isfinite(value) for value in values):
-            raise InputError(
-                f"{name} is {tuple(values)}, expected {limits.joints} finite numbers; "
-                "stop from the last setpoint that was sent"
-            )
+    if not all(map(isfinite, (*q, *dq, flange_speed))):
+        raise InputError(
+            f"a stop from {tuple(q)} rad with {tuple(dq)} rad/s and {flange_speed} m/s; expected "
+            "finite numbers"
+        )
+    rates = [inf] * limits.joints
     moving = [i for i, velocity in enumerate(dq) if velocity != 0.0]
-    if not moving:
-        return at_rest(q)
     # The joints' accelerations bound r from above; flange and position limits from below.
     most = {i: limits.acceleration[i] / abs(dq[i]) for i in moving}
     least: dict[int, float] = {}
     for i in moving:
         left = limits.upper[i] - q[i] if dq[i] > 0.0 else q[i] - limits.lower[i]
         least[i] = 0.5 * abs(dq[i]) / (left * (1.0 - ROUNDING_RESERVE)) if left > 0.0 else inf
-    together = min(most.values())
+    together = min(most.values(), default=inf)
     if flange_speed != 0.0:
-        together = min(together, max(STOP_DECELERATION / abs(flange_speed), *least.values()))
-    rates = [inf] * limits.joints
+        slowest = max(STOP_DECELERATION / abs(flange_speed), *least.values(), 0.0)
+        together = min(together, slowest)
     for i in moving:
         rates[i] = min(max(together, least[i]), most[i])
     return Ramp(tuple(q), tuple(dq), tuple(rates))
@@ -136,46 +118,33 @@ class StopMotion:
     ) -> None:
         """Begin the ramp; arguments as of `ramp`."""
         self._limits, self._ramp = limits, ramp(q, dq, flange_speed, limits)
-        self._begin, self._end = tuple(q), self._ramp.at(inf)
-        self._back: Path | None = None
+        self._motion: Ramp | MinimumJerk = self._ramp
         self._time = 0.0  # since the begin of the present motion
-        self.q: Numbers = tuple(q)
+        self.q: tuple[float, ...] = tuple(q)
         """Commanded joints [rad]."""
-        self.dq: Numbers = tuple(dq)
+        self.dq: tuple[float, ...] = tuple(dq)
         """Their velocities [rad/s]."""
-
-    @property
-    def at_rest(self) -> bool:
-        """Whether the present motion has ended."""
-        return self._time >= self._duration
 
     @property
     def rested(self) -> float:
         """Time at rest [s]; negative while the arm moves."""
-        return self._time - self._duration
+        return self._time - self._motion.duration
 
     @property
     def goes_back(self) -> bool:
         """Whether the arm is on its way back."""
-        return self._back is not None and not self.at_rest
+        return isinstance(self._motion, MinimumJerk) and self.rested < 0.0
 
-    @property
-    def _duration(self) -> float:
-        return self._ramp.duration if self._back is None else self._back.duration
-
-    def advance(self, h: float) -> tuple[Numbers, Numbers]:
+    def advance(self, h: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return the setpoints in the middle and at the end of the next tick [rad].
 
         Args:
             h: Time between ticks [s].
         """
-        half, self._time = self._time + 0.5 * h, self._time + h
-        if self._back is not None:
-            first, second = self._back.at(half), self._back.at(self._time)
-            self.q, self.dq = second.q, second.dq
-            return first.q, second.q
-        self.q, self.dq = self._ramp.at(self._time), self._ramp.speed_at(self._time)
-        return self._ramp.at(half), self.q
+        first = self._motion.at(self._time + 0.5 * h)
+        self._time += h
+        self.q, self.dq = self._motion.at(self._time)
+        return first.q, self.q
 
     def go_back(self, measured: Sequence[float]) -> float:
         """Begin the way back from rest; return the largest motion of a joint on it [rad].
@@ -184,25 +153,23 @@ class StopMotion:
             measured: The measured joints [rad], shape (n,).
         """
         limits, end = self._limits, list[float]()
+        begin, rest = self._ramp.q0, self._ramp.at(inf).q
         for i, place in enumerate(measured):
-            reach = abs(self._end[i] - self._begin[i])
+            reach = abs(rest[i] - begin[i])
             # A measured joint may be beyond a limit by its noise; a setpoint may not.
-            low = max(self._begin[i] - reach, limits.lower[i])
-            end.append(min(max(place, low), self._begin[i] + reach, limits.upper[i]))
-        self._back = path_within(
-            self.q,
-            end,
-            [RETURN_SHARE * limit for limit in limits.velocity],
-            [RETURN_SHARE * limit for limit in limits.acceleration],
-        )
+            low = max(begin[i] - reach, limits.lower[i])
+            end.append(min(max(place, low), begin[i] + reach, limits.upper[i]))
+        velocity = [RETURN_FRACTION * limit for limit in limits.velocity]
+        acceleration = [RETURN_FRACTION * limit for limit in limits.acceleration]
+        self._motion = path_within(self.q, end, velocity, acceleration)
         self._time = 0.0
         return max(abs(b - a) for a, b in zip(self.q, end, strict=True))
 
     def hold(self) -> None:
         """End the way back: brake the joints at their acceleration limits."""
-        self._ramp, self._back, self._time = ramp(self.q, self.dq, 0.0, self._limits), None, 0.0
+        self._motion, self._time = ramp(self.q, self.dq, 0.0, self._limits), 0.0
 
     def rest(self, q: Sequence[float]) -> None:
-        """Go on from rest at a setpoint [rad], where the arm is after a stall of the stream."""
-        self._ramp, self._back, self._time = at_rest(q), None, 0.0
-        self.q, self.dq = self._ramp.q0, self._ramp.dq0
+        """Continue from rest at a setpoint [rad], where the arm is after a stall of the stream."""
+        self.q, self.dq = tuple(q), (0.0,) * len(q)
+        self.hold()

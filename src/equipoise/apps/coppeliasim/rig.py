@@ -29,7 +29,7 @@ from equipoise.errors import InputError, OutsideError
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.chain import rotation_from_rpy, turned_to
 from equipoise.model.arms.scene import SHORTEST, SIZES, sizes_for
-from equipoise.rig.signals import SIGNALS, handled_signals
+from equipoise.rig.host import SIGNALS, handled_signals
 
 Parameters = list[tuple[str, int, Any]]
 """Type, number and value of parameters of the simulation."""

@@ -2,16 +2,15 @@
 
 from collections import deque
 from collections.abc import Sequence
-from math import inf, nan, pi, sqrt
-from typing import Any, Final
+from math import inf, isnan, nan, pi, sqrt
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
 from equipoise.arrays import Array
 from equipoise.control.ticks import Reply, Sample
 from equipoise.safety import rules
-from equipoise.safety.plausibility import JointPlausibility
-from equipoise.safety.repeats import RepeatMonitor
+from equipoise.safety.monitors import JointPlausibility, RepeatMonitor
 from equipoise.safety.rules import Limits
 
 HISTORY: Final = 64
@@ -28,51 +27,30 @@ FALL_WINDOW: Final = 0.04
 """Window for estimating the state at release [s]."""
 
 
-class SetpointHistory:
-    """The last setpoints sent."""
+TimedJoints: TypeAlias = tuple[float, tuple[float, ...]]
+"""A time [s], and all joints [rad]."""
 
-    def __init__(self, q: Sequence[float]) -> None:
-        """Begin with an arm that rests at `q` [rad]."""
-        self.setpoints: Array = np.tile(np.array(q, np.float64), (HISTORY, 1))
-        """The last setpoints [rad], shape (HISTORY, joints), each at its number modulo HISTORY."""
-        self._sent_at, self._count = np.full(HISTORY, -inf), 0
 
-    def store(self, time: float, q: Sequence[float]) -> None:
-        """Store a setpoint [rad] that is sent at a time [s]."""
-        place = self._count % HISTORY
-        self._sent_at[place], self.setpoints[place] = time, q
-        self._count += 1
+def setpoint_history(q: Sequence[float]) -> deque[TimedJoints]:
+    """Return the last setpoints of an arm that rests at `q` [rad], with the times of sending."""
+    return deque([(-inf, tuple(q))] * HISTORY, HISTORY)
 
-    def begin_anew(self, unsent: int) -> tuple[float, ...]:
-        """Forget unsent setpoints; return the last one sent [rad]."""
-        self._count -= unsent
-        last = (self._count - 1) % HISTORY
-        return tuple(self.setpoints[last].tolist())
 
-    def last_two(self) -> tuple[list[float], list[float]]:
-        """Return the last two setpoints [rad], the older one first."""
-        before, last = ((self._count - n) % HISTORY for n in (2, 1))
-        return self.setpoints[before].tolist(), self.setpoints[last].tolist()
+def setpoint_in_force(history: deque[TimedJoints], time: float) -> tuple[float, ...]:
+    """Return the setpoint in force at a time [s]: of a history the oldest, if all came later."""
+    return next((q for sent, q in reversed(history) if sent <= time), history[0][1])
 
-    def in_force(self, time: float) -> tuple[float, ...]:
-        """Return the setpoint in force at a time [s]."""
-        place = rules.newest_before(self._sent_at, self._count, time)
-        return tuple(self.setpoints[place].tolist())
 
-    def unanswered_time(self, now: float, answered: float) -> float:
-        """Return the time since the oldest setpoint without a reply was sent [s]; or 0.
+def unanswered_time(history: deque[TimedJoints], now: float, answered: float) -> float:
+    """Return the time since the oldest setpoint without a reply was sent [s]; or 0.
 
-        Args:
-            now: The time [s].
-            answered: Time at which the newest setpoint with a reply was sent [s].
-        """
-        oldest = now
-        for back in range(1, HISTORY):
-            sent = float(self._sent_at[(self._count - back) % HISTORY])
-            if sent <= answered + SENDING_TIME:
-                break
-            oldest = sent
-        return max(now - oldest, 0.0)
+    Args:
+        history: The last setpoints.
+        now: The time [s].
+        answered: Time at which the newest setpoint with a reply was sent [s].
+    """
+    waiting = [sent for sent, _ in history if sent > answered + SENDING_TIME]
+    return max(now - min(waiting, default=now), 0.0)
 
 
 class EncoderReadings:
@@ -83,8 +61,8 @@ class EncoderReadings:
         self._resolution = resolution
         self.samples = deque[Sample](maxlen=HISTORY)
         """The last samples, the oldest first."""
-        self.zero: float | None = None
-        """Count of the hanging pendulum; None before the reference."""
+        self.zero = nan
+        """Count of the hanging pendulum; NaN before the reference."""
         self.dropouts, self.bridged = RepeatMonitor(), False
         """Monitor of lost samples, and whether one was bridged."""
         self._missing, self._illegal, self._jump = 0, False, 0.0
@@ -93,7 +71,7 @@ class EncoderReadings:
         """Add the newest sample."""
         samples = self.samples
         samples.append(sample)
-        if sample.missing and self.zero is not None:
+        if sample.missing and not isnan(self.zero):
             # Counts are absolute: a single missing sample hides a millisecond and nothing else.
             serious = self.dropouts.add(sample.time) or sample.missing > 1
             self._missing += sample.missing if serious else 0
@@ -109,7 +87,7 @@ class EncoderReadings:
         """Return the encoder's part of the safety inputs, and forget its faults."""
         found = self._missing, self._illegal, self._jump
         self._missing, self._illegal, self._jump = 0, False, 0.0
-        if self.zero is None or not self.samples:
+        if isnan(self.zero) or not self.samples:
             return {}
         names = "encoder_missing", "encoder_illegal", "encoder_jump"
         age = now - self.samples[-1].time
@@ -117,9 +95,7 @@ class EncoderReadings:
 
     def phi(self) -> float:
         """Return the newest angle from upright, in [-pi, pi) [rad]; NaN without a zero."""
-        if self.zero is None or not self.samples:
-            return nan
-        return self._angle(self.samples[-1].counts)
+        return self.angle(self.samples[-1].counts) if self.samples else nan
 
     def before(self, time: float, window: float) -> tuple[float, float] | None:
         """Return the newest counts within a window before a time [s] and their age [s], if any."""
@@ -128,7 +104,7 @@ class EncoderReadings:
             if age > window:
                 break
             if age >= 0.0:
-                return sample.counts - (self.zero or 0.0), age
+                return sample.counts - self.zero, age
         return None
 
     def falling(self, now: float, w2: float) -> tuple[float, float]:
@@ -139,12 +115,13 @@ class EncoderReadings:
         w, since = sqrt(w2), self.samples[-1].time - FALL_WINDOW  # samples may come late
         falls = [one for one in self.samples if one.time >= since]
         t = w * (np.array([one.time for one in falls]) - now)
-        phi = [self._angle(one.counts) for one in falls]
+        phi = [self.angle(one.counts) for one in falls]
         (a, b), *_ = np.linalg.lstsq(np.column_stack((np.cosh(t), np.sinh(t) / w)), phi)
         return float(a), float(b)
 
-    def _angle(self, counts: float) -> float:
-        return (2.0 * pi - (counts - (self.zero or 0.0)) * self._resolution) % (2.0 * pi) - pi
+    def angle(self, counts: float) -> float:
+        """Return the angle from upright of counts, in [-pi, pi) [rad]."""
+        return (2.0 * pi - (counts - self.zero) * self._resolution) % (2.0 * pi) - pi
 
 
 class ArmReadings:

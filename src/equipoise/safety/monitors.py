@@ -1,7 +1,11 @@
-"""Plausibility of measured joints: whether an arm can be where its replies say.
+"""Monitors of a run: disturbances that repeat, and the plausibility of measured joints.
+
+A rare single disturbance is bridged, several within a second stop a run: dropouts of encoder
+samples, and stalls of the loop and of the robot's link while the arm moves. Each stall makes the
+arm stop and start again; no single limit shows that it happens often.
 
 Measured joints may be wrong in ways that no single reply shows: a server that repeats an old reply,
-an encoder of a joint that slips, a guest's driver that mixes up its columns. The targets of a stop
+an encoder of a joint that slips, a user's driver that mixes up its columns. The targets of a stop
 go back towards measured joints only where these pass all of
 
 - several replies in order, each sent after the one before;
@@ -13,6 +17,7 @@ go back towards measured joints only where these pass all of
 from collections import deque
 from collections.abc import Sequence
 from itertools import pairwise
+from math import inf
 from typing import Final
 
 import numpy as np
@@ -20,11 +25,30 @@ import numpy as np
 from equipoise.arrays import Array
 from equipoise.safety.rules import FOLLOWING_LIMIT, STILL_ANGLE, Limits, unexplained_step
 
+MAX_REPEATS: Final = 3
+"""Number of disturbances within `REPEAT_WINDOW` that stops a run."""
+REPEAT_WINDOW: Final = 1.0
+"""Window for counting disturbances [s]."""
 MIN_REPLIES: Final = 5
 """Minimum number of replies with joints before a measured posture is used [-]."""
 BRAKING_FACTOR: Final = 5.0
 """Maximum acceleration of a joint as a multiple of its limit for setpoints [-]: brakes and contacts
 are harder than any setpoint."""
+
+
+class RepeatMonitor:
+    """Monitor of the disturbances of one kind in a run."""
+
+    def __init__(self) -> None:
+        """Start without a disturbance."""
+        self._times = [-inf] * (MAX_REPEATS - 1)
+        """Times of the last disturbances, the oldest first [s]."""
+
+    def add(self, time: float) -> bool:
+        """Add a disturbance at a time [s]; return whether it is one too many."""
+        often = not time - self._times[0] > REPEAT_WINDOW
+        self._times = [*self._times[1:], time]
+        return often
 
 
 class JointPlausibility:

@@ -1,17 +1,37 @@
-"""Settings of the process with which a loop in Python keeps its deadlines.
+"""This computer: signals that end a program, and settings with which a loop keeps its deadlines.
 
-A run is possible without them; late ticks are then likelier. The log contains what was granted.
+A run is possible without the settings; late ticks are then likelier. The log contains what was
+granted.
 """
 
 import ctypes
 import gc
 import os
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Generator, Iterable
+from contextlib import contextmanager
 from typing import Final
 
+SIGNALS: Final = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
+"""Signals that end a program: Ctrl-C, a request of the system, a closed terminal."""
 PRIORITY: Final = 60
 """Priority of the loop under SCHED_FIFO: above all ordinary work. The threads of the kernel's
 interrupts, which carry the loop's bytes, have 50 on a real-time kernel unless they are tuned."""
+
+
+@contextmanager
+def handled_signals(
+    signals: Iterable[signal.Signals], handler: Callable[..., object]
+) -> Generator[None]:
+    """Handle signals in this context; for the main thread only."""
+    before = [(number, signal.signal(number, handler)) for number in signals]
+    try:
+        yield
+    finally:
+        for number, old in before:
+            signal.signal(number, old)
 
 
 def prepare(core: int = -1, priority: int = PRIORITY) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Measured joints that an arm can have, and those that it cannot."""
+"""Measured joints that an arm can have, and disturbances that repeat."""
 
 from math import inf, nan, pi
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.safety.plausibility import JointPlausibility
+from equipoise.safety.monitors import REPEAT_WINDOW, JointPlausibility, RepeatMonitor
 from equipoise.safety.rules import limits_of
 
 ARM = iiwa(7)
@@ -114,3 +114,27 @@ def test_replies_out_of_order_are_not_plausible():
     for sent in (0.0, 0.005, 0.010, 0.005, 0.015, 0.020):
         plausibility.add(sent, sent + TRIP, tuple(HOME))
     assert plausibility.doubt(tuple(HOME), COMMANDED)
+
+
+# Disturbances.
+
+
+@pytest.mark.parametrize(
+    ("times", "often"),
+    [
+        ([3.0], []),
+        # The third within a second stops, and one after it does not.
+        ([0.0, 0.5, 1.0], [1.0]),
+        ([0.0, 0.5, 1.0 + 1e-9], []),
+        # In any window of a second, and again.
+        ([0.0, 0.6, 0.5 + REPEAT_WINDOW, 0.59 + REPEAT_WINDOW], [0.59 + REPEAT_WINDOW]),
+        ([9.0, 9.1, 9.2, 9.3], [9.2, 9.3]),
+    ],
+)
+def test_two_within_a_second_are_bridged_and_no_more(times, often):
+    monitor = RepeatMonitor()
+    assert [time for time in times if monitor.add(time)] == often
+
+
+def test_a_time_that_is_no_number_is_one_too_many():
+    assert RepeatMonitor().add(nan)

@@ -1,0 +1,484 @@
+"""Script of a run on a rig: its phases in their order, one generator each.
+
+A phase yields the setpoints of a tick, and receives what has come until the next one (`Tick`). Its
+first setpoints belong to the tick in which the phase before has ended. Motions continue from rest
+after a stall of the loop or of the robot's link (`Run.rest`); while the link is silent, nothing is
+sent and the script waits. A phase that cannot continue raises `PhaseError`. After a stop, from here
+or from a safety rule, no phase is resumed (`equipoise.rig.run_controller`).
+"""
+
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from math import inf, isfinite, nan, pi
+from typing import Any, Final, TypeAlias, TypeVar
+
+import numpy as np
+
+from equipoise.arrays import Array
+from equipoise.control.controller import Controller, FlangeKinematics
+from equipoise.control.minimum_jerk import MinimumJerk, path_within
+from equipoise.control.policy import Policy, tick_policy
+from equipoise.control.ticks import OK, Job, OperatorMessage, Sample, TickRecord
+from equipoise.errors import InputError
+from equipoise.identification.driven_swing import (
+    MOVE_TIME,
+    SWING_TIME,
+    SelfTest,
+    SelfTestVerdict,
+    flange_move,
+    self_test,
+)
+from equipoise.model.actuator import Actuator
+from equipoise.model.arms.arm import FREE_JOINTS
+from equipoise.outcomes import End, Outcome, Phase
+from equipoise.printable import printable
+from equipoise.rig.checks import actuator_fits
+from equipoise.rig.readings import ArmReadings, EncoderReadings, TimedJoints
+from equipoise.rig.release import ReleaseDetector, ReleaseState
+from equipoise.rig.request import RunRequest, describe_fit
+from equipoise.safety.rules import STOP_DECELERATION
+
+T = TypeVar("T")
+Setpoints: TypeAlias = tuple[tuple[float, ...], ...]
+"""Setpoints of a tick [rad]: now, and h / 2 later; empty while nothing is to be sent."""
+
+HOMING_FRACTION: Final = 0.1
+"""Fraction of the joints' velocity and acceleration limits on the way home [-]."""
+REST_TIME: Final = 2.0
+"""Minimum time for which the count stays within one before it is a reference [s]."""
+REST_BEFORE: Final = 0.3
+"""Observation of the pendulum before the move of a self-test, and of the arm after an excitation
+[s]."""
+RETURN_TIME: Final = 1.6
+"""Duration of the way back from the self-test [s]: twice that of the way out."""
+HOME_TOLERANCE: Final = 2e-5
+"""Largest distance of the flange from home at which the balance may begin [m]: as an error of the
+first setpoint it is an acceleration of 1 m/s^2."""
+MAX_SWINGS: Final = 4
+"""Maximum number of swings of a self-test, repeated until the zero's interval is small."""
+POLICY_TIME_FRACTION: Final = 0.5
+"""Maximum computing time of the policy, as a fraction of a tick [-]: later, the second setpoint,
+due after half a tick, would be late too."""
+RESTART_ACCELERATION: Final = 0.5 * STOP_DECELERATION
+"""Additional acceleration of the flange after a pause of the setpoints, until it has the speed of
+before [m/s^2]: with the policy's largest acceleration that of a stop."""
+
+
+@dataclass
+class Tick:
+    """Inputs of the script since its last setpoints."""
+
+    now: float = 0.0
+    """The time [s]."""
+    answer: str | None = None
+    """Answer of the operator to the open question."""
+    samples: list[Sample] = field(default_factory=list[Sample])
+    """Samples of the encoder."""
+    sent: list[TimedJoints] = field(default_factory=list[TimedJoints])
+    """Setpoints of the tick before, with the times at which they were due."""
+    joints: list[TimedJoints] = field(default_factory=list[TimedJoints])
+    """Measured joints, with the times of their measurement."""
+    result: Any = None
+    """Result of the job, once; an exception where it failed."""
+    stalled: bool = False
+    """Whether the arm has come to rest at the last setpoint, because loop or link stood still."""
+
+
+Steps: TypeAlias = Generator[Setpoints, Tick, T]
+"""Phase of a run, or a part of one, with the type of its result."""
+
+
+class PhaseError(Exception):
+    """A phase cannot continue, and the run stops."""
+
+    def __init__(self, outcome: Outcome, **evidence: float | str) -> None:
+        """Stop with an outcome and its evidence."""
+        super().__init__(outcome)
+        self.end = End(outcome, evidence)
+
+
+class Run:
+    """State of a run that its phases use: measurements, motion, messages."""
+
+    def __init__(
+        self,
+        request: RunRequest,
+        q: Sequence[float],
+        *,
+        counts_per_rev: int,
+        max_speed: float = inf,
+    ) -> None:
+        """Begin with an arm that rests at the measured joints.
+
+        Args:
+            request: The run.
+            q: Measured joints, all of them [rad].
+            counts_per_rev: Counts per revolution that the rig's encoder reports.
+            max_speed: Flange speed limit from the pre-flight [m/s].
+
+        Raises:
+            ArmError: Home is a singular posture.
+            SettingsError: The delay exceeds the controller's history.
+        """
+        self.request, self.arm = request, request.settings.described_arm
+        self._counts_per_rev, self._max_speed = counts_per_rev, max_speed
+        self.assume(request.actuator)
+        self.h, self.flange = self.params.h, FlangeKinematics(self.arm, self.params)
+        self.encoder = EncoderReadings(self.params.resolution)
+        self.joints = ArmReadings(q, self.safety.limits)
+        self.phase = Phase.HOMING
+        """The phase."""
+        self.ticks = 0
+        """Number of ticks of the phase so far, without those in which the script waited."""
+        self.balanced = 0
+        """Number of ticks in which the policy has acted, those that were missed included."""
+        self.q, self.dq = tuple(q), (0.0,) * len(q)
+        """Commanded joints at the end of the tick [rad], and their velocities [rad/s]."""
+        self.lost_speed = 0.0
+        """Speed of the flange that a pause has taken, not yet returned [m/s]."""
+        self.answers: tuple[str, ...] = ()
+        """Expected answers to the open question; empty without one."""
+        self.messages: list[OperatorMessage] = []
+        """Messages of this tick to the operator and to the log."""
+        self.record = TickRecord()
+        """Record of this tick for the log."""
+        self.job: Job | None = None
+        """Job that begins with this tick."""
+        self.identified: Actuator | None = None
+        """Actuator that the excitation has identified."""
+
+    @property
+    def time(self) -> float:
+        """Time since the phase began [s]; it stands still while the script waits."""
+        return self.ticks * self.h
+
+    def assume(self, actuator: Actuator) -> None:
+        """Control with an actuator from now on; the arm rests at home.
+
+        Raises:
+            ArmError: Home is a singular posture.
+            SettingsError: The delay exceeds the controller's history.
+        """
+        request, speed = self.request, self._max_speed
+        self.params, self.safety = request.parameters(actuator, self._counts_per_rev, speed)
+        self.controller = Controller(self.arm, self.params, request.policy.settings.boxes)
+
+    def enter(self, phase: Phase, name: str, text: str, answers: tuple[str, ...] = ()) -> None:
+        """Begin a phase with a message, see `notify`."""
+        self.phase, self.ticks, self.answers = phase, 0, ()
+        self.notify(name, text, answers)
+
+    # The operator.
+
+    def notify(self, name: str, text: str, answers: tuple[str, ...] = ()) -> None:
+        """Send a message to the operator and to the log; with answers it is a question."""
+        self.answers = answers or self.answers
+        self.messages.append(OperatorMessage(name, text, answers))
+
+    # The arm.
+
+    def still(self) -> Setpoints:
+        """Hold the arm."""
+        self.dq = (0.0,) * len(self.q)
+        return self.q, self.q
+
+    def glide(self, path: MinimumJerk, t: float) -> Setpoints:
+        """Move the flange along a path on its track, as the policy would, at its time t [s]."""
+        v = path.at(t + self.h).dq[0] - path.at(t).dq[0]
+        return self.accelerate(v / self.h)
+
+    def accelerate(self, u: float) -> Setpoints:
+        """Return the setpoints of the controller for an acceleration of the flange [m/s^2].
+
+        The speed that a pause has taken comes back at `RESTART_ACCELERATION`.
+        """
+        if self.lost_speed != 0.0:
+            most = RESTART_ACCELERATION * self.h
+            gained = min(max(self.lost_speed, -most), most)
+            self.lost_speed -= gained
+            u += gained / self.h
+        setpoints = self.controller.command(u)
+        self.q, self.dq = self.controller.q, self.controller.dq
+        return setpoints
+
+    def rest(self, q: tuple[float, ...], missed: int, unsent: bool) -> None:
+        """Begin the motion anew from rest at the last setpoint sent.
+
+        Args:
+            q: That setpoint [rad].
+            missed: Number of missed ticks.
+            unsent: Whether a setpoint of the last tick was not sent.
+        """
+        self.q, self.dq = q, (0.0,) * len(q)
+        if self.phase in (Phase.SELF_TEST, Phase.BALANCING):
+            self.lost_speed += self.controller.x_dot
+            self.controller.rest(q, missed, unsent)
+        if self.phase is Phase.BALANCING:
+            self.balanced += missed
+
+    def record_decision(self, u: float) -> None:
+        """Record the observation of a tick of the balance, and the policy's u [m/s^2]."""
+        observed, estimate = self.controller.observation, self.controller.estimate
+        self.record = TickRecord(*observed, self.controller.box, u, *estimate)
+
+    def work(self, job: Job, hold: Callable[[], Setpoints]) -> Steps[Any]:
+        """Hold the arm while a job runs; return its result, or raise its exception."""
+        self.job, result = job, None
+        while result is None:
+            result = (yield hold()).result
+        if isinstance(result, Exception):
+            raise result
+        return result
+
+
+def script(run: Run, clock: Callable[[], float]) -> Steps[End]:
+    """Run all phases, and return the end of a run whose pendulum has survived.
+
+    The first setpoints are those before the first tick, which the servo holds already.
+
+    Args:
+        run: The run.
+        clock: Clock for the computing time of a policy in Python [s].
+
+    Raises:
+        ArmError: Home is too close to a limit of a joint for the excitation.
+        PhaseError: A phase cannot continue.
+    """
+    policy, motion = tick_policy(run.request.policy), run.request.excitation()
+    yield from home(run)
+    yield from confirm(run)
+    zeroed = False
+    while not zeroed:
+        yield from reference(run)
+        zeroed = yield from swing_test(run)
+    if run.request.identify is not None:
+        yield from excite(run, motion, run.request.identify)
+    released = yield from lift(run)
+    return (yield from balance(run, released, policy, clock))
+
+
+def home(run: Run) -> Steps[None]:
+    """Move to home, inside the servo stream."""
+    path = _path_home(run)
+    text = f"Moving to home, {path.duration:.1f} s. Press any key to stop, at any time."
+    run.enter(Phase.HOMING, "homing", text)
+    yield run.still()
+    while run.time < path.duration:
+        first = path.at(run.time + 0.5 * run.h)
+        run.q, run.dq = path.at(run.time + run.h)
+        tick = yield first.q, run.q
+        if tick.stalled:
+            path, run.ticks = _path_home(run), 0
+
+
+def _path_home(run: Run) -> MinimumJerk:
+    velocity = [HOMING_FRACTION * joint.velocity for joint in run.arm.joints]
+    acceleration = [HOMING_FRACTION * joint.acceleration for joint in run.arm.joints]
+    return path_within(run.q, run.arm.home, velocity, acceleration)
+
+
+def confirm(run: Run) -> Steps[None]:
+    """Hold the arm at home until the operator confirms."""
+    question = "Is this home, the spindle level, the track free on both sides? y or n"
+    run.enter(Phase.AT_HOME, "home", question, ("y", "n"))
+    run.controller.begin(0.0, 0.0)
+    run.q = run.controller.q
+    answer = None
+    while answer is None:
+        answer = (yield run.still()).answer
+    if answer == "n":
+        raise PhaseError(Outcome.OPERATOR, typed="n")
+
+
+def reference(run: Run) -> Steps[None]:
+    """Take the count of the hanging pendulum, once it is still and the operator confirms."""
+    text = "Let the pendulum hang freely, and steady it with a finger."
+    run.enter(Phase.REFERENCING, "hang", text)
+    run.encoder.zero = nan
+    since = newest = 0.0
+    low = high = total = number = 0
+    pressed = False
+    while True:
+        tick = yield run.still()
+        for sample in tick.samples:
+            pressed = pressed or sample.pressed
+            low, high = min(low, sample.counts), max(high, sample.counts)
+            if number == 0 or high - low > 1:
+                since, total, number = sample.time, 0, 0
+                low = high = sample.counts
+            newest, total, number = sample.time, total + sample.counts, number + 1
+        if not newest - since >= REST_TIME:
+            run.answers, pressed = (), False
+        elif not run.answers:
+            text = "The pendulum hangs still. Take your hand away, then press its button or Enter."
+            run.notify("reference", text, (OK,))
+        elif pressed or tick.answer == OK:
+            run.encoder.zero = total / number
+            run.joints.reference_torques()
+            return
+
+
+def swing_test(run: Run) -> Steps[bool]:
+    """Move the flange by 40 mm, judge the swing of the pendulum, and return home.
+
+    Returns:
+        Whether the zero is known; otherwise a new reference is needed.
+    """
+    text = "Self-test: the arm moves by 40 mm. Keep your hands off."
+    run.enter(Phase.SELF_TEST, "swing", text)
+    result, swings = None, 0
+    while result is None or (result.verdict is SelfTestVerdict.REPEAT and swings < MAX_SWINGS):
+        result = yield from _swing_out(run, -1.0 if swings % 2 else 1.0)
+        run.notify("self-test", f"Self-test: {result.reason}.")
+        swings += 1
+    if result.verdict not in (SelfTestVerdict.PASSED, SelfTestVerdict.ZERO):
+        raise PhaseError(Outcome.SELF_TEST, text=result.reason)
+    at_home = False
+    while not at_home:  # a stall costs a part of the way
+        path, begin = MinimumJerk((run.controller.x,), (0.0,), RETURN_TIME), run.time + run.h
+        t = -run.h
+        while t < RETURN_TIME + REST_BEFORE:
+            yield run.glide(path, t)
+            t = run.time - begin
+        at_home = abs(run.controller.x) <= HOME_TOLERANCE
+    if result.verdict is SelfTestVerdict.ZERO:
+        return False
+    run.encoder.zero += result.zero / run.params.resolution
+    return True
+
+
+def _swing_out(run: Run, direction: float) -> Steps[SelfTest]:
+    """Move the flange, record the pendulum's answer, and judge it."""
+    path, begin = flange_move(run.controller.x, direction), run.time + REST_BEFORE
+    encoder, pivot = list[tuple[float, float]](), list[tuple[float, float]]()
+
+    def record(tick: Tick) -> None:
+        encoder.extend((sample.time, sample.counts) for sample in tick.samples)
+        pivot.extend((time, run.flange.pose(q).x) for time, q in tick.joints)
+
+    record((yield run.still()))
+    while (t := run.time - begin) < MOVE_TIME + SWING_TIME:
+        record((yield run.glide(path, t)))
+    job = partial(
+        self_test,
+        *np.array(encoder).reshape(-1, 2).T.copy(),
+        *np.array(pivot).reshape(-1, 2).T.copy(),
+        pendulum=run.params.pendulum,
+        counts_per_rev=round(2.0 * pi / run.params.resolution),
+        resting=run.encoder.zero,
+        delay=0.0,
+    )
+    try:
+        return (yield from run.work(job, partial(run.accelerate, 0.0)))
+    except Exception as error:  # the arm comes to rest, whatever failed
+        raise PhaseError(Outcome.SELF_TEST, text=f"the self-test failed ({error})") from error
+
+
+def excite(run: Run, motion: Array, identify: Callable[[Array, Array], Actuator]) -> Steps[None]:
+    """Move every joint about home, the pendulum hanging, and control with the arm identified.
+
+    Args:
+        run: The run.
+        motion: All joints [rad], h / 2 apart, shape (m, joints).
+        identify: Identification, as of `RunRequest.identify`.
+    """
+    seconds = 0.5 * run.h * len(motion)
+    text = f"Excitation: every joint moves about home for {seconds:.0f} s. Keep away."
+    run.enter(Phase.EXCITING, "excitation", text)
+    sent, measured = list[TimedJoints](), list[TimedJoints]()
+    row, setpoints = 0, run.still()
+    while 0.5 * run.h * (row - len(motion)) <= REST_BEFORE:
+        tick = yield setpoints
+        if tick.stalled:
+            text = "the computer or the robot's link stood still during the excitation; run again"
+            raise PhaseError(Outcome.UNIDENTIFIED, text=text)
+        sent += tick.sent
+        measured += tick.joints
+        row, setpoints = 2 * run.ticks, run.still()
+        if row < len(motion):
+            first, second = (tuple(q) for q in motion[row - 1 : row + 1].tolist())
+            speeds = (motion[row] - motion[row - 1]) / (0.5 * run.h)
+            run.q, run.dq, setpoints = second, tuple(speeds.tolist()), (first, second)
+    run.notify("notice", "The arm is identified; this takes some seconds.")
+    try:
+        job = partial(identify, _free_joints(run, sent), _free_joints(run, measured))
+        run.identified = found = yield from run.work(job, run.still)
+        text = describe_fit(run.request.policy, found)
+        if not actuator_fits(run.request.policy, found):
+            raise InputError(text)
+        run.assume(found)
+    except Exception as error:  # the arm comes to rest, whatever failed
+        raise PhaseError(Outcome.UNIDENTIFIED, text=printable(str(error))) from error
+    run.notify("identified", text)
+
+
+def _free_joints(run: Run, rows: list[TimedJoints]) -> Array:
+    """Return times [s] and free joints [rad] in an array, shape (m, 7), each time once."""
+    free = [(time, *run.arm.without_held(q)) for time, q in rows]
+    motion = np.array(free).reshape(-1, 1 + FREE_JOINTS)
+    return motion[np.unique(motion[:, 0], return_index=True)[1]]
+
+
+def lift(run: Run) -> Steps[float]:
+    """Hold the arm until the operator has lifted and released the pendulum; return the time [s]."""
+    text = "Lift the pendulum until it stands upright, and hold it there."
+    run.enter(Phase.LIFTING, "lift", text)
+    detector = ReleaseDetector(run.params.pendulum)
+    nudge = round(5.0 / run.h)  # every 5 s
+    while True:
+        tick = yield run.still()
+        for sample in tick.samples:
+            detector.feed(sample.time, run.encoder.angle(sample.counts))
+        if detector.state is ReleaseState.RELEASED:
+            return tick.now
+        armed = detector.state is ReleaseState.ARMED
+        if armed and run.phase is Phase.LIFTING:
+            run.enter(Phase.ARMED, "armed", "\aArmed. Let go.")
+        elif run.phase is Phase.ARMED and not armed:
+            text = "You are still holding the pendulum. Hold it upright again."
+            run.enter(Phase.LIFTING, "disarmed", text)
+        elif armed and run.ticks % nudge == nudge - 1:
+            run.notify("nudge", "Let go. If it stands by itself, nudge it.")
+
+
+def balance(run: Run, released: float, policy: Policy, clock: Callable[[], float]) -> Steps[End]:
+    """Command the policy's accelerations for the duration of the request; return the end.
+
+    Args:
+        run: The run.
+        released: Time at which the pendulum was released [s].
+        policy: The policy.
+        clock: Clock for its computing time [s].
+    """
+    run.enter(Phase.BALANCING, "balancing", "Balancing. Press any key to stop.")
+    run.controller.begin(*run.encoder.falling(released, run.params.pendulum.w2))
+    run.lost_speed = 0.0
+    begin, duration = run.balanced, run.request.duration
+    while (run.balanced - begin) * run.h < duration - 0.5 * run.h:
+        yield run.accelerate(_decide(run, policy, clock, first=run.balanced == begin))
+        if run.controller.limit_exceeded:
+            raise PhaseError(Outcome.JOINT_LIMIT)
+    return End(Outcome.LASTED, {"duration": duration})
+
+
+def _decide(run: Run, policy: Policy, clock: Callable[[], float], *, first: bool = False) -> float:
+    """Return and record the policy's u [m/s^2]; stop where the policy fails."""
+    u, failure, began = nan, "", clock()
+    try:
+        if first:
+            policy.reset()
+        u = run.controller.decide(policy)
+        if not isfinite(u):
+            failure = f"it returned {u}"
+    except BaseException as error:  # not even a request to exit may end the loop
+        failure = printable(str(error)) or type(error).__name__
+    evidence: dict[str, float] = {}
+    took, limit = clock() - began, POLICY_TIME_FRACTION * run.h
+    if not failure and took > limit:
+        failure = f"it took {1e3 * took:.1f} ms, expected at most {1e3 * limit:.1f} ms"
+        evidence = {"took": took, "limit": limit}
+    run.record_decision(0.0 if failure else u)
+    if failure:
+        raise PhaseError(Outcome.POLICY, text=failure, **evidence)
+    return u
