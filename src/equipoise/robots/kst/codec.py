@@ -19,8 +19,9 @@ thread, and does not answer most other mistakes.
 import math
 import re
 from collections.abc import Sequence
-from decimal import Decimal
 from typing import Final, Literal
+
+import numpy as np
 
 from equipoise.arrays import Array
 from equipoise.errors import InputError, LinkError
@@ -155,24 +156,10 @@ def java_number(value: float) -> str:
         >>> java_number(0.0001), java_number(-1.3962), java_number(100.0)
         ('1.0E-4', '-1.3962', '100.0')
     """
-    if math.isnan(value):
-        return "NaN"
-    if math.isinf(value):
-        return "Infinity" if value > 0.0 else "-Infinity"
-    sign, digits, exponent = Decimal(repr(float(value))).normalize().as_tuple()
-    # Java writes at least two digits: where one is enough, the nearest two.
-    if len(digits) == 1:
-        sign, digits, exponent = Decimal(f"{value:.1e}").as_tuple()
-    text, minus = "".join(map(str, digits)), "-" * sign
-    point = len(text) + int(exponent)
-    if value == 0.0:
-        return f"{minus}0.0"
-    if not 1e-3 <= abs(value) < 1e7:
-        return f"{minus}{text[0]}.{text[1:]}E{point - 1}"
-    text, point = "0" * (1 - point) + text, max(point, 1)
-    text = text.ljust(point, "0")
-    fraction = text[point:].rstrip("0")
-    return f"{minus}{text[:point]}.{fraction or '0'}"
+    if value == 0.0 or 1e-3 <= abs(value) < 1e7:
+        return np.format_float_positional(value, trim="0")
+    text = np.format_float_scientific(value, trim="0", exp_digits=1).replace("e+", "E")
+    return {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}.get(text, text.replace("e", "E"))
 
 
 def numbers_reply(values: Sequence[float]) -> bytes:
