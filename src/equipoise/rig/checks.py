@@ -27,8 +27,6 @@ GOOD_ROUND_TRIP: Final = 0.0055
 link setpoints are sent only as replies arrive, and the flange's speed is limited."""
 MAX_ROUND_TRIP: Final = 0.009
 """99th percentile of round trips beyond which a reply is overdue in every tick [s]."""
-HOME_MARGIN_DEG: Final = 5.0
-"""Minimum distance of home from a joint's limits, beyond the rig's margin [deg]."""
 
 
 class Finding(NamedTuple):
@@ -229,7 +227,7 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> list[
             "home",
             f"{joint} is {room:.1f} deg inside its limits",
             "choose a home further inside all limits",
-            bad=room < rig.position_margin_deg + HOME_MARGIN_DEG,
+            bad=room < rig.position_margin_deg + 5.0,
         ),
     ]
 

@@ -13,7 +13,7 @@ in the same way. `equipoise.rig.connection` is the only module that opens device
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from equipoise.arrays import Array
 from equipoise.artefacts import Share, Value
@@ -25,6 +25,8 @@ from equipoise.model.worlds import TwinSettings
 from equipoise.rig.config import Load
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Robot, Transport
 from equipoise.rig.simulated_rig import Bench, SimulatedRig
+
+Plugin = TypeVar("Plugin")
 
 
 def ignore(*_: object) -> None:
@@ -179,10 +181,7 @@ def robot_plugin(address: str) -> RobotPlugin:
     Raises:
         InputError: No installed package registers that scheme.
     """
-    plugin = _loaded("equipoise.robots", address)
-    if not isinstance(plugin, RobotPlugin):
-        raise InputError(f"{address}: its package registers a {type(plugin)}, not a RobotPlugin")
-    return plugin
+    return _loaded("equipoise.robots", address, RobotPlugin)
 
 
 def sensor_plugin(address: str) -> SensorPlugin:
@@ -191,15 +190,15 @@ def sensor_plugin(address: str) -> SensorPlugin:
     Raises:
         InputError: No installed package registers that scheme.
     """
-    plugin = _loaded("equipoise.sensors", address)
-    if not isinstance(plugin, SensorPlugin):
-        raise InputError(f"{address}: its package registers a {type(plugin)}, not a SensorPlugin")
-    return plugin
+    return _loaded("equipoise.sensors", address, SensorPlugin)
 
 
-def _loaded(group: str, address: str) -> Any:
+def _loaded(group: str, address: str, kind: type[Plugin]) -> Plugin:
     points, scheme = registered(group), scheme_of(address)
     if scheme not in points:
         known = f"expected one that begins with {', '.join(f'{name}:' for name in sorted(points))}"
         raise InputError(f"{address!r} is no known address; {how_to_install(scheme) or known}")
-    return points[scheme].load()
+    plugin = points[scheme].load()
+    if not isinstance(plugin, kind):
+        raise InputError(f"{address}: its package registers a {type(plugin)}, not a {kind.__name__}")
+    return plugin

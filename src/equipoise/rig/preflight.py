@@ -7,7 +7,6 @@ from collections.abc import Generator
 from pathlib import Path
 from statistics import median
 from time import perf_counter
-from typing import Final
 
 import numpy as np
 
@@ -37,15 +36,6 @@ from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Robot
 from equipoise.rig.request import RunRequest
 from equipoise.rig.script import POLICY_TIME_FRACTION
 from equipoise.user_code import guest_code
-
-REALTIME: Final = Path("/sys/kernel/realtime")
-"""File that exists on a kernel with PREEMPT_RT."""
-STATE_PERIOD: Final = 0.001
-"""Shortest time between the states of a robot that sets the pace [s]."""
-READ_PERIOD: Final = 0.001
-"""Time between two reads of the encoder [s]: the period of a board at 1 kHz."""
-DISCARD_TIME: Final = 0.1
-"""Time for discarding buffered samples before a measurement [s]."""
 
 
 def preflight(
@@ -79,7 +69,7 @@ def preflight(
         check_posture(rig.robot.measured(), settings),
         *check_encoder(settings, *listen(rig.sensor, clock, seconds)),
         *check_settings(granted),
-        *([check_kernel(REALTIME.exists())] if paced and granted else []),
+        *([check_kernel(Path("/sys/kernel/realtime").exists())] if paced and granted else []),
     ]
     return [check_deadlines(np.array(clock.late), paced=paced), *results], max_speed
 
@@ -105,7 +95,7 @@ def examine(
     """
     clock = TimedClock(SystemClock())
     machine, findings = check_settings(prepare()), list[Finding]()
-    machine += [check_kernel(REALTIME.exists())] if paced else []
+    machine += [check_kernel(Path("/sys/kernel/realtime").exists())] if paced else []
     begin = clock.now()
     for k in range(max(round(seconds / SETPOINT_PERIOD), 1)):
         clock.wait_until(begin + (k + 1) * SETPOINT_PERIOD)
@@ -202,7 +192,7 @@ def round_trips(robot: Robot, clock: Clock, seconds: float, *, paced: bool = Fal
     """
     robot.measured()
     trips: list[float] = []
-    begin, period = clock.now(), STATE_PERIOD if paced else SETPOINT_PERIOD
+    begin, period = clock.now(), 0.001 if paced else SETPOINT_PERIOD
     for k in range(max(round(seconds / period), 1)):
         clock.wait_until(begin + k * period)
         asked = clock.now()
@@ -226,7 +216,7 @@ def listen(
     Raises:
         LinkError: The encoder is disconnected or silent.
     """
-    for _ in _reads(clock, DISCARD_TIME):
+    for _ in _reads(clock, 0.1):
         sensor.samples()
     before, begin = sensor.rejected, clock.now()
     newest, received, missing, illegal = begin, 0, 0, 0
@@ -248,6 +238,6 @@ def _reads(clock: Clock, seconds: float) -> Generator[None]:
     """Yield once per read period."""
     begin = deadline = clock.now()
     while (now := clock.now()) < begin + seconds:
-        deadline = max(deadline + READ_PERIOD, now)
+        deadline = max(deadline + 0.001, now)
         clock.wait_until(deadline)
         yield

@@ -28,9 +28,6 @@ from equipoise.rig.preflight import preflight
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
 
-QUESTION_POLL_PERIOD: Final = 0.02
-"""Polling period of typed input, robot and encoder while a question is open [s]: a quarter of a
-stream's requests, and a lost link is noticed within this time plus the driver's timeout."""
 CHECKLIST: Final = (
     ("estop", "Is the E-stop in an operator's hand, and was it tested today?"),
     ("fence", "Is the fence closed, with nobody within reach of arm and pendulum?"),
@@ -96,7 +93,7 @@ class OperatorChannel:
 
     def _read_word(self) -> str:
         while not (lines := self.read_input()):
-            until = self._clock.now() + QUESTION_POLL_PERIOD
+            until = self._clock.now() + 0.02
             self._check_links()
             self._clock.wait_until(until)
         word, *self._pending = lines

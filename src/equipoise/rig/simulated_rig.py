@@ -12,7 +12,7 @@ Each fault of the bodies is a method: `push`, `touch`, `slip`, and `stop` of the
 
 from collections.abc import Callable, Sequence
 from math import pi, radians
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,11 +26,6 @@ from equipoise.worlds.twin.hand import Hand, HandParams, Side, draw_hand_params
 from equipoise.worlds.twin.physics import TICK, rod_centre, rod_inertia
 from equipoise.worlds.twin.simulated_arm import SimulatedArm
 from equipoise.worlds.twin.twin import FLANGE, ROD, Twin
-
-REACTION_TIME: Final = (0.3, 1.0)
-"""Minimum and maximum reaction time [s]. Assumed."""
-DEFLECTION: Final = radians(50.0)
-"""Angle from hanging at which the pendulum is held for a free swing [rad]."""
 
 
 class Mechanism(NamedTuple):
@@ -133,7 +128,7 @@ class Bench:
     def hold_deflected(self) -> None:
         """Grip the pendulum and hold it deflected until `let_go`, which starts a free swing."""
         manner = draw_hand_params(self._random, clumsy=0.0)
-        self.hand.hold_deflected(self.now, self.phi, DEFLECTION, manner)
+        self.hand.hold_deflected(self.now, self.phi, radians(50.0), manner)
 
     def let_go(self) -> None:
         """Release the pendulum."""
@@ -247,7 +242,7 @@ class EmulatedOperator:
         if event.name in self.ignored:
             return
         if event.name in self.acts or event.answers:
-            moment = self._clock.now() + float(self._random.uniform(*REACTION_TIME))
+            moment = self._clock.now() + float(self._random.uniform(0.3, 1.0))  # [s]: assumed
             self._due.append((moment, next(iter(event.answers), ""), event.name))
 
     def read_input(self) -> list[str]:

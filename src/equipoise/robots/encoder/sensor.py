@@ -30,8 +30,6 @@ from equipoise.robots.encoder.consistency import (
 CONNECT_TIMEOUT: Final = 6.0
 """Timeout of the banner [s]. An Arduino restarts when its port is opened, and its boot loader waits
 2 s."""
-BANNER_TIME: Final = 1.0
-"""Time after connecting in which a banner may be a late reply [s]; a later one shows a restart."""
 SETTLING: Final = 0.2
 """Duration of the timing of lines before the first sample [s]; restarts when a line
 arrives earlier than those before by more than `POLL_PERIOD`."""
@@ -161,7 +159,8 @@ class LineEncoder:
         )
 
     def _begin(self, now: float, last: Reading) -> None:
-        self._banner_until = now + BANNER_TIME
+        # [s]: a banner until then may be a late reply; a later one shows a restart.
+        self._banner_until = now + 1.0
         self._block_end, self._block_lateness = now + 1.0, inf
         time = self._time(last.t_us, now)
         self._first = [Sample(time, self._counts, False, bool(last.flags & Flags.ILLEGAL), 0)]

@@ -40,9 +40,6 @@ MAX_LINE: Final = 1024
 ReplyKind = Literal["joints", "external"]
 """Reply that a setpoint requests: measured joints [rad], or external torques [N m]."""
 
-SETPOINTS: Final[dict[ReplyKind, str]] = {"joints": "jpJP", "external": "jpExT"}
-"""Commands that set the target of the joint servo, by requested reply."""
-
 GET_JOINTS: Final = b"getJointsPositions\n"
 """Request for the measured joints, at any time."""
 START_SERVO: Final = b"startDirectServoJoints\n"
@@ -98,7 +95,8 @@ def setpoint(
         InputError: `q` is not one finite number for each joint.
     """
     fields = "".join(f"{value:.{DIGITS}g}_" for value in checked_setpoint(q, joints).tolist())
-    return f"{SETPOINTS[reply]}_{fields}\n".encode()
+    command = "jpJP" if reply == "joints" else "jpExT"
+    return f"{command}_{fields}\n".encode()
 
 
 def expect_done(line: bytes, command: str) -> None:

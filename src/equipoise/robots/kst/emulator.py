@@ -33,12 +33,6 @@ HOST: Final = "127.0.0.1"
 """Address of the emulated cabinet: this machine."""
 DONE: Final = b"done\n"
 """Acknowledgement of the server."""
-NAK: Final = b"nak\n"
-"""Reply of the server after an error in its main thread."""
-SERVO_START: Final = 5e-3
-"""Time from the acknowledgement until a servo exists [s]: "a few milliseconds"."""
-SERVO_STOP: Final = 3e-3
-"""Time from the acknowledgement of a stop until the servo has ended [s]: "a few milliseconds"."""
 
 TARGETS: Final[dict[str, Callable[[SimulatedArm], bytes]]] = {
     "jp_": lambda _: DONE,
@@ -132,7 +126,7 @@ class KstServer:
 
     def _say(self, reply: bytes) -> None:
         if not self.drops:
-            self._segments.append(NAK if self.refuses else reply)
+            self._segments.append(b"nak\n" if self.refuses else reply)
 
     # The reader's thread.
 
@@ -182,14 +176,16 @@ class KstServer:
         """Run a servo; it runs on without a client."""
         self._requested = True
         self._say(DONE)
-        yield from self._sleep(SERVO_START)
+        # "A few milliseconds" [s].
+        yield from self._sleep(5e-3)
         self._runs = True
         self._body.servo(True)
         self._target[:] = self._own_reading()
         self._body.target(tuple(self._target))
         while self._requested:
             yield
-        yield from self._sleep(SERVO_STOP)
+        # "A few milliseconds" [s].
+        yield from self._sleep(3e-3)
         self._body.servo(False)
         self._runs = False
 
