@@ -200,5 +200,7 @@ def _loaded(group: str, address: str, kind: type[Plugin]) -> Plugin:
         raise InputError(f"{address!r} is no known address; {how_to_install(scheme) or known}")
     plugin = points[scheme].load()
     if not isinstance(plugin, kind):
-        raise InputError(f"{address}: its package registers a {type(plugin)}, not a {kind.__name__}")
+        raise InputError(
+            f"{address}: its package registers a {type(plugin)}, not a {kind.__name__}"
+        )
     return plugin
