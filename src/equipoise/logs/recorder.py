@@ -27,7 +27,7 @@ from pydantic import Field
 from equipoise.artefacts import Name, Value, lock, write_whole
 from equipoise.control.ticks import OperatorMessage, TickInputs, TickOutput
 from equipoise.errors import OutsideError
-from equipoise.logs.columns import TABLES, LoggedTick, tables, unknown_rows
+from equipoise.logs.columns import tables, unknown_rows
 from equipoise.model.arms.arm import Arm
 from equipoise.outcomes import Phase, describe
 
@@ -175,8 +175,15 @@ class Recorder:
         for reply in inputs.replies:
             measured = {"q": reply.q, "torque": reply.torque}
             self.reply.push(time=reply.received, sent=reply.sent, taken=now, **measured)
-        tick = LoggedTick(now, compute, inputs, output)
-        self.tick.push(**{column.name: column.value(tick) for column in TABLES["tick"]})
+        self.tick.push(
+            time=now,
+            late=inputs.lateness,
+            compute=compute,
+            state=output.state,
+            **output.record._asdict(),
+            q=output.q,
+            dq=output.dq,
+        )
         for text in inputs.lines:
             push_event(self.event, now, OperatorMessage(WORD_TYPED, text))
         for fault in inputs.faults:

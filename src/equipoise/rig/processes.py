@@ -38,12 +38,12 @@ from equipoise.logs.recorder import (
 )
 from equipoise.logs.writer import RunWriter
 from equipoise.rig import host
+from equipoise.rig.checks import warm_up
 from equipoise.rig.connection import connect
 from equipoise.rig.host import SIGNALS, handled_signals
 from equipoise.rig.interfaces import Operator
 from equipoise.rig.loop import CANNOT_STOP
 from equipoise.rig.plugins import robot_plugin
-from equipoise.rig.preflight import warm_up
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import ALONE, STOP, log_warning, run_on_rig
 from equipoise.rig.run_controller import PHASES
