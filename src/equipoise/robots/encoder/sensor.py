@@ -276,20 +276,17 @@ class LineEncoder:
                 self._received, self._counts = now, self._sign * line.counts
                 self._down = bool(line.flags & Flags.DOWN)
             if order.last is not None and now == self._received >= ready:
-                self._begin(now, order.last)
+                self._banner_until = now + 1.0  # [s]: a later banner shows a restart
+                self._block_end, self._block_lateness = now + 1.0, inf
+                time = self._time(order.last.t_us, now)
+                illegal = bool(order.last.flags & Flags.ILLEGAL)
+                self._first = [Sample(time, self._counts, False, illegal, 0)]
                 return
             clock.wait_until(now + POLL_PERIOD)
         raise LinkError(
             f"{self._name} sends a banner but no steady counts; check its firmware, and that "
             f"the link is fast enough for {banner.rate_hz} lines per second"
         )
-
-    def _begin(self, now: float, last: Reading) -> None:
-        # [s]: a banner until then may be a late reply; a later one shows a restart.
-        self._banner_until = now + 1.0
-        self._block_end, self._block_lateness = now + 1.0, inf
-        time = self._time(last.t_us, now)
-        self._first = [Sample(time, self._counts, False, bool(last.flags & Flags.ILLEGAL), 0)]
 
     # Reading.
 

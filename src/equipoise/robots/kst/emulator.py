@@ -26,7 +26,7 @@ from typing import Final
 from equipoise.errors import InputError, LinkError, OutsideError
 from equipoise.rig.plugins import Bodies, simulated_rig
 from equipoise.rig.transports import SocketTransport
-from equipoise.robots.kst.codec import PORT, KstLineSplitter, java_double, numbers_reply, tokens
+from equipoise.robots.kst.codec import PORT, KstLineSplitter, java_double, numbers_reply
 from equipoise.worlds.twin.simulated_arm import SimulatedArm
 
 HOST: Final = "127.0.0.1"
@@ -140,7 +140,8 @@ class KstServer:
         command = line.decode("latin-1")
         if answer := next((TARGETS[key] for key in TARGETS if command.startswith(key)), None):
             try:
-                for i, field in enumerate(tokens(command)[1 : len(self._target) + 1]):
+                fields = [field for field in command.split("_") if field]
+                for i, field in enumerate(fields[1 : len(self._target) + 1]):
                     self._target[i] = java_double(field)
             finally:  # the servo follows the numbers read before the reader died
                 if self._runs:
