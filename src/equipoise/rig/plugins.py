@@ -15,16 +15,14 @@ in the same way. `equipoise.rig.connection` is the only module that opens device
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from equipoise.arrays import Array
 from equipoise.artefacts import Share, Value
 from equipoise.entry_points import how_to_install, registered
 from equipoise.errors import InputError
 from equipoise.model.arms.arm import Arm
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.config import Load
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Robot, Transport
-from equipoise.rig.simulated_rig import Bench, SimulatedRig
+from equipoise.rig.simulated_rig import Bench, Bodies, SimulatedRig
 
 Plugin = TypeVar("Plugin")
 
@@ -68,33 +66,6 @@ class Emulated(NamedTuple):
     """Makes another driver on a transport, for tests that damage bytes."""
 
 
-class Bodies(NamedTuple):
-    """Bodies of a rig that is to be emulated."""
-
-    arm: Arm
-    """The arm with its home posture."""
-    pendulum: PendulumParameters
-    """The true pendulum."""
-    settings: TwinSettings
-    """Settings of the world."""
-    q: Array
-    """Free joints at the start [rad], shape (6,)."""
-    start: float
-    """Start time [s]."""
-    seed: int
-    """Seed of all random numbers."""
-
-
-def simulated_rig(bodies: Bodies) -> SimulatedRig:
-    """Return a rig with the arm of a twin; the default bench of an emulated robot.
-
-    Raises:
-        ArmError: The masses of the arm's links are unknown.
-    """
-    arm, pendulum, settings, q, start, seed = bodies
-    return SimulatedRig(arm, pendulum, settings, seed=seed, start=start, q=q)
-
-
 class Hardware(Protocol):
     """Emulated robot on this machine, in real time."""
 
@@ -129,7 +100,7 @@ class RobotPlugin(Value):
     paced: bool = False
     """Whether the robot sets the pace, and requests setpoints by itself. Its driver is then a
     `Clock`, too, which answers it while the loop waits."""
-    bench: Callable[[Bodies], Any] = simulated_rig
+    bench: Callable[[Bodies], Any] = SimulatedRig
     """Makes the bench of the emulator: a `SimulatedRig`, or another with its acts and its angle."""
     emulate: Callable[[Any, Arm, Session, float, int], Emulated] = no_emulator
     """Returns the driver in front of an emulator. Arguments: the bench, whose `body` the emulator

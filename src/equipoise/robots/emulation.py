@@ -19,7 +19,8 @@ from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.interfaces import Clock
-from equipoise.rig.plugins import Bodies, ignore, robot_plugin
+from equipoise.rig.plugins import ignore, robot_plugin
+from equipoise.rig.simulated_rig import Bodies
 from equipoise.robots.encoder.board import Board, Terminal
 
 PERIOD: Final = 0.001

@@ -24,7 +24,7 @@ from contextlib import suppress
 from typing import Final
 
 from equipoise.errors import InputError, LinkError, OutsideError
-from equipoise.rig.plugins import Bodies, simulated_rig
+from equipoise.rig.simulated_rig import Bodies, SimulatedRig
 from equipoise.rig.transports import SocketTransport
 from equipoise.robots.kst.codec import PORT, KstLineSplitter, java_double, numbers_reply
 from equipoise.worlds.twin.simulated_arm import SimulatedArm
@@ -222,7 +222,7 @@ class KstHardware:
         self._listener.setblocking(False)
         self.address = f"kst://{HOST}:{self._listener.getsockname()[1]}"
         """Address of the robot."""
-        self.bench = simulated_rig(bodies)
+        self.bench = SimulatedRig(bodies)
         """Bench with the arm."""
         body = self.bench.body
         self._warm_up()
