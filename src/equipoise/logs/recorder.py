@@ -137,9 +137,9 @@ class Recorder:
 
         Args:
             joints: Number of joints of the arm.
-            buffer: Zeroed memory of `buffer_size` bytes; allocated if not given.
+            buffer: Zeroed memory of the size of a `memory_layout`; allocated if not given.
         """
-        layout = _memory_layout(joints)
+        layout = memory_layout(joints)
         buffer = bytearray(layout.itemsize) if buffer is None else buffer
         (memory,) = np.frombuffer(buffer, layout, 1)
         self.pulse: Any = memory["pulse"]
@@ -153,11 +153,6 @@ class Recorder:
         self.console = Ring(memory["console"])
         """Words from a console."""
         self._question: npt.NDArray[Any] = memory["question"]
-
-    @staticmethod
-    def buffer_size(joints: int) -> int:
-        """Return the size of the memory for an arm with `joints` joints [B]."""
-        return _memory_layout(joints).itemsize
 
     def record_tick(
         self, now: float, compute: float, inputs: TickInputs, output: TickOutput
@@ -218,7 +213,7 @@ class Recorder:
         return sum(ring.lost for ring in self.rings.values())
 
 
-def _memory_layout(joints: int) -> np.dtype[Any]:
+def memory_layout(joints: int) -> np.dtype[Any]:
     """Return the memory of a recorder: pulse, open question, and the rings."""
     kinds = tables(joints)
     sizes = {name: (kinds[name], round(10.0 * rate)) for name, rate in RATES.items()}
@@ -285,7 +280,7 @@ def share(info: RunInfo) -> Generator[Path]:
     try:
         with (folder / "alive").open("wb") as alive:
             lock(alive)
-            size = Recorder.buffer_size(len(info.arm.joints))
+            size = memory_layout(len(info.arm.joints)).itemsize
             try:
                 (folder / "memory").write_bytes(bytes(size))  # not sparse: a full disk shows here
                 (folder / CONSOLE).touch()

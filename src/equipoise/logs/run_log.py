@@ -53,7 +53,9 @@ def read_log(
     """
     entries, messages, damage = _read_mcap(path)
     if not entries:
-        raise ArtefactError(f"{path} {damage or 'is no run log'}; give a log that deploy wrote")
+        raise ArtefactError(
+            f"{path} is no run log, or damaged at its begin; give a log that deploy wrote"
+        )
     end = None
     try:
         conditions = RunConditions.model_validate_json(entries["conditions"], strict=True)
@@ -85,7 +87,6 @@ def _read_mcap(path: Path) -> tuple[Mapping[str, str], Mapping[str, list[bytes]]
     Raises:
         ArtefactError: The file is missing, cannot be read, is no MCAP file, or was changed.
     """
-    from mcap.exceptions import InvalidMagic
     from mcap.records import Channel, DataEnd, Message, Metadata
     from mcap.stream_reader import StreamReader
 
@@ -110,8 +111,6 @@ def _read_mcap(path: Path) -> tuple[Mapping[str, str], Mapping[str, list[bytes]]
                 count += 1
             elif isinstance(record, DataEnd):
                 break
-    except InvalidMagic:
-        raise ArtefactError(f"{path} is not an MCAP file; give a log that deploy wrote") from None
     except Exception as error:  # a damaged length raises exceptions of any type
         if isinstance(getattr(error, "record", None), DataEnd):
             raise ArtefactError(
