@@ -65,7 +65,7 @@ def test_a_driver_that_sleeps_ends_a_run_on_a_twin(equipoise, monkeypatch):
     ("verb", "stage"),
     [
         ("deploy", "rig.simulate.simulate_run"),
-        ("rig doctor", "rig.preflight.examine"),
+        ("rig doctor", "rig.checks.examine"),
         ("train", "learning.train.train_to_target"),
         ("evaluate", "worlds.evaluation.evaluate"),
         ("reproduce", "reproduction.pipeline.reproduce"),
@@ -84,7 +84,7 @@ def test_a_signal_ends_a_verb_with_its_exit_code(equipoise, monkeypatch, verb, s
 
 def test_doctor_examines_this_machine(equipoise, monkeypatch):
     # The settings of a loop would stay with the process of the tests.
-    monkeypatch.setattr("equipoise.rig.preflight.prepare", dict)
+    monkeypatch.setattr("equipoise.rig.checks.prepare", dict)
     ran = equipoise("rig", "doctor", "--seconds", 0.2, "--json")
     assert ran.code == int(ran.json["verdict"] == "not fit")
     assert ran.json["findings"]

@@ -9,7 +9,7 @@ from equipoise.control.control_step import make_controller_params
 from equipoise.control.controller import Controller
 from equipoise.control.policy import shipped_policy
 from equipoise.model.worlds import pendulum_on, read_world
-from equipoise.rig.simulated_rig import SimulatedRig
+from equipoise.rig.simulated_rig import Bodies, SimulatedRig
 
 pytestmark = pytest.mark.compiled_only
 
@@ -57,7 +57,8 @@ def test_counts_that_come_late_count_as_if_they_had_come_in_time(late):
 @pytest.mark.parametrize("unsent", [False, True])
 def test_in_a_pause_the_model_comes_to_rest_with_the_twins_arm(unsent):
     world = read_world("twin:nominal")
-    rig = SimulatedRig(ARM, pendulum_on(POLICY.pendulum, world.settings), world.settings)
+    pendulum = pendulum_on(POLICY.pendulum, world.settings)
+    rig = SimulatedRig(Bodies(ARM, pendulum, world.settings, ARM.home_free, 0.0, 0))
     assert not rig.twin.state.servo.pd
     rig.body.servo(True)
     own, delay = controller(), POLICY.actuator.delay.value

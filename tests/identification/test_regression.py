@@ -12,8 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from equipoise.errors import RecordingError
-from equipoise.identification.refine import significant_moves
-from equipoise.identification.regression import regress
+from equipoise.identification.refine import regress, significant_moves
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.settings import GRAVITY, PlantSettings
 

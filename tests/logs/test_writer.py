@@ -13,7 +13,13 @@ from mcap.reader import make_reader
 
 from equipoise.control.ticks import OperatorMessage
 from equipoise.logs.conditions import RunEnd
-from equipoise.logs.recorder import CONNECTING, Recorder, push_event, read_events
+from equipoise.logs.recorder import (
+    CONNECTING,
+    Recorder,
+    memory_layout,
+    push_event,
+    read_events,
+)
 from equipoise.logs.run_log import RunLog
 from equipoise.logs.writer import RunWriter
 from equipoise.outcomes import Outcome
@@ -117,7 +123,7 @@ def test_a_ring_that_nobody_drains_drops_and_counts():
 
 
 def test_rings_lie_in_memory_that_two_share():
-    buffer = bytearray(Recorder.buffer_size(7))
+    buffer = bytearray(memory_layout(7).itemsize)
     one, other = Recorder(7, buffer), Recorder(7, buffer)
     push(one, 3)
     assert other.stream.take()["time"] == pytest.approx([0.0, 0.01, 0.02])

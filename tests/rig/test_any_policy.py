@@ -13,9 +13,9 @@ from equipoise.errors import InputError
 from equipoise.identification.actuator import identify_actuator
 from equipoise.logs.run_log import RunLog
 from equipoise.outcomes import Phase
+from equipoise.rig.checks import warm_up
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import connect
-from equipoise.rig.preflight import warm_up
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
 from equipoise.rig.run_controller import PHASES

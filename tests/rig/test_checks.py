@@ -10,11 +10,10 @@ import pytest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, LinkError
-from equipoise.rig import checks, preflight
-from equipoise.rig.checks import Finding, require
+from equipoise.rig import checks
+from equipoise.rig.checks import Finding, TimedClock, examine, listen, require, round_trips
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import RigSettings
-from equipoise.rig.preflight import TimedClock, examine, listen, round_trips
 from tests.robots.encoder.rig import Bench as EncoderBench
 
 RIG, POLICY = RigSettings(), shipped_policy()
@@ -138,8 +137,8 @@ def test_a_robot_that_sets_the_pace_is_asked_for_each_state_and_needs_a_real_tim
 
     other = dict.fromkeys(("connect", "close"), lambda: None)
     device = SimpleNamespace(joints=7, measured=measured, **other)
-    monkeypatch.setattr(preflight, "prepare", dict)
-    monkeypatch.setattr(preflight, "REALTIME", tmp_path / "none")
+    monkeypatch.setattr(checks, "prepare", lambda: {"own core": "granted"})
+    monkeypatch.setattr(checks.Path, "exists", lambda _: False)
     found = examine(device, None, None, 0.05, paced=True)
     assert status(found, "kernel") == "warning"
     assert "a state each 1." in next(one.found for one in found if one.name == "link to the robot")
@@ -154,7 +153,7 @@ def test_a_device_is_closed_whatever_happens(monkeypatch, fails, name):
         if fails:
             raise LinkError("nobody there")
 
-    monkeypatch.setattr(preflight, "prepare", lambda: {"memory locked": "denied"})
+    monkeypatch.setattr(checks, "prepare", lambda: {"memory locked": "denied"})
     close, measured = lambda: done.append("close"), lambda: np.zeros(7)
     device = SimpleNamespace(connect=connect, close=close, measured=measured)
     found = examine(device, None, None, 0.02)

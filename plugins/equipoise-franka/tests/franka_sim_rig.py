@@ -130,13 +130,13 @@ class FrankaSimRig(Bench):
     """The rig, with what `Lockstep` uses of one."""
 
     def __init__(self, bodies, hosts=franky.OTHER_HOSTS):
-        arm, pendulum, settings, q, start, seed = bodies
+        arm, pendulum, settings, q, _, _ = bodies
         self.robot = Mechanics(arm, pendulum, settings, q)
         self.controller = Server(self.robot, hosts)
         model, data = self.robot.model, self.robot.data
         flange, rod = (model.body(name).id for name in (franky.LINK, "pendulum"))
         mechanism = Mechanism(data, flange, rod, self.robot.phi, self.robot.cycle)
-        super().__init__(mechanism, pendulum, settings, seed=seed, start=start)
+        super().__init__(mechanism, bodies)
 
     @property
     def q(self):

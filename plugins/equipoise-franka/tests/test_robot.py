@@ -19,9 +19,10 @@ from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import Load, RigSettings
 from equipoise.rig.connection import connect
 from equipoise.rig.explanation import explain
-from equipoise.rig.plugins import Bodies, Session
+from equipoise.rig.plugins import Session
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
+from equipoise.rig.simulated_rig import Bodies
 from equipoise.testing import MISREAD, RobotConformance, RobotUnderTest
 from equipoise_franka import robot as driver
 from equipoise_franka.arm import fr3

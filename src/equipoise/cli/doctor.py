@@ -23,11 +23,11 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
 
     Nothing moves; the robot's answers are timed at rest. Exit code 1: not fit.
     """
+    from equipoise.rig.checks import examine
     from equipoise.rig.clocks import SystemClock
     from equipoise.rig.config import read_rig, world_of
     from equipoise.rig.connection import open_encoder
     from equipoise.rig.plugins import Session, robot_plugin
-    from equipoise.rig.preflight import examine
 
     robot, encoder = rig.robot, rig.encoder
     if robot is not None and world_of(robot):

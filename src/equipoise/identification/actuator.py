@@ -391,9 +391,8 @@ def _warnings(log: Log, fit: JointFit, noise: Array) -> tuple[str, ...]:
         )
     for j, left in enumerate(_rms(fit.residual)):
         fraction = left / np.std(log.measured[j])
-        if (
-            left > 3.0 * noise[j] and fraction > 0.02
-        ):  # transport jitter alone leaves twice the noise
+        # Transport jitter alone leaves twice the noise.
+        if left > 3.0 * noise[j] and fraction > 0.02:
             warnings.append(
                 f"free joint {j + 1} deviates from the model: it leaves {1e3 * left:.2g} mrad, "
                 f"{fraction:.0%} of the motion and {left / noise[j]:.0f} times the noise; where a "

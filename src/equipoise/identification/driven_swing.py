@@ -144,9 +144,8 @@ def self_test(
         resting: The count at which it was referenced.
         delay: Expected delay of the encoder's time stamps behind those of the joints [s].
     """
-    refused = _refusal(time, pivot_time, pivot_x)
-    if refused is not None:
-        return refused
+    if refusal := _refusal(time, pivot_time, pivot_x):
+        return SelfTest(*refusal)
     angle = (counts - resting) * (2.0 * pi / counts_per_rev)
     answer = float(np.std(angle))
     if answer < MIN_RESPONSE:
@@ -189,33 +188,30 @@ def self_test(
     return result._replace(verdict=verdict, reason=reason)
 
 
-def _refusal(time: Array, pivot_time: Array, pivot_x: Array) -> SelfTest | None:
+def _refusal(time: Array, pivot_time: Array, pivot_x: Array) -> tuple[SelfTestVerdict, str] | None:
     """Return the verdict on samples that cannot be fitted; None if they can."""
     for name, times in (("encoder", time), ("pivot", pivot_time)):
         if len(times) < 200 or not np.all(np.diff(times) > 0.0):
-            return SelfTest(
-                SelfTestVerdict.FAILED,
+            return SelfTestVerdict.FAILED, (
                 f"the {name} gave {len(times)} samples, expected 200 or more, at times that "
-                "increase",
+                "increase"
             )
     moved = float(np.ptp(pivot_x))
     if not 0.5 * MOVE_DISTANCE < moved < 2.0 * MOVE_DISTANCE:
-        return SelfTest(
-            SelfTestVerdict.FAILED,
+        return SelfTestVerdict.FAILED, (
             f"the flange was measured to move by {1e3 * moved:.1f} mm, "
-            f"expected {1e3 * MOVE_DISTANCE:g} mm",
+            f"expected {1e3 * MOVE_DISTANCE:g} mm"
         )
     away = np.abs(pivot_x - np.median(pivot_x[-len(pivot_x) // 8 :])) > 0.02 * moved
     left = float(time[-1] - pivot_time[np.flatnonzero(away)[-1]])
     if left < 0.5 * SWING_TIME:
-        return SelfTest(
-            SelfTestVerdict.FAILED,
-            f"the pendulum was observed for {left:.1f} s after the move, expected {SWING_TIME:g} s",
+        return SelfTestVerdict.FAILED, (
+            f"the pendulum was observed for {left:.1f} s after the move, expected {SWING_TIME:g} s"
         )
     gap = max(float(np.max(np.diff(time))), float(np.max(np.diff(pivot_time))))
     if gap > 0.05:  # [s]: the pivot's motion is interpolated over it
         reason = f"samples have a gap of {1e3 * gap:.0f} ms, expected 50 ms"
-        return SelfTest(SelfTestVerdict.REPEAT, reason)
+        return SelfTestVerdict.REPEAT, reason
     return None
 
 

@@ -48,8 +48,6 @@ TIMES: Final = {"time_s": 1.0, "time_ms": 1e-3, "time_us": 1e-6}
 """Accepted columns of time stamps, with their units [s]; a file has one."""
 QUANTITIES: Final = ("theta_rad", "theta_deg", "counts", "rate_rad_s")
 """Accepted columns of the motion; a file has one."""
-MAX_RECORDING_SIZE: Final = 128 * MEBIBYTE
-"""Size limit of a recording [bytes]: an hour at 1 kHz with six columns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +135,7 @@ def read_swing(
             not a finite number, its time does not increase, or no samples are left.
     """
     path = Path(path)
-    data = read_bytes(path, MAX_RECORDING_SIZE, "a recording", RecordingError)
+    data = read_bytes(path, 128 * MEBIBYTE, "a recording", RecordingError)
     time_name, quantity, table = _read_table(path, data)
     is_counts, is_rate = quantity == "counts", quantity == "rate_rad_s"
     if is_counts and (counts_per_rev is None or counts_per_rev <= 0):
@@ -152,7 +150,10 @@ def read_swing(
     # The clock of a microcontroller wraps after 71.6 minutes of microseconds.
     stamps = TIMES[time_name] * np.unwrap(stamps, period=2.0**32)
     if not is_rate:
-        values = np.unwrap(values, period=_wrap(values, turn) if is_counts else turn)
+        # Counts wrap after a turn, or where a binary counter overflows that holds their range.
+        periods = (turn, *2.0 ** np.arange(33)) if is_counts else (turn,)
+        wrapped = min((one for one in periods if one > np.ptp(values)), default=turn)
+        values = np.unwrap(values, period=wrapped)
     keep = stamps >= (-inf if start is None else start - 1e-9)
     keep &= stamps < (inf if end is None else end + 1e-9)
     if np.count_nonzero(keep) < 2:
@@ -174,25 +175,6 @@ def read_swing(
         sha256=DIGEST_PREFIX + hashlib.sha256(data).hexdigest(),
         released=start is not None,
     )
-
-
-def _wrap(counts: Array, turn: float) -> float:
-    """Return the period by which counts wrap: that of a counter that overflows, or a turn.
-
-    A swing that is sampled ten times a period never moves by half of its range between two samples.
-    A larger step is a wrap, less the motion meanwhile, and its period exceeds the range.
-    """
-    steps, span = np.diff(counts), float(np.ptp(counts))
-    wraps = np.abs(steps) > 0.5 * span
-    if not np.any(wraps):
-        return turn
-    motion = np.where(wraps, 0.0, steps)
-    between = np.convolve(motion, (0.5, 0.0, 0.5))[1:-1]
-    period = float(np.median(np.abs(steps - between)[wraps]))
-    known = min(turn, 2.0 ** np.round(np.log2(period)), key=lambda one: abs(one - period))
-    if abs(known - period) <= 1.0 + np.max(np.abs(motion)):
-        period = known
-    return max(float(np.round(period)), span + 1.0) if period > span else turn
 
 
 def _read_table(path: Path, data: bytes) -> tuple[str, str, Array]:

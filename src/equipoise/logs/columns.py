@@ -1,4 +1,4 @@
-"""Tables of a run log: name, unit, meaning, type and source of each column.
+"""Tables of a run log: name, unit, meaning and type of each column.
 
 A table is a structured array with one row per message of the topic with its name::
 
@@ -17,32 +17,16 @@ Rings, messages, JSON schemas, files, CSV tables and `docs/reference/run-log.md`
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-
-from equipoise.control.ticks import TickInputs, TickOutput
 
 Rows = npt.NDArray[Any]
 """Rows of a table, as a structured array."""
 MAX_NUMBER: Final = 1e12
 """Limit on times [s], counts and all other numbers in a row: a board's counts begin anywhere in 32
 bits and go on beyond them; products of numbers within it stay finite."""
-
-
-class LoggedTick(NamedTuple):
-    """A tick of a run on a rig, for the sources of the columns of `tick`."""
-
-    time: float
-    """Start of the tick [s]."""
-    compute: float
-    """Computing time, from reading to sending [s]."""
-    inputs: TickInputs
-    """Inputs of the tick."""
-    output: TickOutput
-    """Decision of the tick."""
 
 
 class Column(NamedTuple):
@@ -56,12 +40,6 @@ class Column(NamedTuple):
     """Meaning, with sign or reference."""
     kind: str = "number"
     """Type: `number`, `whole`, `joints` (one number per joint) or `S` with a size [B] (text)."""
-    source: str = ""
-    """Attribute of a `LoggedTick` with the value; by default that of the record with this name."""
-
-    def value(self, tick: LoggedTick) -> Any:
-        """Return the value of the column in a tick of a run on a rig."""
-        return attrgetter(self.source or f"output.record.{self.name}")(tick)
 
     @property
     def header(self) -> str:
@@ -72,12 +50,10 @@ class Column(NamedTuple):
 
 TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
     "tick": (
-        Column("time", "s", "Start of the tick", source="time"),
-        Column("late", "s", "Delay behind the deadline; on a rig", source="inputs.lateness"),
-        Column("compute", "s", "Computing time, reading to sending; on a rig", source="compute"),
-        Column(
-            "state", "", "Phase, as index in `phases` of the conditions", "whole", "output.state"
-        ),
+        Column("time", "s", "Start of the tick"),
+        Column("late", "s", "Delay behind the deadline; on a rig"),
+        Column("compute", "s", "Computing time, reading to sending; on a rig"),
+        Column("state", "", "Phase, as index in `phases` of the conditions", "whole"),
         Column("x", "m", "Displacement of the flange from home, as observed"),
         Column("x_dot", "m/s", "Velocity of the flange, as observed"),
         Column("phi", "rad", "Angle from upright, towards +x, as observed"),
@@ -89,8 +65,8 @@ TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
         Column("bias", "rad", "Estimate of the encoder's zero error"),
         Column("estimated_x_dot", "m/s", "Estimate of x_dot at the tick"),
         Column("estimated_x", "m", "Estimate of x at the tick"),
-        Column("q", "rad", "Joints commanded for the end of the tick", "joints", "output.q"),
-        Column("dq", "rad/s", "Velocities commanded for that time", "joints", "output.dq"),
+        Column("q", "rad", "Joints commanded for the end of the tick", "joints"),
+        Column("dq", "rad/s", "Velocities commanded for that time", "joints"),
     ),
     "truth": (
         Column("time", "s", "Start of the tick"),

@@ -27,7 +27,7 @@ from pydantic import Field
 from equipoise.artefacts import Name, Value, lock, write_whole
 from equipoise.control.ticks import OperatorMessage, TickInputs, TickOutput
 from equipoise.errors import OutsideError
-from equipoise.logs.columns import TABLES, LoggedTick, tables, unknown_rows
+from equipoise.logs.columns import tables, unknown_rows
 from equipoise.model.arms.arm import Arm
 from equipoise.outcomes import Phase, describe
 
@@ -137,9 +137,9 @@ class Recorder:
 
         Args:
             joints: Number of joints of the arm.
-            buffer: Zeroed memory of `buffer_size` bytes; allocated if not given.
+            buffer: Zeroed memory of the size of a `memory_layout`; allocated if not given.
         """
-        layout = _memory_layout(joints)
+        layout = memory_layout(joints)
         buffer = bytearray(layout.itemsize) if buffer is None else buffer
         (memory,) = np.frombuffer(buffer, layout, 1)
         self.pulse: Any = memory["pulse"]
@@ -153,11 +153,6 @@ class Recorder:
         self.console = Ring(memory["console"])
         """Words from a console."""
         self._question: npt.NDArray[Any] = memory["question"]
-
-    @staticmethod
-    def buffer_size(joints: int) -> int:
-        """Return the size of the memory for an arm with `joints` joints [B]."""
-        return _memory_layout(joints).itemsize
 
     def record_tick(
         self, now: float, compute: float, inputs: TickInputs, output: TickOutput
@@ -175,8 +170,15 @@ class Recorder:
         for reply in inputs.replies:
             measured = {"q": reply.q, "torque": reply.torque}
             self.reply.push(time=reply.received, sent=reply.sent, taken=now, **measured)
-        tick = LoggedTick(now, compute, inputs, output)
-        self.tick.push(**{column.name: column.value(tick) for column in TABLES["tick"]})
+        self.tick.push(
+            time=now,
+            late=inputs.lateness,
+            compute=compute,
+            state=output.state,
+            **output.record._asdict(),
+            q=output.q,
+            dq=output.dq,
+        )
         for text in inputs.lines:
             push_event(self.event, now, OperatorMessage(WORD_TYPED, text))
         for fault in inputs.faults:
@@ -211,7 +213,7 @@ class Recorder:
         return sum(ring.lost for ring in self.rings.values())
 
 
-def _memory_layout(joints: int) -> np.dtype[Any]:
+def memory_layout(joints: int) -> np.dtype[Any]:
     """Return the memory of a recorder: pulse, open question, and the rings."""
     kinds = tables(joints)
     sizes = {name: (kinds[name], round(10.0 * rate)) for name, rate in RATES.items()}
@@ -278,7 +280,7 @@ def share(info: RunInfo) -> Generator[Path]:
     try:
         with (folder / "alive").open("wb") as alive:
             lock(alive)
-            size = Recorder.buffer_size(len(info.arm.joints))
+            size = memory_layout(len(info.arm.joints)).itemsize
             try:
                 (folder / "memory").write_bytes(bytes(size))  # not sparse: a full disk shows here
                 (folder / CONSOLE).touch()

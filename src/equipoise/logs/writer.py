@@ -3,7 +3,7 @@
 The log begins with a metadata record, which holds conditions and provenance. Rows follow as JSON,
 compressed with zstd, in the order of time. The last message holds the end of the run.
 
-A killed process leaves a file that `equipoise.logs.reader` reads up to its last chunk. A full disk
+A killed process leaves a file that `equipoise.logs.run_log` reads up to its last chunk. A full disk
 ends the log there and does not affect the tick loop.
 """
 

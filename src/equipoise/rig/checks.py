@@ -1,23 +1,36 @@
-"""Checks of machine, links and policy before a run, for the diagnosis and the pre-flight.
+"""Checks of machine, links and policy before a run, for the pre-flight and the diagnosis.
 
-Each function judges one subject and returns its findings; a threshold stands beside its check and
-nowhere else. Nothing here moves an arm.
+A check judges one subject and returns its findings; a threshold stands beside its check and nowhere
+else. The loop of the measurements is measured, too: a late loop finds every device late. Nothing
+here moves an arm.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from math import degrees, floor, inf
+from pathlib import Path
+from statistics import median
+from time import perf_counter
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
 from equipoise.arrays import Array
-from equipoise.control.policy import TaskPolicy
-from equipoise.errors import EquipoiseError, InputError
+from equipoise.control.controller import Controller, FlangeKinematics
+from equipoise.control.policy import TaskPolicy, shipped_policy, tick_policy
+from equipoise.errors import EquipoiseError, InputError, LinkError
+from equipoise.identification.driven_swing import MODEL_STEP, driven_swing
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
+from equipoise.model.pendulum import PendulumParameters
 from equipoise.outcomes import MAX_STALL
+from equipoise.rig.clocks import DrainingClock, SystemClock
 from equipoise.rig.config import RigSettings
-from equipoise.rig.interfaces import SETPOINT_PERIOD
+from equipoise.rig.connection import Rig
+from equipoise.rig.host import prepare
+from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Robot
+from equipoise.rig.request import RunRequest, actuator_fits
+from equipoise.rig.script import POLICY_TIME_FRACTION
+from equipoise.user_code import guest_code
 
 STALL: Final = 0.020
 """Delay from which a loop, an encoder or a link counts as stalled [s]: two ticks. A robot that sets
@@ -27,8 +40,6 @@ GOOD_ROUND_TRIP: Final = 0.0055
 link setpoints are sent only as replies arrive, and the flange's speed is limited."""
 MAX_ROUND_TRIP: Final = 0.009
 """99th percentile of round trips beyond which a reply is overdue in every tick [s]."""
-HOME_MARGIN_DEG: Final = 5.0
-"""Minimum distance of home from a joint's limits, beyond the rig's margin [deg]."""
 
 
 class Finding(NamedTuple):
@@ -76,24 +87,27 @@ def require(findings: Sequence[Finding], error: type[EquipoiseError] = InputErro
         raise error("; ".join(f"{one.name}: {one.found}; {one.remedy}" for one in bad))
 
 
-def check_settings(granted: dict[str, str]) -> list[Finding]:
-    """Judge the real-time settings of a process, see `equipoise.rig.host.prepare`."""
+def check_machine(granted: dict[str, str], paced: bool) -> list[Finding]:
+    """Judge the real-time settings of a process, and the kernel below a robot that sets the pace.
+
+    Args:
+        granted: Results of the settings, see `equipoise.rig.host.prepare`; empty in virtual time.
+        paced: Whether the robot sets the pace.
+    """
     remedy = (
         "on Linux: sudo groupadd -f realtime; sudo usermod -aG realtime $USER; put `@realtime - "
         "rtprio 99` and `@realtime - memlock unlimited` into /etc/security/limits.conf; log in "
         "again"
     )
-    return [find(name, how, remedy, warning=how != "granted") for name, how in granted.items()]
-
-
-def check_kernel(realtime: bool) -> Finding:
-    """Judge the kernel below a robot that sets the pace: whether it has PREEMPT_RT."""
-    return find(
-        "kernel",
-        f"{'with' if realtime else 'without'} PREEMPT_RT",
-        "install a kernel with PREEMPT_RT, see docs/how-to/real-time.md; expect lost packets",
-        warning=not realtime,
-    )
+    found = [find(name, how, remedy, warning=how != "granted") for name, how in granted.items()]
+    if paced and granted:
+        realtime = Path("/sys/kernel/realtime").exists()
+        kernel = f"{'with' if realtime else 'without'} PREEMPT_RT"
+        remedy = (
+            "install a kernel with PREEMPT_RT, see docs/how-to/real-time.md; expect lost packets"
+        )
+        found.append(find("kernel", kernel, remedy, warning=not realtime))
+    return found
 
 
 def check_deadlines(late: Array, *, paced: bool = False) -> Finding:
@@ -229,23 +243,9 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> list[
             "home",
             f"{joint} is {room:.1f} deg inside its limits",
             "choose a home further inside all limits",
-            bad=room < rig.position_margin_deg + HOME_MARGIN_DEG,
+            bad=room < rig.position_margin_deg + 5.0,
         ),
     ]
-
-
-def actuator_fits(policy: TaskPolicy, actuator: Actuator) -> bool:
-    """Return whether delay, lags and response times are within the spread of the training."""
-    trained, plant = policy.actuator, policy.settings.plant
-    if plant.ideal or trained.kind == "ideal" or actuator.kind != trained.kind:
-        return False
-    pairs = zip(actuator.lags, trained.lags, strict=True)
-    ratios = [one.value / other.value for one, other in pairs if other.value > 0.0]
-    late = [actuator.delay.value - trained.delay.value]
-    for joint in range(len(trained.lags)):
-        late.append(actuator.response_time(joint) - trained.response_time(joint))
-    slow = max(map(abs, late)) > plant.delay_spread
-    return not slow and all(abs(ratio - 1.0) <= plant.lag_spread for ratio in ratios)
 
 
 def max_flange_speed(
@@ -299,3 +299,206 @@ def _nearest_limit(arm: Arm, q: Sequence[float]) -> tuple[str, float]:
 
 def _response(actuator: Actuator) -> str:
     return f"{actuator.kind} with a delay of {1e3 * actuator.delay.value:.1f} ms"
+
+
+def preflight(
+    request: RunRequest, rig: Rig, granted: dict[str, str]
+) -> tuple[list[Finding], float]:
+    """Check a connected rig, after `check_fit` of its description; nothing moves.
+
+    A bad result refuses the run; a warning goes into the log.
+
+    Args:
+        request: The run.
+        rig: The rig.
+        granted: Real-time settings of the process; empty in virtual time.
+
+    Returns:
+        Result of each check, and flange speed at which the run stops [m/s] (default: inf).
+
+    Raises:
+        LinkError: Robot or encoder does not answer.
+    """
+    policy, settings, seconds = request.policy, request.settings, 1.0  # of each measurement
+    clock = TimedClock(rig.clock)
+    waiting = DrainingClock(clock, rig.sensor)
+    paced = rig.plugin.paced
+    trips = round_trips(rig.robot, waiting, seconds, paced=paced)
+    rule = rig.plugin.flange_speed
+    max_speed = max_flange_speed(settings.described_arm, trips, request.max_speed, rule)
+    results = [
+        check_link(trips, paced=paced),
+        *check_speed(policy, max_speed),
+        check_posture(rig.robot.measured(), settings),
+        *check_encoder(settings, *listen(rig.sensor, clock, seconds)),
+        *check_machine(granted, paced),
+    ]
+    return [check_deadlines(np.array(clock.late), paced=paced), *results], max_speed
+
+
+def examine(
+    robot: Robot | None,
+    sensor: AngleSensor | None,
+    rig: RigSettings | None,
+    seconds: float,
+    *,
+    paced: bool = False,
+) -> list[Finding]:
+    """Measure a machine and a rig, and judge the measurements; no arm moves.
+
+    This thread keeps the real-time settings of a run's loop.
+
+    Args:
+        robot: The robot, not connected; None examines none.
+        sensor: The encoder, not connected; None examines none.
+        rig: Contents of `rig.toml`; None where they are unknown.
+        seconds: Duration of each measurement [s].
+        paced: Whether the robot sets the pace.
+    """
+    clock = TimedClock(SystemClock())
+    machine, findings = check_machine(prepare(), paced), list[Finding]()
+    begin = clock.now()
+    for k in range(max(round(seconds / SETPOINT_PERIOD), 1)):
+        clock.wait_until(begin + (k + 1) * SETPOINT_PERIOD)
+    for device in (sensor, robot):
+        if device is None:
+            continue
+        name = "encoder" if device is sensor else "robot"
+        try:
+            with guest_code(f"the driver of the {name}"):
+                device.connect()
+                if isinstance(device, AngleSensor):
+                    findings += check_encoder(rig, *listen(device, clock, seconds))
+                else:
+                    trips = round_trips(device, clock, seconds, paced=paced)
+                    findings.append(check_link(trips, paced=paced))
+        except LinkError as error:
+            remedy = "check its power, its cable and its address"
+            findings.append(find(name, str(error), remedy, bad=True))
+        finally:
+            device.close()
+    return [*machine, check_deadlines(np.array(clock.late), paced=paced), *findings]
+
+
+def warm_up(request: RunRequest) -> None:
+    """Run all code of a tick and of the self-test's model, to compile it before the stream starts.
+
+    The policy's part is timed. The policy that an identified arm is compared with is read.
+
+    Raises:
+        ArmError: Home is a singular posture.
+        SettingsError: The delay exceeds the controller's history.
+        InputError: The policy raises, returns no finite number, or takes too long.
+    """
+    settings, policy = request.settings, tick_policy(request.policy)
+    arm = settings.described_arm
+    params, _ = request.parameters(request.actuator, settings.counts_per_rev)
+    controller, took = Controller(arm, params, request.policy.settings.boxes), list[float]()
+    policy.reset()
+    for _ in range(20):
+        controller.observe(0.0, 0.0, arm.home, 0.0)
+        began = perf_counter()
+        u = controller.decide(policy)
+        took.append(perf_counter() - began)
+        _ = controller.box  # the log of a tick names it
+        controller.command(u)
+    controller.hold()  # a tick that was missed
+    driven_swing(0.0, 0.0, np.zeros(1), MODEL_STEP, PendulumParameters(1.0, 1.0, 0.0), np.zeros(2))
+    FlangeKinematics(arm, params).pose(arm.home)
+    if request.identify is not None:
+        shipped_policy()  # to read it in a tick takes 50 ms, once all memory is locked
+    typical, limit = median(took), POLICY_TIME_FRACTION * request.policy.h
+    if typical > limit:
+        raise InputError(
+            f"{request.policy.name} takes {1e3 * typical:.1f} ms, expected at most "
+            f"{1e3 * limit:.1f} ms; make it faster"
+        )
+
+
+class TimedClock:
+    """Clock that records how late its waits end."""
+
+    def __init__(self, clock: Clock) -> None:
+        """Wrap a clock."""
+        self._clock = clock
+        self.late: list[float] = []
+        """Time from the end of each wait, or from its begin if that was later, to the return [s]:
+        a slow device does not count."""
+
+    def now(self) -> float:
+        """Return the time [s]."""
+        return self._clock.now()
+
+    def wait_until(self, time: float) -> None:
+        """Wait until a time [s]."""
+        due = max(time, self.now())
+        self._clock.wait_until(time)
+        self.late.append(self.now() - due)
+
+
+def round_trips(robot: Robot, clock: Clock, seconds: float, *, paced: bool = False) -> Array:
+    """Measure how long a connected robot at rest takes to return its joints [s], shape (n,).
+
+    It is asked once per setpoint, where its reply has arrived by then; a robot that sets the pace
+    for each of its states.
+
+    Args:
+        robot: The robot; it does not move.
+        clock: The rig's clock.
+        seconds: Length of the measurement [s]; at least one round trip is measured.
+        paced: Whether the robot sets the pace.
+
+    Raises:
+        LinkError: The robot does not answer.
+    """
+    robot.measured()
+    trips: list[float] = []
+    begin, period = clock.now(), 0.001 if paced else SETPOINT_PERIOD
+    for k in range(max(round(seconds / period), 1)):
+        clock.wait_until(begin + k * period)
+        asked = clock.now()
+        if k and asked - begin >= seconds:
+            break
+        robot.measured()
+        trips.append(clock.now() - asked)
+    return np.array(trips)
+
+
+def listen(
+    sensor: AngleSensor, clock: Clock, seconds: float
+) -> tuple[int, float, Array, float, int]:
+    """Measure the stream of a connected encoder; return the arguments of `check_encoder`.
+
+    Args:
+        sensor: The encoder.
+        clock: The rig's clock.
+        seconds: Length of the measurement [s].
+
+    Raises:
+        LinkError: The encoder is disconnected or silent.
+    """
+    for _ in _reads(clock, 0.1):
+        sensor.samples()
+    before, begin = sensor.rejected, clock.now()
+    newest, received, missing, illegal = begin, 0, 0, 0
+    ages: list[float] = []
+    for _ in _reads(clock, seconds):
+        samples, now = sensor.samples(), clock.now()
+        for sample in samples:
+            missing, illegal = missing + sample.missing, illegal + sample.illegal
+            newest = sample.time
+        received += len(samples)
+        ages.append(now - newest)
+    lost = missing + sensor.rejected - before
+    rate = received / (clock.now() - begin)
+    share = lost / max(received + lost, 1)
+    return sensor.counts_per_rev, rate, np.array(ages), share, illegal
+
+
+def _reads(clock: Clock, seconds: float) -> Generator[None]:
+    """Yield once per read period."""
+    begin = deadline = clock.now()
+    while (now := clock.now()) < begin + seconds:
+        deadline = max(deadline + 0.001, now)
+        clock.wait_until(deadline)
+        yield

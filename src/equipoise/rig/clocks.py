@@ -21,9 +21,6 @@ TICK: Final = 0.001
 """Period of the functions attached to virtual time [s]."""
 ROUNDING: Final = 1e-9
 """Time by which a wait may end before a whole millisecond, and still reach it [s]."""
-DRAIN_PERIOD: Final = 0.010
-"""Time between two reads of the encoder while a clock drains it [s]; a terminal buffers 0.1 s of
-lines."""
 STALL: Final = 10.0
 """Real time in which a clock has to advance while a device is called [s]."""
 
@@ -85,7 +82,7 @@ class DrainingClock:
         """Wait until a time [s], and drop the samples that come meanwhile."""
         until = self._clock.now()
         while until < time:
-            until = min(time, until + DRAIN_PERIOD)
+            until = min(time, until + 0.010)
             self._clock.wait_until(until)
             with suppress(LinkError):  # not connected yet; or the next reader gets the error again
                 self._sensor.samples()

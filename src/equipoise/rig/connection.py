@@ -17,7 +17,6 @@ from equipoise.rig.clocks import DrainingClock, SystemClock, VirtualClock
 from equipoise.rig.config import RigSettings, world_of
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Operator, Robot
 from equipoise.rig.plugins import (
-    Bodies,
     Emulated,
     RobotPlugin,
     Session,
@@ -27,7 +26,7 @@ from equipoise.rig.plugins import (
     sensor_plugin,
 )
 from equipoise.rig.request import RunRequest
-from equipoise.rig.simulated_rig import EmulatedOperator
+from equipoise.rig.simulated_rig import Bodies, EmulatedOperator
 
 
 class Rig(NamedTuple):

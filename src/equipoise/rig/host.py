@@ -16,9 +16,6 @@ SIGNALS: Final = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
 """Signals that end a program: Ctrl-C, a request of the system, a closed terminal."""
-PRIORITY: Final = 60
-"""Priority of the loop under SCHED_FIFO: above all ordinary work. The threads of the kernel's
-interrupts, which carry the loop's bytes, have 50 on a real-time kernel unless they are tuned."""
 
 
 @contextmanager
@@ -34,12 +31,14 @@ def handled_signals(
             signal.signal(number, old)
 
 
-def prepare(core: int = -1, priority: int = PRIORITY) -> dict[str, str]:
+def prepare(core: int = -1, priority: int = 60) -> dict[str, str]:
     """Apply all settings to this process; call it once all memory is allocated and all code ran.
 
     Args:
         core: Index of the core to stay on among the allowed ones (default: the last).
-        priority: Priority under SCHED_FIFO; 0 for the highest of an ordinary process.
+        priority: Priority under SCHED_FIFO, by default above the threads of the kernel's
+            interrupts, which have 50 on a real-time kernel; 0 for the highest of an ordinary
+            process.
 
     Returns:
         For the name of each setting `granted`, or why this machine refused it.
@@ -62,8 +61,14 @@ def prepare(core: int = -1, priority: int = PRIORITY) -> dict[str, str]:
         else:
             os.setpriority(os.PRIO_PROCESS, 0, -20)
 
+    def lock_memory() -> None:
+        libc = ctypes.CDLL(None, use_errno=True)
+        current, future = 1, 2  # MCL_CURRENT, MCL_FUTURE
+        if libc.mlockall(current | future):
+            raise OSError(os.strerror(ctypes.get_errno()))
+
     settings: dict[str, Callable[[], None]] = {
-        "memory locked": _lock_memory,
+        "memory locked": lock_memory,
         "real-time priority": go_first,
         "own core": stay,
     }
@@ -75,10 +80,3 @@ def prepare(core: int = -1, priority: int = PRIORITY) -> dict[str, str]:
         except (OSError, AttributeError, TypeError) as error:  # denied, or not on this system
             granted[name] = str(error)
     return granted
-
-
-def _lock_memory() -> None:
-    libc = ctypes.CDLL(None, use_errno=True)
-    current, future = 1, 2  # MCL_CURRENT, MCL_FUTURE
-    if libc.mlockall(current | future):
-        raise OSError(os.strerror(ctypes.get_errno()))

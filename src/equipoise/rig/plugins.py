@@ -13,18 +13,18 @@ in the same way. `equipoise.rig.connection` is the only module that opens device
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeVar
 
-from equipoise.arrays import Array
 from equipoise.artefacts import Share, Value
 from equipoise.entry_points import how_to_install, registered
 from equipoise.errors import InputError
 from equipoise.model.arms.arm import Arm
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.config import Load
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Robot, Transport
-from equipoise.rig.simulated_rig import Bench, SimulatedRig
+from equipoise.rig.simulated_rig import Bench, Bodies, SimulatedRig
+
+Plugin = TypeVar("Plugin")
 
 
 def ignore(*_: object) -> None:
@@ -66,33 +66,6 @@ class Emulated(NamedTuple):
     """Makes another driver on a transport, for tests that damage bytes."""
 
 
-class Bodies(NamedTuple):
-    """Bodies of a rig that is to be emulated."""
-
-    arm: Arm
-    """The arm with its home posture."""
-    pendulum: PendulumParameters
-    """The true pendulum."""
-    settings: TwinSettings
-    """Settings of the world."""
-    q: Array
-    """Free joints at the start [rad], shape (6,)."""
-    start: float
-    """Start time [s]."""
-    seed: int
-    """Seed of all random numbers."""
-
-
-def simulated_rig(bodies: Bodies) -> SimulatedRig:
-    """Return a rig with the arm of a twin; the default bench of an emulated robot.
-
-    Raises:
-        ArmError: The masses of the arm's links are unknown.
-    """
-    arm, pendulum, settings, q, start, seed = bodies
-    return SimulatedRig(arm, pendulum, settings, seed=seed, start=start, q=q)
-
-
 class Hardware(Protocol):
     """Emulated robot on this machine, in real time."""
 
@@ -127,7 +100,7 @@ class RobotPlugin(Value):
     paced: bool = False
     """Whether the robot sets the pace, and requests setpoints by itself. Its driver is then a
     `Clock`, too, which answers it while the loop waits."""
-    bench: Callable[[Bodies], Any] = simulated_rig
+    bench: Callable[[Bodies], Any] = SimulatedRig
     """Makes the bench of the emulator: a `SimulatedRig`, or another with its acts and its angle."""
     emulate: Callable[[Any, Arm, Session, float, int], Emulated] = no_emulator
     """Returns the driver in front of an emulator. Arguments: the bench, whose `body` the emulator
@@ -179,10 +152,7 @@ def robot_plugin(address: str) -> RobotPlugin:
     Raises:
         InputError: No installed package registers that scheme.
     """
-    plugin = _loaded("equipoise.robots", address)
-    if not isinstance(plugin, RobotPlugin):
-        raise InputError(f"{address}: its package registers a {type(plugin)}, not a RobotPlugin")
-    return plugin
+    return _loaded("equipoise.robots", address, RobotPlugin)
 
 
 def sensor_plugin(address: str) -> SensorPlugin:
@@ -191,15 +161,17 @@ def sensor_plugin(address: str) -> SensorPlugin:
     Raises:
         InputError: No installed package registers that scheme.
     """
-    plugin = _loaded("equipoise.sensors", address)
-    if not isinstance(plugin, SensorPlugin):
-        raise InputError(f"{address}: its package registers a {type(plugin)}, not a SensorPlugin")
-    return plugin
+    return _loaded("equipoise.sensors", address, SensorPlugin)
 
 
-def _loaded(group: str, address: str) -> Any:
+def _loaded(group: str, address: str, kind: type[Plugin]) -> Plugin:
     points, scheme = registered(group), scheme_of(address)
     if scheme not in points:
         known = f"expected one that begins with {', '.join(f'{name}:' for name in sorted(points))}"
         raise InputError(f"{address!r} is no known address; {how_to_install(scheme) or known}")
-    return points[scheme].load()
+    plugin = points[scheme].load()
+    if not isinstance(plugin, kind):
+        raise InputError(
+            f"{address}: its package registers a {type(plugin)}, not a {kind.__name__}"
+        )
+    return plugin

@@ -38,12 +38,12 @@ from equipoise.logs.recorder import (
 )
 from equipoise.logs.writer import RunWriter
 from equipoise.rig import host
+from equipoise.rig.checks import warm_up
 from equipoise.rig.connection import connect
 from equipoise.rig.host import SIGNALS, handled_signals
 from equipoise.rig.interfaces import Operator
 from equipoise.rig.loop import CANNOT_STOP
 from equipoise.rig.plugins import robot_plugin
-from equipoise.rig.preflight import warm_up
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import ALONE, STOP, log_warning, run_on_rig
 from equipoise.rig.run_controller import PHASES
@@ -57,8 +57,6 @@ HEARTBEAT_TIMEOUT: Final = 0.085
 is bridged. With the parent's polling period of 10 ms the operator is warned within 100 ms."""
 POLL_PERIOD: Final = 0.010
 """Time between two looks at the loop's process [s]."""
-DRAIN_PERIOD: Final = 0.050
-"""Time between two drains of the rings [s]."""
 JOIN_TIMEOUT: Final = 5.0
 """Time for a process, and for the disk, to end by itself [s]."""
 
@@ -128,7 +126,7 @@ def run_in_processes(request: RunRequest, out: Path, person: Operator, live: Liv
 
 def _drain(writer: RunWriter, recorder: Recorder, over: threading.Event) -> None:
     """Write the log during the run; a failure stays in `writer.problem`."""
-    while not over.wait(DRAIN_PERIOD):
+    while not over.wait(0.050):
         writer.drain(recorder)
 
 

@@ -15,16 +15,12 @@ from equipoise.safety.rules import Limits
 
 HISTORY: Final = 64
 """Number of samples and of setpoints in memory: 64 ms at 1 kHz, for the fit at the release."""
-SENDING_TIME: Final = 0.001
-"""Tolerance of the time at which a setpoint is sent [s]."""
 MAX_ROUND_TRIP: Final = 0.0175
 """Round trip of a reply beyond which the robot's link stalls [s]: three and a half periods, because
 a driver reads replies once per setpoint. A sound link takes 9 ms at most. A moving arm is sent
 nothing until the replies have come: a link that stands still delivers all setpoints at once, and
 the arm then goes to the last one at its highest speed. The joints of such a reply do not count,
 because the time of their measurement is too uncertain."""
-FALL_WINDOW: Final = 0.04
-"""Window for estimating the state at release [s]."""
 
 
 TimedJoints: TypeAlias = tuple[float, tuple[float, ...]]
@@ -49,7 +45,7 @@ def unanswered_time(history: deque[TimedJoints], now: float, answered: float) ->
         now: The time [s].
         answered: Time at which the newest setpoint with a reply was sent [s].
     """
-    waiting = [sent for sent, _ in history if sent > answered + SENDING_TIME]
+    waiting = [sent for sent, _ in history if sent > answered + 0.001]  # [s]
     return max(now - min(waiting, default=now), 0.0)
 
 
@@ -112,7 +108,7 @@ class EncoderReadings:
 
         A free fall near upright is a cosh(w t) + b sinh(w t) / w; a and b by least squares.
         """
-        w, since = sqrt(w2), self.samples[-1].time - FALL_WINDOW  # samples may come late
+        w, since = sqrt(w2), self.samples[-1].time - 0.04  # [s]; samples may come late
         falls = [one for one in self.samples if one.time >= since]
         t = w * (np.array([one.time for one in falls]) - now)
         phi = [self.angle(one.counts) for one in falls]

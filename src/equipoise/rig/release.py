@@ -28,28 +28,10 @@ import numpy as np
 
 from equipoise.model.pendulum import PendulumParameters
 
-ARM_ANGLE: Final = radians(1.0)
-"""Maximum |phi| for arming [rad]: the innermost boxes of the paper's table."""
-ARM_RATE: Final = radians(5.0)
-"""Maximum |mean phi_dot| for arming [rad/s]: half the paper's innermost interval."""
 ARM_AVERAGING_TIME: Final = 0.2
 """Averaging window of phi_dot [s]; longer than one period of a hand's tremor."""
-ARM_TIME: Final = 0.5
-"""Time for which both conditions have to hold before arming [s]."""
-RELEASE_ANGLE: Final = radians(1.5)
-"""Minimum |phi| of a release [rad], unless the fall has reached `FALL_GROWTH_ANGLE`."""
-HELD_ANGLE: Final = radians(4.0)
-"""|phi| beyond which a pendulum that was not detected as falling is held [rad]."""
 FIT_WINDOW: Final = 0.04
 """Window of the cubic fit [s]."""
-ACCELERATION_TOLERANCE: Final = 0.3
-"""Maximum relative difference of phi_ddot from that of a free fall [-]."""
-ACCELERATION_NOISE: Final = 1.0
-"""Maximum difference of phi_ddot from `FALL_GROWTH_ANGLE` on [rad/s^2]: 8192 counts at 1 kHz give
-it to 0.6 (one standard deviation)."""
-JERK_TOLERANCE: Final = 300.0
-"""Maximum difference of the derivative of phi_ddot [rad/s^3]: counts give it to 170. A tremor of 4
-Hz with the rate of a fall near 0 differs by as much, one of 10 Hz by 1700."""
 RATE_RATIO: Final = (0.6, 3.0)
 """Minimum and maximum of phi_dot / (w phi) in a fall [-]."""
 FALL_TIME: Final = 0.01
@@ -60,9 +42,6 @@ FALL_GROWTH_ANGLE: Final = radians(4.0)
 the pendulum. A fall across 0 reaches it before 1.5 deg."""
 FAST_FALL_TIME: Final = 5e-4
 """Minimum duration of a fast fall [s]: two successive samples at 1 kHz."""
-MAX_FALL_TIME: Final = 0.2
-"""Maximum duration of a fall from 1.5 to 4 deg [s]: 0.12 s from near 0, 0.13 s from 1 deg, 0.15 s
-from 1.3 deg."""
 MAX_SAMPLE_GAP: Final = 0.02
 """Maximum gap between samples [s]; after a longer one the pendulum counts as held."""
 MIN_SAMPLE_SPACING: Final = 4e-4
@@ -130,17 +109,18 @@ class ReleaseDetector:
         """Arm a pendulum that has been still for long enough."""
         before, phi_before = self._samples[0]
         long_enough = time - before >= ARM_AVERAGING_TIME
-        still = abs(phi) < ARM_ANGLE and abs(phi - phi_before) < ARM_RATE * (time - before)
+        # The innermost boxes of the paper's table, and half of its innermost interval of rates.
+        still = abs(phi) < radians(1.0) and abs(phi - phi_before) < radians(5.0) * (time - before)
         if not (long_enough and still):
             self._still_since = inf
             return
         self._still_since = min(self._still_since, time)
-        if time - self._still_since >= ARM_TIME:
+        if time - self._still_since >= 0.5:  # [s]
             self.state = ReleaseState.ARMED
 
     def _watch(self, time: float, phi: float) -> None:
         """Decide whether an armed pendulum falls or is held."""
-        beyond = abs(phi) > RELEASE_ANGLE
+        beyond = abs(phi) > radians(1.5)
         if not beyond and self._beyond_since < inf:
             self._deny()
             return
@@ -152,7 +132,8 @@ class ReleaseDetector:
             self.state = ReleaseState.RELEASED
         elif beyond:
             self._beyond_since = min(self._beyond_since, time)
-            if abs(phi) > HELD_ANGLE or time - self._beyond_since > MAX_FALL_TIME:
+            # A fall to 4 deg takes 0.12 s from near 0, 0.13 s from 1 deg, 0.15 s from 1.3 deg.
+            if abs(phi) > radians(4.0) or time - self._beyond_since > 0.2:
                 self._deny()
 
     def _falls(self, now: float) -> tuple[bool, float]:
@@ -176,9 +157,11 @@ class ReleaseDetector:
         c, s = cosh(w * half), sinh(w * half)
         phi, phi_dot = phi * c + phi_dot * s / w, phi * w * s + phi_dot * c
         grown = abs(phi + phi_dot / w)
-        fraction = ACCELERATION_TOLERANCE * abs(free)
-        tolerance = fraction if grown < FALL_GROWTH_ANGLE else max(fraction, ACCELERATION_NOISE)
-        agrees = off <= tolerance and off_jerk <= JERK_TOLERANCE
+        # 8192 counts at 1 kHz give phi_ddot to 0.6 rad/s^2 (one standard deviation).
+        fraction = 0.3 * abs(free)
+        tolerance = fraction if grown < FALL_GROWTH_ANGLE else max(fraction, 1.0)
+        # Counts give it to 170 rad/s^3. A tremor of 4 Hz differs by 300, one of 10 Hz by 1700.
+        agrees = off <= tolerance and off_jerk <= 300.0
         # The ratio's bounds, without a division by phi.
         along = phi_dot if phi > 0.0 else -phi_dot
         fast = RATE_RATIO[0] * w * abs(phi) <= along <= RATE_RATIO[1] * w * abs(phi)

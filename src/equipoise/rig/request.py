@@ -12,7 +12,6 @@ from equipoise.control.policy import TaskPolicy, shipped_policy
 from equipoise.logs.conditions import RunConditions
 from equipoise.model.actuator import Actuator
 from equipoise.outcomes import Phase
-from equipoise.rig.checks import actuator_fits
 from equipoise.rig.config import RigSettings
 from equipoise.safety.rules import SafetyParams, make_safety_params
 from equipoise.worlds.twin.excitation import excitation
@@ -129,6 +128,20 @@ class RunRequest:
             dry_run=self.dry_run,
             phases=tuple(Phase),
         )
+
+
+def actuator_fits(policy: TaskPolicy, actuator: Actuator) -> bool:
+    """Return whether delay, lags and response times are within the spread of the training."""
+    trained, plant = policy.actuator, policy.settings.plant
+    if plant.ideal or trained.kind == "ideal" or actuator.kind != trained.kind:
+        return False
+    pairs = zip(actuator.lags, trained.lags, strict=True)
+    ratios = [one.value / other.value for one, other in pairs if other.value > 0.0]
+    late = [actuator.delay.value - trained.delay.value]
+    for joint in range(len(trained.lags)):
+        late.append(actuator.response_time(joint) - trained.response_time(joint))
+    slow = max(map(abs, late)) > plant.delay_spread
+    return not slow and all(abs(ratio - 1.0) <= plant.lag_spread for ratio in ratios)
 
 
 def describe_fit(policy: TaskPolicy, actuator: Actuator) -> str:

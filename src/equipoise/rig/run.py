@@ -18,19 +18,15 @@ from equipoise.logs.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
 from equipoise.logs.writer import RunWriter
 from equipoise.outcomes import End, Outcome
 from equipoise.printable import printable
-from equipoise.rig.checks import check_fit, require
+from equipoise.rig.checks import check_fit, preflight, require
 from equipoise.rig.clocks import DrainingClock, ended_stalls
 from equipoise.rig.connection import Rig, connect
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import Clock, Operator
 from equipoise.rig.loop import run_inline, run_loop
-from equipoise.rig.preflight import preflight
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
 
-QUESTION_POLL_PERIOD: Final = 0.02
-"""Polling period of typed input, robot and encoder while a question is open [s]: a quarter of a
-stream's requests, and a lost link is noticed within this time plus the driver's timeout."""
 CHECKLIST: Final = (
     ("estop", "Is the E-stop in an operator's hand, and was it tested today?"),
     ("fence", "Is the fence closed, with nobody within reach of arm and pendulum?"),
@@ -96,7 +92,7 @@ class OperatorChannel:
 
     def _read_word(self) -> str:
         while not (lines := self.read_input()):
-            until = self._clock.now() + QUESTION_POLL_PERIOD
+            until = self._clock.now() + 0.02
             self._check_links()
             self._clock.wait_until(until)
         word, *self._pending = lines

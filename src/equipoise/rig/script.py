@@ -33,10 +33,9 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.outcomes import End, Outcome, Phase
 from equipoise.printable import printable
-from equipoise.rig.checks import actuator_fits
 from equipoise.rig.readings import ArmReadings, EncoderReadings, TimedJoints
 from equipoise.rig.release import ReleaseDetector, ReleaseState
-from equipoise.rig.request import RunRequest, describe_fit
+from equipoise.rig.request import RunRequest, actuator_fits, describe_fit
 from equipoise.safety.rules import STOP_DECELERATION
 
 T = TypeVar("T")

@@ -12,7 +12,7 @@ Each fault of the bodies is a method: `push`, `touch`, `slip`, and `stop` of the
 
 from collections.abc import Callable, Sequence
 from math import pi, radians
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,10 +27,22 @@ from equipoise.worlds.twin.physics import TICK, rod_centre, rod_inertia
 from equipoise.worlds.twin.simulated_arm import SimulatedArm
 from equipoise.worlds.twin.twin import FLANGE, ROD, Twin
 
-REACTION_TIME: Final = (0.3, 1.0)
-"""Minimum and maximum reaction time [s]. Assumed."""
-DEFLECTION: Final = radians(50.0)
-"""Angle from hanging at which the pendulum is held for a free swing [rad]."""
+
+class Bodies(NamedTuple):
+    """Bodies of a rig that is to be emulated."""
+
+    arm: Arm
+    """The arm with its home posture."""
+    pendulum: PendulumParameters
+    """The true pendulum."""
+    settings: TwinSettings
+    """Settings of the world."""
+    q: Array
+    """Free joints at the start [rad], shape (6,)."""
+    start: float
+    """Start time [s]."""
+    seed: int
+    """Seed of all random numbers."""
 
 
 class Mechanism(NamedTuple):
@@ -51,32 +63,17 @@ class Mechanism(NamedTuple):
 class Bench:
     """A mechanism with the hand and the button of an operator, in time."""
 
-    def __init__(
-        self,
-        mechanism: Mechanism,
-        pendulum: PendulumParameters,
-        settings: TwinSettings,
-        *,
-        seed: int = 0,
-        start: float = 0.0,
-    ) -> None:
-        """Stand at a mechanism.
-
-        Args:
-            mechanism: Arm and pendulum.
-            pendulum: The pendulum.
-            settings: The world's numbers.
-            seed: Seed of all random numbers.
-            start: Start time [s].
-        """
+    def __init__(self, mechanism: Mechanism, bodies: Bodies) -> None:
+        """Stand at the mechanism of some bodies."""
+        pendulum, settings = bodies.pendulum, bodies.settings
         self.settings = settings
         """The world's numbers."""
         self._mechanism = mechanism
         self._reach = rod_centre(pendulum.w2)
         self.hand = Hand(rod_inertia(pendulum.w2, settings.pendulum_mass), self._reach)
         """Hand of the operator, at the middle of the rod."""
-        self._random = np.random.default_rng(seed)
-        self._start, self._ticks = start, 0
+        self._random = np.random.default_rng(bodies.seed)
+        self._start, self._ticks = bodies.start, 0
         self._down_until = self._slip = 0.0
         self._touching = False
 
@@ -133,7 +130,7 @@ class Bench:
     def hold_deflected(self) -> None:
         """Grip the pendulum and hold it deflected until `let_go`, which starts a free swing."""
         manner = draw_hand_params(self._random, clumsy=0.0)
-        self.hand.hold_deflected(self.now, self.phi, DEFLECTION, manner)
+        self.hand.hold_deflected(self.now, self.phi, radians(50.0), manner)
 
     def let_go(self) -> None:
         """Release the pendulum."""
@@ -174,31 +171,17 @@ class Bench:
 class SimulatedRig(Bench):
     """A twin with hand and button, in time."""
 
-    def __init__(
-        self,
-        arm: Arm,
-        pendulum: PendulumParameters,
-        settings: TwinSettings,
-        *,
-        seed: int = 0,
-        start: float = 0.0,
-        q: Sequence[float] | Array | None = None,
-        phi: float = pi,
-    ) -> None:
+    def __init__(self, bodies: Bodies, phi: float = pi) -> None:
         """Set up a rig, the arm at rest.
 
         Args:
-            arm: The arm with its home posture.
-            pendulum: The pendulum, with the friction that acts in the twin.
-            settings: The world's numbers.
-            seed: Seed of all random numbers.
-            start: Start time [s].
-            q: Free joints [rad], shape (6,); home if not given.
+            bodies: Arm, pendulum and world.
             phi: Angle of the pendulum from upright [rad]; it hangs if not given.
 
         Raises:
-            ArmError: The masses of the arm's links are not known.
+            ArmError: The masses of the arm's links are unknown.
         """
+        arm, pendulum, settings, q, _, seed = bodies
         self.joints = len(arm.joints)
         """Number of joints of the arm."""
         self.twin = Twin(arm, pendulum, settings, seed=seed)
@@ -206,7 +189,7 @@ class SimulatedRig(Bench):
         self.body = SimulatedArm(self.twin)
         """Arm that an emulated robot moves and measures."""
         mechanism = Mechanism(self.twin.data, FLANGE, ROD, self.joints, self._step)
-        super().__init__(mechanism, pendulum, settings, seed=seed, start=start)
+        super().__init__(mechanism, bodies)
 
     def _step(self) -> None:
         self.body.tick()
@@ -247,7 +230,7 @@ class EmulatedOperator:
         if event.name in self.ignored:
             return
         if event.name in self.acts or event.answers:
-            moment = self._clock.now() + float(self._random.uniform(*REACTION_TIME))
+            moment = self._clock.now() + float(self._random.uniform(0.3, 1.0))  # [s]: assumed
             self._due.append((moment, next(iter(event.answers), ""), event.name))
 
     def read_input(self) -> list[str]:

@@ -19,13 +19,12 @@ from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.interfaces import Clock
-from equipoise.rig.plugins import Bodies, ignore, robot_plugin
+from equipoise.rig.plugins import ignore, robot_plugin
+from equipoise.rig.simulated_rig import Bodies
 from equipoise.robots.encoder.board import Board, Terminal
 
 PERIOD: Final = 0.001
 """Period of the service loop [s]."""
-START_OFFSET: Final = np.radians([-6.0, 3.0, 4.0, 0.0, -3.0, 0.0])
-"""Offset of the free joints from home at the start [rad]."""
 
 
 class Emulation:
@@ -63,7 +62,7 @@ class Emulation:
             OutsideError: The port is not available, or the system has no pseudo-terminals.
         """
         lower, upper = np.array([(joint.lower, joint.upper) for joint in arm.free_joints]).T
-        q = np.clip(arm.home_free + START_OFFSET, lower, upper)
+        q = np.clip(arm.home_free + np.radians([-6.0, 3.0, 4.0, 0.0, -3.0, 0.0]), lower, upper)
         bodies = Bodies(arm, pendulum, settings, q, clock.now(), seed)
         self.hardware = robot_plugin(robot).hardware(bodies, port, say)
         """The robot, and the bench with its arm."""

@@ -31,9 +31,6 @@ REPEAT_WINDOW: Final = 1.0
 """Window for counting disturbances [s]."""
 MIN_REPLIES: Final = 5
 """Minimum number of replies with joints before a measured posture is used [-]."""
-BRAKING_FACTOR: Final = 5.0
-"""Maximum acceleration of a joint as a multiple of its limit for setpoints [-]: brakes and contacts
-are harder than any setpoint."""
 
 
 class RepeatMonitor:
@@ -82,7 +79,8 @@ class JointPlausibility:
             steps = [b[i] - a[i] for a, b in pairwise(postures)]
             # Each end of a step may have been measured earlier or later.
             noise = 2.0 * (STILL_ANGLE + rate * timing)
-            most = BRAKING_FACTOR * limits.acceleration[i]
+            # Brakes and contacts are harder than any setpoint.
+            most = 5.0 * limits.acceleration[i]
             # Written so that NaN is implausible.
             if not unexplained_step(times, steps, noise, rate, most) <= 0.0:
                 self._doubt = f"joint {i + 1} was measured {steps[1]:+.3g} rad further at once"

@@ -267,22 +267,6 @@ def _invalid_numbers(limits: Limits, q: Sequence[float], name: str) -> End | Non
 
 
 @compilable
-def rest_position(limits: Limits, i: int, q: float, velocity: float) -> float:
-    """Return where joint i stops from q [rad] and a velocity [rad/s] at its acceleration limit."""
-    return q + copysign(0.5 * velocity * velocity / limits.acceleration[i], velocity)
-
-
-@compilable
-def broken_jump(q: Row, last: Row) -> tuple[int, int, float, float]:
-    """Return the first joint that jumps from `last` to `q` [rad], as `broken_setpoint`."""
-    for i in range(len(q)):
-        step = abs(q[i] - last[i])
-        if step > STEP_LIMIT:
-            return JUMP_CODE, i + 1, step, STEP_LIMIT
-    return NO_VIOLATION, 0, 0.0, 0.0
-
-
-@compilable
 def broken_setpoint(
     limits: Limits, q: Row, last: Row, before: Row, dt: float, to_rest: bool = False
 ) -> tuple[int, int, float, float]:
@@ -301,13 +285,15 @@ def broken_setpoint(
     """
     for i in range(len(q)):
         lower, upper = limits.lower[i], limits.upper[i]
-        rest = rest_position(limits, i, q[i], (q[i] - last[i]) / dt)
+        velocity = (q[i] - last[i]) / dt
+        rest = q[i] + copysign(0.5 * velocity * velocity / limits.acceleration[i], velocity)
         for end in (q[i], q[i] if to_rest else rest):
             if not lower <= end <= upper:
                 return POSITION_CODE, i + 1, end, lower if end < lower else upper
-    code, joint, step, limit = broken_jump(q, last)
-    if code != NO_VIOLATION:
-        return code, joint, step, limit
+    for i in range(len(q)):
+        step = abs(q[i] - last[i])
+        if step > STEP_LIMIT:
+            return JUMP_CODE, i + 1, step, STEP_LIMIT
     for i in range(len(q)):
         speed = abs(q[i] - last[i]) / dt
         if speed > limits.velocity[i] * (1.0 + ROUNDING):
@@ -391,10 +377,10 @@ def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs
     if (motion := max(monitor.expected_motion, default=0.0)) > EXPECTED_MOTION:
         joint = monitor.expected_motion.index(motion) + 1
         broken.append(_violation(Outcome.NOT_FOLLOWING, motion, EXPECTED_MOTION, joint=joint))
-    torque = inputs.torque
-    if torque is not None and (joint := overloaded_joint(torque, params.torque)):
-        limit = params.torque[joint - 1]
-        broken.append(_violation(Outcome.TORQUE, torque[joint - 1], limit, joint=joint))
+    torques = zip(inputs.torque or (), params.torque, strict=False)
+    for joint, (torque, limit) in enumerate(torques, start=1):
+        if abs(torque) > limit:
+            broken.append(_violation(Outcome.TORQUE, torque, limit, joint=joint))
     lasted, measured, expected = monitor.error_time, inputs.measured, inputs.expected
     if error_time_exceeded(lasted) and measured is not None and expected is not None:
         error, joint = largest_difference(measured, expected)
@@ -430,20 +416,6 @@ def next_error_time(before: float, error: float, h: float) -> float:
 def error_time_exceeded(time: float) -> bool:
     """Return whether a following error has lasted too long [s]."""
     return time > FOLLOWING_TIME
-
-
-@compilable
-def overloaded_joint(torque: Row, limit: Row) -> int:
-    """Return the first joint whose external torque is beyond its limit, counted from one; or 0.
-
-    Args:
-        torque: External torques less those at rest [N m], shape (n,).
-        limit: Their limits [N m], shape (n,).
-    """
-    for i in range(len(limit)):
-        if abs(torque[i]) > limit[i]:
-            return i + 1
-    return 0
 
 
 @compilable

@@ -10,7 +10,7 @@ import pytest
 
 from equipoise.errors import LinkError
 from equipoise.robots.encoder.codec import Banner, decode, encode
-from equipoise.robots.encoder.consistency import MAX_INCONSISTENT, MAX_LATENESS, SILENCE
+from equipoise.robots.encoder.sensor import MAX_INCONSISTENT, MAX_LATENESS, SILENCE
 from tests.robots.encoder.rig import Bench
 
 QUICK = 0.001

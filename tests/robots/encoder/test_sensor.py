@@ -8,8 +8,7 @@ import pytest
 from equipoise.errors import LinkError
 from equipoise.rig.interfaces import AngleSensor
 from equipoise.robots.encoder.codec import Reading, decode, encode
-from equipoise.robots.encoder.consistency import MAX_INCONSISTENT
-from equipoise.robots.encoder.sensor import LineEncoder
+from equipoise.robots.encoder.sensor import MAX_INCONSISTENT, LineEncoder
 from tests.robots.encoder.rig import Bench
 
 RESOLUTION = 2.0 * pi / 8192

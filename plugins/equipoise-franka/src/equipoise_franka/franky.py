@@ -32,8 +32,7 @@ from equipoise.model.arms.arm import Arm, Inertial
 from equipoise.model.arms.chain import rotation_from_rpy
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
-from equipoise.rig.plugins import Bodies
-from equipoise.rig.simulated_rig import Bench, Mechanism
+from equipoise.rig.simulated_rig import Bench, Bodies, Mechanism
 from equipoise.worlds.twin.physics import (
     DRY_TIME,
     bar_inertial,
@@ -237,7 +236,7 @@ class FrankyRig(Bench):
             InputError: The arm is no FR3.
             OutsideError: No address is free.
         """
-        arm, pendulum, settings, q, start, seed = bodies
+        arm, pendulum, settings, q, _, _ = bodies
         simulator: Any = MujocoSimulator()  # its model is None until it starts
         simulator.init()
         if len(arm.joints) != JOINTS:
@@ -275,7 +274,7 @@ class FrankyRig(Bench):
         self._bare_data = mujoco.MjData(self._bare)
         flange, rod = (model.body(name).id for name in (LINK, "pendulum"))
         mechanism = Mechanism(data, flange, rod, int(phi), self._step)
-        super().__init__(mechanism, pendulum, settings, seed=seed, start=start)
+        super().__init__(mechanism, bodies)
 
     @property
     def q(self) -> Array:

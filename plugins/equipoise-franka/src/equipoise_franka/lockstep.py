@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from typing import Any, Final
 
 from equipoise.errors import EquipoiseError, MissingExtraError
-from equipoise.rig.plugins import Bodies
+from equipoise.rig.simulated_rig import Bodies
 
 POLL: Final = 0.002
 """Real time without a cycle after which a waiting client is served [s]."""

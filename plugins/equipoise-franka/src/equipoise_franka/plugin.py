@@ -7,7 +7,8 @@ from urllib.parse import urlsplit
 
 from equipoise.errors import InputError
 from equipoise.model.arms.arm import Arm
-from equipoise.rig.plugins import Bodies, Emulated, Hardware, RobotPlugin, Session
+from equipoise.rig.plugins import Emulated, Hardware, RobotPlugin, Session
+from equipoise.rig.simulated_rig import Bodies
 from equipoise_franka.lockstep import Lockstep, require_emulator
 from equipoise_franka.paced import PacedStream
 from equipoise_franka.robot import FrankaRobot

@@ -94,10 +94,6 @@ class Board:
         """Change the count at once, as a slipping coupling or a burst of noise does."""
         self._shift += counts
 
-    def zero(self) -> None:
-        """Set the count to zero, which our firmware never does."""
-        self._shift = -self._count
-
     def skip(self, lines: int) -> None:
         """Drop the next lines."""
         self._skip += lines

@@ -17,8 +17,6 @@ from equipoise.identification.recording import Trajectory
 from equipoise.rig.interfaces import AngleSensor, Clock, Sample
 from equipoise.rig.plugins import ignore
 
-STILL: Final = 2.0
-"""Time within which a still pendulum moves by at most one count [s]."""
 LEAD_TIME: Final = 1.0
 """Time recorded before the fall [s]."""
 MIN_AMPLITUDE: Final = radians(10.0)
@@ -110,6 +108,6 @@ def _zero(samples: Iterator[Sample]) -> int:
     for sample in samples:
         if since == inf or abs(sample.counts - zero) > 1:
             since, zero = sample.time, sample.counts
-        elif sample.time - since >= STILL:
+        elif sample.time - since >= 2.0:  # [s]
             break
     return zero
