@@ -102,7 +102,7 @@ def test_a_written_swing_is_read_back_to_the_last_bit(tmp_path_factory, steps, v
 
 
 @pytest.mark.parametrize("counts_per_rev", [400, 1600, 2500, 4096, 131072])
-@pytest.mark.parametrize("period", [2**8, 2**15, 2**16, 2**32])
+@pytest.mark.parametrize("period", [2**8, 2**15, 2**16, 2**32, 10000])
 def test_a_counter_that_overflows_is_unwrapped_by_its_own_period(tmp_path, counts_per_rev, period):
     time = np.arange(0.0, 8.0, 0.005)
     angle = 0.4 * np.exp(-0.1 * time) * np.cos(8.0 * time)
@@ -116,7 +116,9 @@ def test_a_counter_that_overflows_is_unwrapped_by_its_own_period(tmp_path, count
     path.write_text("time_s,counts\n" + rows)
     swing = read_swing(path, counts_per_rev=counts_per_rev)
     read = swing.theta * counts_per_rev / (2.0 * pi)
-    np.testing.assert_allclose(read - read[0], counts - counts[0], atol=1e-3)
+    # A period that is no power of two is found to a count.
+    within = 1e-3 if period % 256 == 0 else 1.001
+    np.testing.assert_allclose(read - read[0], counts - counts[0], atol=within)
 
 
 def test_a_clock_of_32_bits_that_wraps_goes_on(tmp_path):

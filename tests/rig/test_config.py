@@ -67,6 +67,7 @@ def test_a_rig_describes_an_arm_from_a_urdf_beside_it(tmp_path):
         "home_deg = [0, 130, 0, 0, 0, 0, 0]",
         "counts_per_rev = nan",
         "= 3",
+        "encoder_sign = true",
         "held = true",
         "load_kg = true",
         "position_margin_deg = true",

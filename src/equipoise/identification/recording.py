@@ -150,10 +150,7 @@ def read_swing(
     # The clock of a microcontroller wraps after 71.6 minutes of microseconds.
     stamps = TIMES[time_name] * np.unwrap(stamps, period=2.0**32)
     if not is_rate:
-        # Counts wrap after a turn, or where a binary counter overflows that holds their range.
-        periods = (turn, *2.0 ** np.arange(33)) if is_counts else (turn,)
-        wrapped = min((one for one in periods if one > np.ptp(values)), default=turn)
-        values = np.unwrap(values, period=wrapped)
+        values = np.unwrap(values, period=_wrap(values, turn) if is_counts else turn)
     keep = stamps >= (-inf if start is None else start - 1e-9)
     keep &= stamps < (inf if end is None else end + 1e-9)
     if np.count_nonzero(keep) < 2:
@@ -175,6 +172,25 @@ def read_swing(
         sha256=DIGEST_PREFIX + hashlib.sha256(data).hexdigest(),
         released=start is not None,
     )
+
+
+def _wrap(counts: Array, turn: float) -> float:
+    """Return the period by which counts wrap: that of a counter that overflows, or a turn.
+
+    A swing that is sampled ten times a period never moves by half of its range between two samples.
+    A larger step is a wrap, less the motion meanwhile, and its period exceeds the range.
+    """
+    steps, span = np.diff(counts), float(np.ptp(counts))
+    wraps = np.abs(steps) > 0.5 * span
+    if not np.any(wraps):
+        return turn
+    motion = np.where(wraps, 0.0, steps)
+    between = np.convolve(motion, (0.5, 0.0, 0.5))[1:-1]
+    period = float(np.median(np.abs(steps - between)[wraps]))
+    known = min(turn, 2.0 ** np.round(np.log2(period)), key=lambda one: abs(one - period))
+    if abs(known - period) <= 1.0 + np.max(np.abs(motion)):
+        period = known
+    return max(float(np.round(period)), span + 1.0) if period > span else turn
 
 
 def _read_table(path: Path, data: bytes) -> tuple[str, str, Array]:

@@ -356,11 +356,16 @@ def _advice(
     better = fit_swing(scaled, start, MODELS[-1], show)
     if not recording.misfit(better) < enough:
         return None, ""
+    if _amplitude(recording, better) < SMALL_SWING:
+        return None, (
+            "its period does not depend on the amplitude: a spring or a cable moves it, or the "
+            "values are too large for their unit; let the pendulum swing freely"
+        )
     scale = float(better[SCALE])
     factor = f"{1.0 / scale:.3g} times smaller" if scale < 1.0 else f"{scale:.3g} times larger"
     return None, (
         f"its period is that of a swing {factor} than recorded: check the unit (1 rad is 57.3 deg) "
-        "and --counts-per-rev, and that no spring or cable moves it"
+        "and --counts-per-rev"
     )
 
 

@@ -14,9 +14,9 @@ refused::
 from functools import cached_property
 from math import degrees, radians
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, field_validator
 
 from equipoise.artefacts import Name, Value, first_fault
 from equipoise.errors import ArmError, SettingsError
@@ -77,6 +77,13 @@ class RigSettings(Value):
     torque_share: float = Field(default=TORQUE_SHARE, ge=0.01, le=1.0)
     """Maximum change of an external torque from its value at home, as a share of the joint's torque
     limit [-]; a run stops beyond it."""
+
+    @field_validator("encoder_sign", mode="before")
+    @classmethod
+    def _is_a_number(cls, sign: Any) -> Any:
+        if isinstance(sign, bool):  # true equals 1
+            raise ValueError(f"expected 1 or -1, got {sign}")
+        return sign
 
     @property
     def load(self) -> Load | None:

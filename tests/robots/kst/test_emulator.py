@@ -1,5 +1,6 @@
 """The emulated KST server does what the real one was seen to do, its faults included."""
 
+import itertools
 import math
 
 import pytest
@@ -50,16 +51,29 @@ def test_one_number_is_accepted_and_changes_the_first_joint_only(servo):
     assert servo.body.targets[-1] == (0.1, *HOME[1:])
 
 
-def test_main_thread_is_deaf_while_a_servo_runs(servo):
-    assert servo.say(START, wait=0.5) == b""
+@pytest.mark.parametrize("command", ["doPTPinJS", START])
+def test_main_thread_is_deaf_while_a_servo_runs(servo, command):
+    assert servo.say(command, wait=0.5) == b""
     assert servo.say(moved("jp", 0.0)) == b"done\n"
     assert servo.say(STOP, wait=0.5) == b"done\n", "what waited has been erased"
+
+
+def test_of_two_commands_for_the_main_thread_in_one_segment_the_last_is_answered(bench):
+    assert bench.say("Torques_ext_J", "Torques_m_J") == TORQUES
+    assert bench.say("blueOn", "Torques_m_J") == b"done\n" + TORQUES
+
+
+TORQUES = b"0.0_-12.5_0.0_8.25_0.0_0.5_0.0_\n"
+EXTERNAL = b"0.5_-1.25_1.0E-4_0.0_0.0_0.0_0.125_\n"
 
 
 @pytest.mark.parametrize(
     ("command", "reply"),
     [
-        (moved("jpExT", 0.0), b"0.5_-1.25_1.0E-4_0.0_0.0_0.0_0.125_\n"),
+        *((command, b"done\n") for command in ("blueOn", "blueOff", "jRelVel_0.1_")),
+        *(("Torques_ext_J", EXTERNAL), ("Torques_m_J", TORQUES)),
+        (moved("jpMT", 0.0), TORQUES),
+        ("jRelVel_fast_", b"nak\n"),
         # Silent in the real server: unknown, or misspelt by a client.
         *((command, b"") for command in ("hello", "pin1", "DcSeCarW_1_2_")),
         ("startSmartImpedanceJoints_1.0_0.0_0.0_0.0_900_80_50_", b""),
@@ -68,6 +82,37 @@ def test_main_thread_is_deaf_while_a_servo_runs(servo):
 def test_server_answers_from_joints_and_torques_and_is_silent_otherwise(bench, command, reply):
     assert bench.say(command) == reply
     assert bench.say(ASK) == HOME_LINE
+
+
+def test_motion_is_acknowledged_at_its_start_and_at_its_goal_which_later_targets_do_not_move(bench):
+    assert bench.say("jRelVel_0.5_") == b"done\n"
+    assert bench.say(moved("jp", 0.3)) == b"done\n"
+    assert bench.say("doPTPinJS") == b"done\n"
+    # Half of joint 1's 1.71 rad/s is the peak of a minimum-jerk path: 15/8 of its mean.
+    assert bench.say(moved("jp", -0.3), "Torques_m_J", wait=0.65) == b"done\n"
+    speeds = [(b[0] - a[0]) / 1e-3 for a, b in itertools.pairwise(bench.body.targets)]
+    assert max(speeds) == pytest.approx(0.5 * math.radians(98.0), rel=1e-3)
+    bench.wait(0.5)
+    assert bench.client.read() == b"done\n"
+    assert bench.body.measured() == pytest.approx((0.3, *HOME[1:]), abs=1e-6)
+    assert not bench.server.busy
+    bench.wait(1.0)
+    assert bench.client.read() == b"", "the torques were asked for during the motion"
+
+
+@pytest.mark.parametrize("refused", ["speed", "range", "nan", "stop"])
+def test_motion_that_cannot_be_planned_is_acknowledged_then_refused(bench, refused):
+    bench.say("jRelVel_1.5_" if refused == "speed" else "jRelVel_0.5_")
+    bench.say(moved("jp", {"range": 3.0, "nan": "NaN"}.get(refused, 0.3)))
+    bench.body.stopped = "emergency stop" if refused == "stop" else ""
+    assert bench.say("doPTPinJS") == b"done\n"
+    bench.wait(0.2)
+    assert bench.client.read() == b"nak\n"
+    assert bench.body.targets == []
+
+
+def test_motion_without_a_speed_is_refused(bench):
+    assert bench.say(moved("jp", 0.3), "doPTPinJS", wait=0.3) == b"done\n" * 2 + b"nak\n"
 
 
 def test_stop_is_acknowledged_before_the_servo_ends(servo):
@@ -125,7 +170,7 @@ def test_injected_faults_leave_the_servo_on(servo, fault, reply):
 
 
 COMMANDS = st.sampled_from(
-    [START, STOP, ASK, "jp_0.1_", "jpJP_NaN_", "jp_nan_", "end", "jRelVel_0.1_", ""]
+    [START, STOP, "doPTPinJS", ASK, "jp_0.1_", "jpJP_NaN_", "jp_nan_", "end", "jRelVel_0.1_", ""]
 )
 
 

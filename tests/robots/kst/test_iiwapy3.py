@@ -29,6 +29,8 @@ def numbers(q):
 def test_session():
     bench, q = Bench(), list(HOME)
     bench.wait(1.0)
+    for lamp in (b"blueOn\n", b"blueOff\n"):
+        assert ask(bench, lamp) == b"done\n"
     assert ask(bench, b"getJointsPositions\n") == b"0.0_0.4364_0.0_-1.3962_0.0_1.309_0.0_\n"
     assert ask(bench, b"startDirectServoJoints\n") == b"done\n"
     bench.wait(0.3)
@@ -43,6 +45,14 @@ def test_session():
     assert ask(bench, b"stopDirectServoJoints\n") == b"done\n"
     bench.wait(0.3)
     assert not bench.body.running
+    start = bench.body.measured()[0]
+    for command in (b"jRelVel_0.1_\n", b"jp_" + numbers(HOME) + b"\n\n", b"doPTPinJS\n"):
+        assert ask(bench, command) == b"done\n"
+        bench.wait(0.05)
+    assert bench.body.measured()[0] == pytest.approx(start), "the second receive is for the end"
+    assert ask(bench, b"") == b"done\n"
+    assert bench.body.measured() == pytest.approx(HOME, abs=1e-4)
+    assert ask(bench, b"Torques_m_J\n").count(b"_") == 7
     bench.client.write(b"end\n")
     bench.wait(1.0)
     with pytest.raises(LinkError):

@@ -19,9 +19,8 @@ thread, and does not answer most other mistakes.
 import math
 import re
 from collections.abc import Sequence
+from decimal import Decimal
 from typing import Final, Literal
-
-import numpy as np
 
 from equipoise.arrays import Array
 from equipoise.errors import InputError, LinkError
@@ -39,6 +38,9 @@ MAX_LINE: Final = 1024
 
 ReplyKind = Literal["joints", "external"]
 """Reply that a setpoint requests: measured joints [rad], or external torques [N m]."""
+
+SETPOINTS: Final[dict[ReplyKind, str]] = {"joints": "jpJP", "external": "jpExT"}
+"""Commands that set the target of the joint servo, by requested reply."""
 
 GET_JOINTS: Final = b"getJointsPositions\n"
 """Request for the measured joints, at any time."""
@@ -95,8 +97,7 @@ def setpoint(
         InputError: `q` is not one finite number for each joint.
     """
     fields = "".join(f"{value:.{DIGITS}g}_" for value in checked_setpoint(q, joints).tolist())
-    command = "jpJP" if reply == "joints" else "jpExT"
-    return f"{command}_{fields}\n".encode()
+    return f"{SETPOINTS[reply]}_{fields}\n".encode()
 
 
 def expect_done(line: bytes, command: str) -> None:
@@ -128,6 +129,11 @@ def expect_numbers(line: bytes, count: int, command: str) -> tuple[float, ...]:
     raise _out_of_step(line, f"{count} finite numbers that end in _", command)
 
 
+def tokens(line: str) -> list[str]:
+    """Return the non-empty fields of a client's line, split as the server splits it."""
+    return [field for field in line.split("_") if field]
+
+
 def java_double(text: str) -> float:
     """Parse a number as Java's `Double.parseDouble` does, except for hexadecimal numbers.
 
@@ -149,10 +155,24 @@ def java_number(value: float) -> str:
         >>> java_number(0.0001), java_number(-1.3962), java_number(100.0)
         ('1.0E-4', '-1.3962', '100.0')
     """
-    if value == 0.0 or 1e-3 <= abs(value) < 1e7:
-        return np.format_float_positional(value, trim="0")
-    text = np.format_float_scientific(value, trim="0", exp_digits=1).replace("e+", "E")
-    return {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}.get(text, text.replace("e", "E"))
+    if math.isnan(value):
+        return "NaN"
+    if math.isinf(value):
+        return "Infinity" if value > 0.0 else "-Infinity"
+    sign, digits, exponent = Decimal(repr(float(value))).normalize().as_tuple()
+    # Java writes at least two digits: where one is enough, the nearest two.
+    if len(digits) == 1:
+        sign, digits, exponent = Decimal(f"{value:.1e}").as_tuple()
+    text, minus = "".join(map(str, digits)), "-" * sign
+    point = len(text) + int(exponent)
+    if value == 0.0:
+        return f"{minus}0.0"
+    if not 1e-3 <= abs(value) < 1e7:
+        return f"{minus}{text[0]}.{text[1:]}E{point - 1}"
+    text, point = "0" * (1 - point) + text, max(point, 1)
+    text = text.ljust(point, "0")
+    fraction = text[point:].rstrip("0")
+    return f"{minus}{text[:point]}.{fraction or '0'}"
 
 
 def numbers_reply(values: Sequence[float]) -> bytes:

@@ -1,45 +1,98 @@
-"""Emulator of a cabinet with its KST server and joint servo, with the server's faults.
+"""Emulator of a cabinet with its KST server: joint servo and motions, with the server's faults.
 
 The server is bytes and times (`KstServer`), in memory or on a TCP port (`KstHardware`). As in the
 real one, two threads share one string. The *reader* receives each line, and handles targets,
 `getJointsPositions`, stop and end itself. Any other line waits in that string for the *main*
-thread, which ignores it while a servo runs. Hence:
+thread, which ignores it while a servo or a motion runs. Hence:
 
 - A servo is acknowledged before it exists; its target is then overwritten with the measured joints.
+- A point-to-point motion is acknowledged twice, at its start and at its end. It keeps its own goal:
+  targets in between are acknowledged, and nothing stops it.
 - A command for the main thread that arrives while a servo runs is not answered, and the next line
-  erases it. An unknown command is never answered.
+  erases it; so does the end of a motion. An unknown command is never answered.
+- A motion that the controller cannot plan is acknowledged, then refused: `nak`.
 - A number that Java cannot parse (`nan`; but `NaN` becomes the target) kills the reader: all later
   lines are ignored, stop and end included, and the servo continues.
 - Fewer than seven joints change the first ones only; further ones are ignored.
 - The client is not supervised: if it vanishes, the servo continues, and no other client is ever
   served.
 
-Not modelled, and not answered: everything but the joint servo, joints and external torques. The
-server does not end when no client connects for 60 s.
+Not modelled, and not answered: everything but joints and their torques (poses, forces, tools, pins,
+Cartesian, impedance and velocity servos), and motions that end at a torque (`doPTP!`). The server
+does not end when no client connects for 60 s.
 """
 
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from typing import Final
+from typing import Final, TypeVar
 
+from equipoise.control.minimum_jerk import path_within
 from equipoise.errors import InputError, LinkError, OutsideError
 from equipoise.rig.simulated_rig import Bodies, SimulatedRig
 from equipoise.rig.transports import SocketTransport
-from equipoise.robots.kst.codec import PORT, KstLineSplitter, java_double, numbers_reply
+from equipoise.robots.kst.codec import PORT, KstLineSplitter, java_double, numbers_reply, tokens
 from equipoise.worlds.twin.simulated_arm import SimulatedArm
+
+T = TypeVar("T")
 
 HOST: Final = "127.0.0.1"
 """Address of the emulated cabinet: this machine."""
 DONE: Final = b"done\n"
 """Acknowledgement of the server."""
+NAK: Final = b"nak\n"
+"""Reply of the server after an error in its main thread."""
+SERVO_START: Final = 5e-3
+"""Time from the acknowledgement until a servo exists [s]: "a few milliseconds"."""
+SERVO_STOP: Final = 3e-3
+"""Time from the acknowledgement of a stop until the servo has ended [s]: "a few milliseconds"."""
+PLANNING_TIME: Final = 0.1
+"""Time from the acknowledgement of a motion until it starts or is refused [s]. Assumed. A client
+that receives both replies in one segment waits for the second without end."""
+SETTLING_TIME: Final = 0.35
+"""Time from the end of a motion's path until its second acknowledgement [s]: the emulated arm
+follows by the law of the servo, which takes this for the last milliradian."""
+EPSILON: Final = 1e-9
+"""Rounding of times [s]."""
 
-TARGETS: Final[dict[str, Callable[[SimulatedArm], bytes]]] = {
-    "jp_": lambda _: DONE,
-    "jpJP_": lambda arm: numbers_reply(arm.measured()),
-    "jpExT_": lambda arm: numbers_reply(arm.torques(external=True)),
+Answer = Callable[[SimulatedArm], bytes]
+
+
+def _done(_arm: SimulatedArm) -> bytes:
+    return DONE
+
+
+def _joints(arm: SimulatedArm) -> bytes:
+    return numbers_reply(arm.measured())
+
+
+def _external_torques(arm: SimulatedArm) -> bytes:
+    return numbers_reply(arm.torques(external=True))
+
+
+def _motor_torques(arm: SimulatedArm) -> bytes:
+    return numbers_reply(arm.torques(external=False))
+
+
+TARGETS: Final[dict[str, Answer]] = {
+    "jp_": _done,
+    "jpJP_": _joints,
+    "jpExT_": _external_torques,
+    "jpMT_": _motor_torques,
 }
 """Replies of the reader to a line with targets, by its start."""
+READER: Final[dict[str, Answer]] = {
+    "getJointsPositions": _joints,
+    "stopDirectServoJoints": _done,
+    "blueOn": _done,
+    "blueOff": _done,
+}
+"""Replies of the reader to other lines."""
+MAIN: Final[dict[str, Answer]] = {
+    "Torques_ext_J": _external_torques,
+    "Torques_m_J": _motor_torques,
+}
+"""Replies of the main thread."""
 
 
 class KstServer:
@@ -70,15 +123,20 @@ class KstServer:
         self.deserted = False
         """Whether the client left without an `end`; no other is ever served."""
         self.busy = False
-        """Whether a servo runs or is starting."""
+        """Whether a servo or a motion runs or is starting."""
         self._body, self._target = body, [0.0] * len(body.arm.joints)
         self._own_reading = body.measured  # of the servo, which no fault of a reply reaches
         self._lines = KstLineSplitter()
         self._reads = True
         self._segments: list[bytes] = []
-        self._now = 0.0
+        self._now = self._speed = 0.0
         self._waiting = ""
         self._requested = self._runs = False  # the servo
+        self._tasks: dict[str, Callable[[str], Iterable[None]]] = {
+            "startDirectServoJoints": self._serve,
+            "doPTPinJS": self._move,
+            "jRelVel": self._set_speed,
+        }
         self._main = self._run_main()
 
     @property
@@ -126,7 +184,7 @@ class KstServer:
 
     def _say(self, reply: bytes) -> None:
         if not self.drops:
-            self._segments.append(b"nak\n" if self.refuses else reply)
+            self._segments.append(NAK if self.refuses else reply)
 
     # The reader's thread.
 
@@ -138,22 +196,20 @@ class KstServer:
         """
         self._waiting = ""
         command = line.decode("latin-1")
-        if answer := next((TARGETS[key] for key in TARGETS if command.startswith(key)), None):
+        if answer := _entry(TARGETS, command):
             try:
-                fields = [field for field in command.split("_") if field]
-                for i, field in enumerate(fields[1 : len(self._target) + 1]):
+                for i, field in enumerate(tokens(command)[1 : len(self._target) + 1]):
                     self._target[i] = java_double(field)
             finally:  # the servo follows the numbers read before the reader died
                 if self._runs:
                     self._body.target(tuple(self._target))
             self._say(answer(self._body))
-        elif command.startswith("getJointsPositions"):
-            self._say(numbers_reply(self._body.measured()))
-        elif command.startswith("stopDirectServoJoints"):
-            self._requested = False
-            self._say(DONE)
         elif command.startswith("end"):
             self._requested, self.ended, self._reads = False, True, False
+        elif answer := _entry(READER, command):
+            if command.startswith("stopDirectServoJoints"):
+                self._requested = False
+            self._say(answer(self._body))
         else:
             self._waiting = command
 
@@ -162,33 +218,66 @@ class KstServer:
     def _run_main(self) -> Iterator[None]:
         while not self.ended:
             command, self._waiting = self._waiting, ""
-            if command.startswith("startDirectServoJoints"):
+            if answer := _entry(MAIN, command):
+                self._say(answer(self._body))
+            elif task := _entry(self._tasks, command):
                 self.busy = True
-                yield from self._serve()
+                try:
+                    yield from task(command)
+                except InputError:
+                    self._say(NAK)
                 self.busy = False
             yield
 
     def _sleep(self, duration: float) -> Iterator[None]:
-        until = self._now + duration - 1e-9  # rounding
+        until = self._now + duration - EPSILON
         while self._now < until:
             yield
 
-    def _serve(self) -> Iterator[None]:
+    def _serve(self, _command: str) -> Iterator[None]:
         """Run a servo; it runs on without a client."""
         self._requested = True
         self._say(DONE)
-        # "A few milliseconds" [s].
-        yield from self._sleep(5e-3)
+        yield from self._sleep(SERVO_START)
         self._runs = True
         self._body.servo(True)
         self._target[:] = self._own_reading()
         self._body.target(tuple(self._target))
         while self._requested:
             yield
-        # "A few milliseconds" [s].
-        yield from self._sleep(3e-3)
+        yield from self._sleep(SERVO_STOP)
         self._body.servo(False)
         self._runs = False
+
+    def _move(self, _command: str) -> Iterator[None]:
+        """Move to the target along a minimum-jerk path, at a share of the joints' speed limits."""
+        body, joints, goal = self._body, self._body.arm.joints, tuple(self._target)
+        self._say(DONE)
+        yield from self._sleep(PLANNING_TIME)
+        within = all(a.lower <= q <= a.upper for a, q in zip(joints, goal, strict=True))
+        if body.stopped or not within or not 0.0 < self._speed <= 1.0:
+            raise InputError("the controller cannot plan this motion")
+        speeds = [self._speed * joint.velocity for joint in joints]
+        path = path_within(body.measured(), goal, speeds, [joint.acceleration for joint in joints])
+        start = self._now
+        body.servo(True)
+        while self._now < start + path.duration + SETTLING_TIME:
+            body.target(path.at(self._now - start).q)
+            yield
+        body.servo(False)
+        self._say(NAK if body.stopped else DONE)
+        self._waiting = ""
+
+    def _set_speed(self, command: str) -> Iterable[None]:
+        """Set the share of the joints' speed limits at which motions run."""
+        self._speed = java_double("".join(tokens(command)[1:2]))
+        self._say(DONE)
+        return ()
+
+
+def _entry(table: dict[str, T], command: str) -> T | None:
+    """Return the entry of the first key with which a command starts."""
+    return next((entry for key, entry in table.items() if command.startswith(key)), None)
 
 
 class KstHardware:

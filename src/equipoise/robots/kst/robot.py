@@ -34,14 +34,32 @@ from equipoise.robots.kst import codec
 TIMEOUT: Final = 0.1
 """Timeout of the reply to a setpoint [s]. A cabled link takes one or two milliseconds, a garbage
 collection on the cabinet tens."""
+MAX_PENDING: Final = 20
+"""Maximum number of setpoints without a reply: 100 ms of a stream at 200 Hz. A run that stops after
+50 ms without a reply can still send its ramp to rest."""
 TORQUE_EVERY: Final = 10
 """Number of setpoints of which one requests external torques: 20 times a second. A reply has joints
 or torques, never both."""
 REPLY_TIMEOUT: Final = 1.0
 """Timeout of the reply to any other command [s]."""
+MAX_JOINT_SPEED: Final = 4.0
+"""Upper bound of an iiwa's joint speeds [rad/s]; the fastest joint reaches 3.2."""
+JOINT_NOISE: Final = 0.05
+"""Upper bound of the difference between two measurements read at once [rad]."""
 SERVER_TIMEOUT: Final = 60.0
 """Timeout of the server from its start on the smartPAD to its client, and of `connect` to that
 start [s]."""
+AFTER_CONNECT: Final = 1.0
+"""Delay from the connection to the first command [s], as in both official clients."""
+AFTER_START: Final = 0.5
+"""Delay from the acknowledgement of a servo to the first setpoint [s] (MATLAB's client: 0.5 s,
+iiwaPy3: 0.3 s)."""
+BEFORE_STOP: Final = 0.5
+"""Delay from the last setpoint to the stop [s], as in MATLAB's client."""
+AFTER_STOP: Final = 0.3
+"""Delay from the acknowledgement of a stop to the certain end of the servo [s], as in iiwaPy3."""
+AFTER_END: Final = 1.0
+"""Time within which the server closes the connection after `end` [s]."""
 POLL_PERIOD: Final = 0.001
 """Time between two reads of the link while waiting [s]."""
 
@@ -112,8 +130,7 @@ class KstRobot:
         if self._transport is not None or self._failure:
             raise LinkError("this connection was used; start the server again for another one")
         self._transport = self._reach()
-        # [s], as both official clients.
-        self._wait(1.0)
+        self._wait(AFTER_CONNECT)
         self.measured()
         self._may_move = False
 
@@ -138,8 +155,7 @@ class KstRobot:
         self._at_rest("start a servo")
         self._may_move = True
         self._done(codec.START_SERVO)
-        # [s], as MATLAB's client; iiwaPy3 waits 0.3 s.
-        self._wait(0.5)
+        self._wait(AFTER_START)
         measured = self._numbers(codec.GET_JOINTS)
         self._streams, self._sent = True, 0
         self._last = (self._clock.now(), measured)
@@ -161,8 +177,7 @@ class KstRobot:
             self._link()
             raise LinkError("the servo does not run, so that no setpoint is obeyed; start it first")
         self._collect()
-        # 100 ms of a stream at 200 Hz: a stopping run can still send its ramp to rest.
-        if len(self._pending) >= 20:
+        if len(self._pending) >= MAX_PENDING:
             self._fail(f"{len(self._pending)} setpoints wait for their answer, expected fewer")
         self._write(line)
         self._sent += 1
@@ -190,12 +205,10 @@ class KstRobot:
         while self._pending:
             self._wait(POLL_PERIOD)
             self._collect()
-        # [s], as MATLAB's client.
-        self._wait(0.5)
+        self._wait(BEFORE_STOP)
         self._done(codec.STOP_SERVO)
         self._streams = False
-        # [s]: until the servo has certainly ended, as iiwaPy3.
-        self._wait(0.3)
+        self._wait(AFTER_STOP)
         self._may_move = False
 
     def close(self) -> None:
@@ -207,8 +220,7 @@ class KstRobot:
         with suppress(LinkError):
             transport.write(codec.END)
             # Until the server has closed it: unread bytes may discard the last command.
-            # [s]: the server closes the connection within this time.
-            deadline = self._clock.now() + 1.0
+            deadline = self._clock.now() + AFTER_END
             while self._clock.now() < deadline:
                 transport.read()
                 self._wait(POLL_PERIOD)
@@ -278,8 +290,7 @@ class KstRobot:
         """Check that the arm can have reached joints [rad] since the last reply."""
         before, q_before = self._last
         step = max(abs(a - b) for a, b in zip(q, q_before, strict=True))
-        # Above the speed of an iiwa's fastest joint [rad/s], and the noise of two readings [rad].
-        most = 4.0 * (self._clock.now() - before) + 0.05
+        most = MAX_JOINT_SPEED * (self._clock.now() - before) + JOINT_NOISE
         if step > most:
             self._fail(
                 f"expected joints less than {most:.2g} rad from those before, got "
