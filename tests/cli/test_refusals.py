@@ -9,7 +9,7 @@ REFUSED = {
     # Names of files
     ("evaluate", "none.json"): "none.json",
     ("evaluate", "--out", "x.txt"): "ends in .json",
-    ("evaluate", "small.json", "--out", "small.json"): "is read and would be written over",
+    ("evaluate", "small.json", "--out", "small.json"): "small.json exists",
     ("evaluate", "--out", "taken.json"): "--force",
     # A missing input comes first: nothing would be written.
     ("identify", "none.csv", "--out", "taken.json"): "none.csv",

@@ -82,7 +82,7 @@ def deploy(
     world, seed = run.world, run.seed
     if run.excite:
         arm, _ = opt.read_arm(task.arm or "iiwa7"), read_world(world)
-        out = files.file(output, "run.mcap", task.pendulum, suffix=".mcap")
+        out = files.file(output, "run.mcap", suffix=".mcap")
         length = run.duration or 10.0
         with output.busy("moving the arm"):
             log = excite(arm, pendulum=task.pendulum, duration=length, world=world, seed=seed)
@@ -90,7 +90,7 @@ def deploy(
     else:
         chosen, actuator = task.read(policy), task.actuator
         setup_of(chosen, world, actuator=actuator)
-        out = files.file(output, "run.mcap", policy, task.pendulum, suffix=".mcap")
+        out = files.file(output, "run.mcap", suffix=".mcap")
         output.warn(chosen.shortfall)
         with output.busy("running"):
             log = simulate_run(
@@ -127,11 +127,7 @@ def _request(
         raise InputError("--world is for a simulated run; leave it out, or leave out the rig")
     described = read_rig(rig.rig)
     if task.arm is not None:
-        arm: dict[str, object] = {"arm": task.arm}
-        if Path(task.arm).suffix.lower() == ".toml":
-            fields = {"arm", "held", "tip", "acceleration_deg", "home_deg", "pivot_mm"}
-            arm = read_rig(Path(task.arm)).model_dump(include=fields)
-        described = RigSettings.model_validate({**dict(described), **arm})
+        described = RigSettings.model_validate({**dict(described), "arm": task.arm})
     robot = rig.robot or described.robot
     if robot is None:
         raise InputError("the rig names no robot; give --robot")
@@ -178,8 +174,7 @@ def _run_on_rig(
         with guest_code(f"the driver of {request.robot}"):
             devices = connect(request)  # nothing is opened before the run
     identified = ("-actuator.json",) if on_rig.identify else ()
-    read = policy, task.pendulum, rig.rig
-    out = files.file(output, "run.mcap", *read, suffix=".mcap", beside=identified)
+    out = files.file(output, "run.mcap", suffix=".mcap", beside=identified)
     if world_of(request.robot):
         with signals() as stopped, guest_code(f"the driver of {request.robot}"):
             end = run_virtually(request, out, TerminalOperator(output, stopped), rig=devices)

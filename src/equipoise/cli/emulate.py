@@ -65,12 +65,10 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     )
     encoder = f"serial://{(link or emulation.terminal.path).absolute()}"
 
-    # The shipped table is for the defaults.
-    yours = None if emulated.arm == "iiwa7" and emulated.pendulum is None else "POLICY"
-    task = {"arm": None if emulated.arm == "iiwa7" else emulated.arm}
-    task |= {"pendulum": emulated.pendulum}
+    task = emulated.model_dump(include={"arm", "pendulum"}, exclude_defaults=True)
     links = {"robot": emulation.hardware.address, "encoder": encoder}
-    then = command("deploy", yours, **links, **task)
+    # The shipped table is for the defaults.
+    then = command("deploy", "POLICY" if task else None, **links, **task)
     # The emulated robot takes the first core: the loop of the run stays on the last one. The
     # kernel's threads that carry its bytes get their turns there.
     host.prepare(core=0, priority=0)

@@ -86,7 +86,7 @@ def evaluate(
             f"--trials {least} or more"
         )
     setup_of(chosen, trials.world, settings, task.actuator)
-    out = files.out and files.file(output, "", policy, task.pendulum)
+    out = files.out and files.file(output, "")
     output.warn(chosen.shortfall)
     with_baselines = not trials.no_baselines and claim is None
     total = count * (1 + len(BUILT_IN)) if with_baselines else count

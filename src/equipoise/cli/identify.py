@@ -76,7 +76,7 @@ def identify(
     elif model.mass is not None or model.length is not None:
         raise InputError("I and b need both --mass and --length; give the other one too")
     recorded = read_swing(recording, **dict(swing))
-    out = files.file(output, "pendulum.json", recording, beside=(".svg", ".png"))
+    out = files.file(output, "pendulum.json", beside=(".svg", ".png"))
     with output.busy(f"fitting {len(recorded.time):,} samples") as show:
         pendulum = identify(recorded, settings.identification, mass, length, show)
         pendulum.save(out, command="identify", inputs={"recording": recorded.sha256})
@@ -101,7 +101,7 @@ def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:
     from equipoise.model.pendulum import shipped_pendulum
 
     run = load_run(log)
-    out = files.file(output, "actuator.json", log)
+    out = files.file(output, "actuator.json")
     with output.busy(f"fitting {len(run.replies.time):,} measured postures"):
         actuator = identify_run(run)
     actuator.save(out, command="identify", inputs={"run": run.digest})
@@ -131,7 +131,7 @@ def refine(output: Output, policy: Path, run: Path, *, files: opt.Files) -> None
 
     table = TabularPolicy.load(policy)
     log = load_run(run)
-    out = files.file(output, "refined.json", policy, run, beside=("-actuator.json",))
+    out = files.file(output, "refined.json", beside=("-actuator.json",))
     output.warn(log.damage)
     with output.busy("identifying again"):
         findings = inspect(table, log)

@@ -112,7 +112,7 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
         folder = files.folder(output, run.with_name(f"{run.stem}-csv"))
     if video is not None:
         suffix = video.suffix.lower()
-        opt.Files(out=video, force=files.force).file(output, "", run, suffix=suffix)
+        opt.Files(out=video, force=files.force).file(output, "", suffix=suffix)
         with output.busy("drawing the film"):
             write_film(log, video, film.from_, film.to)
     output.result(

@@ -7,7 +7,6 @@ group's docstring the title above it. `verb` makes the flat signature that typer
 `TABLES` by {NAME}.
 """
 
-import os
 import shlex
 import signal
 from collections.abc import Callable, Iterable
@@ -225,7 +224,7 @@ class Files(Options):
         self,
         output: Output,
         default: str,
-        *inputs: Path | None,
+        *,
         suffix: str = ".json",
         beside: Iterable[str] = (),
     ) -> Path:
@@ -234,29 +233,24 @@ class Files(Options):
         Args:
             output: Output of the verb.
             default: Name without `--out`; a number is added where it is taken.
-            inputs: Files that the verb reads; they are never replaced.
             suffix: Required end of the name.
             beside: Ends of the names of further files, after the stem.
 
         Raises:
-            InputError: The name has another suffix, or a file exists or is read.
+            InputError: The name has another suffix, or a file exists.
             OSError: It cannot be written.
         """
-        read = [path for path in inputs if path and os.path.exists(path)]
 
         def reserve(out: Path) -> None:
             if out.suffix.lower() != suffix:
                 raise InputError(f"{out} is to be written; give a name that ends in {suffix}")
             paths = [out, *(out.with_name(out.stem + end) for end in beside)]
-            for path in paths if self.out or self.force else ():
-                if path.exists() and any(map(path.samefile, read)):
-                    raise InputError(f"{path} is read and would be written over; give another name")
             output.reserved_names.enter_context(reserved(paths, replace=self.force))
 
         return self._reserve(output, Path(default), reserve)
 
     def folder(self, output: Output, default: Path) -> Path:
-        """Return the folder to write; it is created, and removed if it stays empty.
+        """Return the folder to write; it is created.
 
         Raises:
             InputError: It has files that shall not be replaced.
@@ -264,8 +258,6 @@ class Files(Options):
         """
 
         def reserve(out: Path) -> None:
-            if not out.exists():
-                output.reserved_names.callback(_remove_empty, out)
             out.mkdir(parents=True, exist_ok=self.out is not None or self.force)
             if not self.force and any(path.name[0] != "." for path in out.iterdir()):
                 raise InputError(
@@ -291,11 +283,6 @@ class Files(Options):
                 if out not in (self.out, default):
                     output.tell(f"{default} is taken; writing {out}")
                 return out
-
-
-def _remove_empty(folder: Path) -> None:
-    with suppress(OSError):  # it has files
-        folder.rmdir()
 
 
 def read_arm(name: str) -> "Arm":

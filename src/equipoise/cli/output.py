@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, TextIO
 import typer
 from pydantic_core import to_json
 from rich.console import Console, ConsoleOptions, RenderableType
-from rich.measure import measure_renderables
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
@@ -93,7 +92,7 @@ class Output:
             shown = _labelled(value) if value else {}
             self.warn(*(fields.pop("warnings", None) or ()), *shown.pop("warnings", ()))
             shown |= {label(name): each for name, each in fields.items()}
-            self._words.print(*_tables(shown, self._words), sep="\n")
+            self._words.print(*_tables(shown), sep="\n")
             if then:
                 line = Text.assemble(("next: ", "dim"), f"equipoise {then}")
                 self._words.print(line, soft_wrap=True)
@@ -200,11 +199,8 @@ def _labelled(value: "BaseModel") -> dict[str, Any]:
     return fields
 
 
-def _tables(fields: Mapping[str, Any], console: Console) -> list[RenderableType]:
-    """Return fields as lines of names and values, followed by a table for each nested mapping.
-
-    A table that is too wide for the console becomes lines, row by row.
-    """
+def _tables(fields: Mapping[str, Any]) -> list[RenderableType]:
+    """Return fields as lines of names and values, followed by a table for each nested mapping."""
     lines = Table.grid(padding=(0, 2, 0, 0))
     lines.add_column(no_wrap=True, style="dim")
     lines.add_column(overflow="fold")
@@ -217,13 +213,7 @@ def _tables(fields: Mapping[str, Any], console: Console) -> list[RenderableType]
                 table.add_column(printable(title), overflow="fold")
             for title, row in zip(value, rows, strict=True):
                 table.add_row(printable(label(title)), *map(as_text, row.values()))
-            free = console.options.update_width(10_000)  # no table needs more
-            if measure_renderables(console, free, [table]).minimum <= console.width:
-                tables.append(table)
-                continue
-            for title, row in zip(value, rows, strict=True):
-                row_lines = {label(field): one for field, one in row.items()}
-                tables += [f"{name}: {label(title)}", *_tables(row_lines, console)]
+            tables.append(table)
         elif text := as_text(value):
             lines.add_row(f"  {printable(name)}", text)
     return [lines, *tables]

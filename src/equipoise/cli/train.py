@@ -65,7 +65,7 @@ def train(
     if target is None:
         target = TARGET if settings.selection.every else 0.0
     output.warn(check_task(source, settings, given, world=plant.world, target=target))
-    out = files.file(output, "policy.json", pendulum, changes.settings)
+    out = files.file(output, "policy.json")
     with output.progress() as show:
         best = train_to_target(
             source,
@@ -146,7 +146,9 @@ def reproduce(
             workers=random.threads,
             report=show,
         )
-        page = build(out, lambda name, fraction: show("report", fraction, name))
+        show("report", None, "")
+        page = build(out)
+        show("report", 1.0, "")
     evaluation = found.default.evaluation
     output.result(
         duration_s=evaluation.duration,
@@ -165,13 +167,12 @@ def warm_up(output: Output) -> None:
     Half a minute on two cores. All environments of a user share the machine
     code; another version of the package needs its own.
     """
-    from equipoise.executors import available_cores
     from equipoise.jit import cache_directory
     from equipoise.reproduction.warm_up import warm_up
 
     begin = time.perf_counter()
     with output.progress() as show:
-        warm_up(available_cores(), show)
+        warm_up(show)
     output.result(
         compiled_s=round(time.perf_counter() - begin, 1),
         cache=cache_directory(),

@@ -63,10 +63,10 @@ def test_the_page_pushes_and_changes_the_rig(monkeypatch):
     assert table.count('stroke-width="3"') == 1
     for label in ("angle φ [°]", ">−5<", ">50<", "x −0.08 to 0.08 m", "ẋ 0.5 to ∞ m/s"):
         assert label in table
-    page._controls["delay"].value = 25.0
+    page._controls["delay_ms"].value = 25.0
     page._controls["policy"].value = "LQR"
     page._changed()
-    assert page.playground.scene.delay == pytest.approx(0.025)
+    assert page.playground.scene.delay_ms == 25.0
     page.advance(0)
     assert "shipped table" not in page._page._state.content
     assert "after 43 ms: 25 ms transport + 18 ms servo" in page._page._state.content

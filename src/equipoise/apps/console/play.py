@@ -40,12 +40,12 @@ PICTURE: Final = 4
 PUSH: Final = radians(15.0)
 """Change of the pendulum's rate by a button [rad/s]."""
 SLIDERS: Final = {
-    "delay": ("transport [ms]", 0.0, 60.0, 1.0, 1e-3),
-    "zero": ("zero error [deg]", -3.0, 3.0, 0.1, radians(1.0)),
-    "friction": ("friction [1/s²]", 0.0, 2.0, 0.05, 1.0),
-    "lean": ("start [deg]", -10.0, 10.0, 0.5, radians(1.0)),
+    "delay_ms": ("transport [ms]", 0.0, 60.0, 1.0),
+    "zero_deg": ("zero error [deg]", -3.0, 3.0, 0.1),
+    "friction": ("friction [1/s²]", 0.0, 2.0, 0.05),
+    "lean_deg": ("start [deg]", -10.0, 10.0, 0.5),
 }
-"""Label, ends, step and unit of the slider for each quantity of a scene."""
+"""Label, ends and step of the slider for each quantity of a scene."""
 
 
 class Scene(NamedTuple):
@@ -57,14 +57,14 @@ class Scene(NamedTuple):
     """Policy that balances; `yours` is that of the user."""
     predict: bool = True
     """Whether the policy sees the state at which its command takes effect."""
-    delay: float = 0.010
-    """Transport delay of the robot's commands, to which the servo's response adds [s]."""
-    zero: float = 0.0
-    """Error of the encoder's zero [rad]."""
+    delay_ms: float = 10.0
+    """Transport delay of the robot's commands, to which the servo's response adds [ms]."""
+    zero_deg: float = 0.0
+    """Error of the encoder's zero [deg]."""
     friction: float = 0.1
     """Dry friction of the pendulum over its inertia [1/s^2]."""
-    lean: float = radians(3.0)
-    """Angle from upright at the start [rad]."""
+    lean_deg: float = 3.0
+    """Angle from upright at the start [deg]."""
 
 
 SCENES: Final = {
@@ -74,12 +74,12 @@ SCENES: Final = {
         "arrives. Lower the transport delay: from where on does it stand? Then switch the "
         "prediction on.",
         predict=False,
-        delay=0.030,
+        delay_ms=30.0,
     ),
     "zero-error": Scene(
         "The encoder's zero is 1.5 degrees off. Watch the flange: it drives to one side until the "
         "controller has found the error.",
-        zero=radians(1.5),
+        zero_deg=1.5,
     ),
     "friction": Scene(
         "A sticky pivot. The pendulum rests beside upright, and the policy hunts around it.",
@@ -88,12 +88,6 @@ SCENES: Final = {
     "lqr": Scene("Compare with the shipped table: which one is at rest?", policy="LQR"),
 }
 """Scenes by name."""
-POLICIES: Final = {
-    "shipped table": "The shipped table: eight accelerations, so that it is never quite at rest.",
-    "LQR": "A linear regulator: it answers small angles with small accelerations.",
-    "yours": "Your policy.",
-}
-"""Sentence on each policy."""
 
 
 class Playground:
@@ -120,10 +114,11 @@ class Playground:
     def set(self, scene: Scene) -> None:
         """Set another scene up, and begin again."""
         policy, base = self.policies[scene.policy], read_world("twin:nominal").settings
-        rig = {"transport": scene.delay, "coulomb": scene.friction, "zero_offset": scene.zero}
+        transport, zero = 1e-3 * scene.delay_ms, radians(scene.zero_deg)
+        rig = {"transport": transport, "coulomb": scene.friction, "zero_offset": zero}
         exact = {"zero_error": 0.0, "inertia_sigma": 0.0, "friction_sigma": 0.0}
         known = shipped_policy().actuator  # identified on the nominal twin, then moved along
-        moved = max(known.delay.value + scene.delay - base.transport, 0.0)
+        moved = max(known.delay.value + transport - base.transport, 0.0)
         actuator = known.model_copy(update={"delay": Estimate.around(moved, 0.0, "given")})
         controller = policy.settings.controller.model_copy(update={"predict": scene.predict})
         settings = policy.settings.model_copy(update={"controller": controller})
@@ -150,7 +145,7 @@ class Playground:
         """Release the pendulum again."""
         trial = self._simulation.draw(1, self._number).trial(0)
         self._number += 1
-        self._loop.reset(trial._replace(start=(0.0, 0.0, self.scene.lean, 0.0)))
+        self._loop.reset(trial._replace(start=(0.0, 0.0, radians(self.scene.lean_deg), 0.0)))
         self.policy.reset()
         self._tick, self._fell, self.fallen = 0, 0, ""
         self._recent: deque[tuple[float, float]] = deque(maxlen=round(RECENT / self.h))
@@ -192,13 +187,13 @@ class Playground:
         elif len(self._recent) > 1:
             x, phi = np.abs(np.array(self._recent)).max(axis=0)
             motion += f" In the last {RECENT:g} s: ±{degrees(phi):.1f}°, ±{1e3 * x:.0f} mm."
-        transport, latency = 1e3 * self.scene.delay, 1e3 * self.latency
+        transport, latency = self.scene.delay_ms, 1e3 * self.latency
         effect = (
             f"A command acts after {latency:.0f} ms: {transport:.0f} ms transport + "
             f"{latency - transport:.0f} ms servo. "
             f"Meanwhile a lean grows by {100.0 * (self.growth - 1.0):.0f} %."
         )
-        return POLICIES[self.scene.policy], self.scene.about, motion, effect
+        return f"Policy: {self.scene.policy}.", self.scene.about, motion, effect
 
 
 class PlayPage:
@@ -235,10 +230,9 @@ class PlayPage:
                 "policy": gui.add_dropdown("policy", policies, initial_value=scene.policy),
                 "predict": gui.add_checkbox("prediction", scene.predict),
             }
-            for name, (label, low, high, step, unit) in SLIDERS.items():
-                value = round(getattr(scene, name) / unit, 3)
-                ends: Any = {"min": low, "max": high, "step": step, "initial_value": value}
-                self._controls[name] = gui.add_slider(label, **ends)
+            for name, (label, low, high, step) in SLIDERS.items():
+                value = getattr(scene, name)
+                self._controls[name] = gui.add_slider(label, low, high, step, value)
         scenes.on_update(lambda _: self._take(SCENES[scenes.value]))
         for control in self._controls.values():
             control.on_update(
@@ -250,18 +244,13 @@ class PlayPage:
 
     def _changed(self) -> None:
         """Set the scene of the controls up."""
-        units = {name: slider[-1] for name, slider in SLIDERS.items()}
-        values: dict[str, Any] = {
-            name: control.value * units[name] if name in units else control.value
-            for name, control in self._controls.items()
-        }
+        values = {name: control.value for name, control in self._controls.items()}
         self._set(self.playground.scene._replace(**values))
 
     def _take(self, scene: Scene) -> None:
         """Set a scene up, and move the controls there."""
         for name, control in self._controls.items():
-            value = getattr(scene, name)
-            control.value = round(value / SLIDERS[name][-1], 3) if name in SLIDERS else value
+            control.value = getattr(scene, name)
         self._set(scene)
 
     def _set(self, scene: Scene) -> None:

@@ -3,10 +3,9 @@
 viser serves page and websocket on one port, through `websockets.asyncio.server.serve`. The gate
 wraps the function that this server calls with each request, before it accepts a websocket:
 
-* The header `Host` names this server: a page of another server whose name leads here, by DNS
-  rebinding, is refused.
 * The address with the token, `/?token=...`, gives a cookie and leads to the page.
-* Each other request needs the cookie, and a websocket also the origin of this server.
+* Each other request needs the cookie, and a websocket also the origin of this server. A page of
+  another server whose name leads here, by DNS rebinding, has no cookie.
 * The address of an action, such as `/stop`, calls a function at once, past viser's queues and
   threads.
 * The content policy of the page forbids requests to any other server.
@@ -57,18 +56,13 @@ server's thread, do not block, and return a text for the script."""
 class Gate:
     """Check of all requests to one server."""
 
-    def __init__(
-        self, host: str, actions: Actions, overlay: bytes, *, any_address: bool = False
-    ) -> None:
+    def __init__(self, actions: Actions, overlay: bytes) -> None:
         """Create a gate with a new token.
 
         Args:
-            host: Name or address of the server, as in the address of the page.
             actions: Functions for scripts of the page.
             overlay: HTML at the end of the page.
-            any_address: Whether the server listens on all addresses of this computer.
         """
-        self._hosts, self._any_address = {"localhost", host.strip("[]").lower()}, any_address
         self.token = secrets.token_urlsafe(24)
         """Token of the address."""
         # Cookies ignore the port: the name is that of this server.
@@ -91,23 +85,17 @@ class Gate:
                 response.headers[name] = value
         return response
 
-    def is_own(self, host: str) -> bool:
-        """Return whether a header `Host` names this server; tunnels may change the port."""
-        name = urlsplit(f"//{host}").hostname or ""
-        is_address = ":" in name or name.replace(".", "").isdigit()
-        return name in self._hosts or (self._any_address and is_address)
-
     def _response(self, request: Any, serve: Callable[[Any], Any]) -> Any:
         headers, address = request.headers, urlsplit(request.path)
         is_websocket = bool(headers.get_all("Upgrade"))
         cookies = [one.strip() for text in headers.get_all("Cookie") for one in text.split(";")]
         given = parse_qs(address.query).get("token", [])
-        if self.is_own(headers["Host"]) and given and not is_websocket:
+        if given and not is_websocket:
             if _equal(given[0], self.token):
                 cookie = f"{self._cookie}; Path=/; HttpOnly; SameSite=Strict"
                 more = {"Location": "/", "Set-Cookie": cookie}
                 return _respond(HTTPStatus.SEE_OTHER, "", more)
-        elif self.is_own(headers["Host"]) and any(_equal(one, self._cookie) for one in cookies):
+        elif any(_equal(one, self._cookie) for one in cookies):
             if is_websocket:
                 origin = urlsplit(headers.get("Origin", "")).netloc
                 if origin == headers["Host"]:
@@ -178,9 +166,10 @@ def serving(
             f"cannot listen on {address}, port {port}: {error.strerror}; give an address of this "
             f"computer, such as {LOOPBACK}, or 0.0.0.0 for all of them, and a free port"
         ) from None
-    everywhere = address in ("0.0.0.0", "::")
-    host = socket.gethostname() if everywhere else f"[{address}]" if ":" in address else address
-    gate = Gate(host, actions or {}, overlay, any_address=everywhere)
+    host = f"[{address}]" if ":" in address else address
+    if address in ("0.0.0.0", "::"):
+        host = socket.gethostname()
+    gate = Gate(actions or {}, overlay)
 
     class Server(viser.ViserServer):
         def request_share_url(self, verbose: bool = True) -> str | None:

@@ -7,7 +7,6 @@ no file and runs no script; it can be printed, mailed and archived.
 import base64
 import re
 from collections.abc import Callable
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -31,7 +30,6 @@ PAGE: Final = "report.html"
 FILM_SECONDS: Final = 8.0
 """Maximum length of the film on the page [s]; the paper's run took 5 s."""
 FIGURES: Final[dict[str, Callable[[Results], "Figure"]]] = {
-    "time-line": lambda r: figures.time_line(r.default.run, film_seconds(r)),
     "swing": lambda r: figures.free_swing(r.swing, r.pendulum),
     "learning-curve": lambda r: figures.learning_curve(r.default.policy),
     "survival": lambda r: figures.survival(r.default.evaluation),
@@ -42,17 +40,11 @@ FIGURES: Final[dict[str, Callable[[Results], "Figure"]]] = {
 """Drawing functions of the figures, by the names of their files."""
 
 
-def film_seconds(results: Results) -> float:
-    """Return the length of the film [s]."""
-    return min(results.default.run.lasted, FILM_SECONDS)
-
-
-def build(out: Path, report: Callable[[str, float], None] = lambda _, __: None) -> Path:
+def build(out: Path) -> Path:
     """Draw the figures of a reproduction and write its report.
 
     Args:
         out: Output folder of `reproduce`.
-        report: Progress callback; receives the name of each figure and the fraction done.
 
     Returns:
         The path of the page.
@@ -62,20 +54,18 @@ def build(out: Path, report: Callable[[str, float], None] = lambda _, __: None) 
         OutsideError: Writing fails.
     """
     results, images = load(out), dict[str, str]()
-    for done, (name, draw) in enumerate(FIGURES.items()):
-        report(name, done / (len(FIGURES) + 2.0))
+    for name, draw in FIGURES.items():
         svg, _ = save(draw(results), out / "figures" / name)
         images[name] = _data_uri("svg+xml", svg.read_bytes())
     film, missing = out / "figures" / "film.webp", ""
-    report(film.name, len(FIGURES) / (len(FIGURES) + 2.0))
     try:
-        write_film(results.default.run, film, end=film_seconds(results))
+        run = results.default.run
+        write_film(run, film, end=min(run.lasted, FILM_SECONDS))
         images["film"] = _data_uri("webp", film.read_bytes())
     except OutsideError as error:  # OpenGL may be missing
         missing = str(error)
     provenance = Provenance.model_validate(read_document(out / RECORD)["provenance"])
     write_whole(out / PAGE, page(results, images, provenance, missing))
-    report(PAGE, 1.0)
     return out / PAGE
 
 
@@ -90,9 +80,8 @@ def page(
         provenance: Time and software versions of the reproduction.
         missing: Reason why there is no film.
     """
-    package = resources.files("equipoise.apps.report")
     environment = jinja2.Environment(
-        loader=jinja2.FunctionLoader(lambda name: package.joinpath(name).read_text("utf-8")),
+        loader=jinja2.PackageLoader("equipoise.apps.report", ""),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
@@ -114,8 +103,6 @@ def page(
             for name, cells in rows.comparison(results).items()
         ],
         degrees=np.rad2deg,
-        css=Markup(package.joinpath("page.css").read_text("utf-8")),
-        sketch=Markup(package.joinpath("sketch.svg").read_text("utf-8")),
     )
 
 
