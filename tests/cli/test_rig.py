@@ -66,7 +66,7 @@ def test_a_driver_that_sleeps_ends_a_run_on_a_twin(equipoise, monkeypatch):
     [
         ("deploy", "rig.simulate.simulate_run"),
         ("rig doctor", "rig.preflight.examine"),
-        ("train", "learning.target.train_to_target"),
+        ("train", "learning.train.train_to_target"),
         ("evaluate", "worlds.evaluation.evaluate"),
         ("reproduce", "reproduction.pipeline.reproduce"),
         ("warm-up", "reproduction.warm_up.warm_up"),
