@@ -122,8 +122,7 @@ def reproduce(
     beside the paper's robot. Writes every file to a folder (equipoise-report),
     with a self-contained report in HTML.
     """
-    from equipoise.apps.report.page import build
-    from equipoise.apps.report.rows import comparison
+    from equipoise.apps.report.page import build, comparison
     from equipoise.identification.recording import read_swing
     from equipoise.learning.choice import with_digests
     from equipoise.reproduction.pipeline import reproduce

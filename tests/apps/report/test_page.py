@@ -22,7 +22,7 @@ HOSTILE = "<script>alert('x')</script>&\x1b[2J.csv"
 IMAGES = dict.fromkeys([*FIGURES, "film"], "data:image/svg+xml;base64,AA==")
 DELAY = f"{round(1e3 * shipped_actuator().delay.value, 1):g}"
 ENDS = (1.49 - made_up.AHEAD, 59.99 - made_up.AHEAD)
-EMPTY = {"meta", "img", "br", "path", "rect", "circle", "wbr"}
+EMPTY = {"meta", "img", "br", "path", "rect", "circle"}
 
 
 class Reader(HTMLParser):

@@ -5,7 +5,6 @@ The twin, the controller and the trials are those of an evaluation.
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from itertools import pairwise
 from math import degrees, exp, inf, pi, radians, remainder, sqrt
@@ -33,8 +32,6 @@ if TYPE_CHECKING:
 
 FALL: Final = 2.0
 """Time that a fall is shown [s]."""
-RECENT: Final = 5.0
-"""Time over which the text describes the motion [s]."""
 PICTURE: Final = 4
 """Number of ticks between two pictures."""
 PUSH: Final = radians(15.0)
@@ -137,8 +134,6 @@ class Playground:
         if isinstance(policy, TabularPolicy) and policy.settings.boxes == BoxSettings():
             self.u_of_box = policy.u_of_box.reshape(-1)
         """Command of each box [m/s^2], shape (270,); None without a table of the usual boxes."""
-        self.box, self.used = -1, np.zeros(BoxSettings().count)
-        """Recent use of each box, 0 to 1, shape (270,)."""
         self.begin()
 
     def begin(self) -> None:
@@ -148,7 +143,7 @@ class Playground:
         self._loop.reset(trial._replace(start=(0.0, 0.0, radians(self.scene.lean_deg), 0.0)))
         self.policy.reset()
         self._tick, self._fell, self.fallen = 0, 0, ""
-        self._recent: deque[tuple[float, float]] = deque(maxlen=round(RECENT / self.h))
+        self.box = -1
 
     def push(self, rate: float) -> None:
         """Push the pendulum, which changes its rate [rad/s]."""
@@ -168,15 +163,10 @@ class Playground:
         self._tick += 1
         if cause != TRUNCATED and not self.fallen:
             self.fallen, self._fell = TRIAL_OUTCOMES[cause], self._tick
-        x, _, self.phi, _ = loop.state().tolist()
-        self.q, self.box = loop.joints(), -1
-        self.used *= exp(-self.h / 2.0)  # a used box fades within some seconds
-        if not self.fallen:
-            self._recent.append((x, self.phi))
-            inside = abs(degrees(seen[2])) < PHI_LIMIT_DEG and abs(seen[0]) < X_LIMIT
-            if self.u_of_box is not None and inside:
-                self.box = int(box_indices(seen[None, :], self._boxes)[0])
-                self.used[self.box] = 1.0
+        self.q, self.phi, self.box = loop.joints(), float(loop.state()[2]), -1
+        inside = abs(degrees(seen[2])) < PHI_LIMIT_DEG and abs(seen[0]) < X_LIMIT
+        if self.u_of_box is not None and inside and not self.fallen:
+            self.box = int(box_indices(seen[None, :], self._boxes)[0])
 
     def sentences(self) -> tuple[str, str, str, str]:
         """Return the policy, the scene, the motion so far, and the effect of the latency."""
@@ -184,9 +174,6 @@ class Playground:
         motion = f"It has stood for {stood:.0f} s."
         if self.fallen:
             motion = f"It fell after {stood:.1f} s ({self.fallen})."
-        elif len(self._recent) > 1:
-            x, phi = np.abs(np.array(self._recent)).max(axis=0)
-            motion += f" In the last {RECENT:g} s: ±{degrees(phi):.1f}°, ±{1e3 * x:.0f} mm."
         transport, latency = self.scene.delay_ms, 1e3 * self.latency
         effect = (
             f"A command acts after {latency:.0f} ms: {transport:.0f} ms transport + "
@@ -297,11 +284,10 @@ class PlayPage:
             left = x * wide + phi * cell
             top = (n_speed - 1 - speed) * high + (n_rate - 1 - rate) * cell
             u = pushes[box]
-            ink = abs(u) / U_MAX * (0.15 + 0.85 * twin.used[box])
             pen = f'stroke="{INK}" stroke-width="3"' if box == twin.box else f'stroke="{PALE}"'
             parts.append(
                 f'<rect x="{left}" y="{top}" width="{cell - 2}" height="{cell - 2}" {pen} '
-                f'fill="{VERMILION if u > 0.0 else BLUE}" fill-opacity="{ink:.2f}"/>'
+                f'fill="{VERMILION if u > 0.0 else BLUE}" fill-opacity="{abs(u) / U_MAX:.2f}"/>'
             )
 
         def write(x: float, y: float, text: str, turned: int = 0) -> None:
@@ -324,8 +310,8 @@ class PlayPage:
             "table",
             f'<svg viewBox="-40 -18 {width + 46} {height + 40}" width="100%" font-size="9.5" '
             f'fill="{INK}">{"".join(parts)}</svg><b style="color:{VERMILION}">■</b> pushes right, '
-            f'<b style="color:{BLUE}">■</b> left; a strong colour is a strong push. Bright boxes '
-            "were used just now; the framed one is in use.",
+            f'<b style="color:{BLUE}">■</b> left; a strong colour is a strong push. '
+            "The framed box is in use.",
         )
 
     def run(self, stopped: Callable[[], bool]) -> None:
