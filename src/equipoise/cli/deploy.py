@@ -127,7 +127,11 @@ def _request(
         raise InputError("--world is for a simulated run; leave it out, or leave out the rig")
     described = read_rig(rig.rig)
     if task.arm is not None:
-        described = RigSettings.model_validate({**dict(described), "arm": task.arm})
+        arm: dict[str, object] = {"arm": task.arm}
+        if Path(task.arm).suffix.lower() == ".toml":
+            fields = {"arm", "held", "tip", "acceleration_deg", "home_deg", "pivot_mm"}
+            arm = read_rig(Path(task.arm)).model_dump(include=fields)
+        described = RigSettings.model_validate({**dict(described), **arm})
     robot = rig.robot or described.robot
     if robot is None:
         raise InputError("the rig names no robot; give --robot")

@@ -77,9 +77,9 @@ class Connection:
             self.close()  # a request without an answer blocks the socket
             raise LinkError(
                 f"no CoppeliaSim answers at {self.address} within {self._patience:g} s, or it "
-                f"does not finish {name}, as another client holds its simulation; start it, with "
-                "its ZMQ remote API server (after a crash it may listen on the next port), or end "
-                "that client"
+                f"does not finish {name} then, as another client holds its simulation; start it, "
+                "with its ZMQ remote API server (after a crash it may listen on the next port), or "
+                "end that client"
             ) from None
         except Exception as error:  # the client raises this class for an error of CoppeliaSim
             text = printable(shortened(str(error).split("_=NL=_")[0], 300))
