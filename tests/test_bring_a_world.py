@@ -108,7 +108,7 @@ def test_with_a_delay_the_controller_observes_through_an_encoder():
         loop.state()[2] + loop.zero, abs=0.5001 * resolution
     )
     assert np.array_equal(setup.arm.with_held(measured.q), loop.joints())
-    assert loop.controller.estimate[0] == pytest.approx(loop.state()[2], abs=0.05)
+    assert loop.controller.estimate.phi[0] == pytest.approx(loop.state()[2], abs=0.05)
 
 
 @pytest.mark.parametrize(

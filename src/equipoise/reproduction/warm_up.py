@@ -14,7 +14,7 @@ from equipoise.control.policy import shipped_policy
 from equipoise.errors import OutsideError
 from equipoise.executors import Show
 from equipoise.identification.swing import identify
-from equipoise.jit import disabled, kernel_folder
+from equipoise.jit import DISABLED, kernel_folder
 from equipoise.learning.train import train_to_target
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.worlds import IDEAL, MODEL
@@ -62,7 +62,7 @@ def _marker() -> Path:
 
 def is_warm() -> bool:
     """Return whether the kernels of these sources were compiled by `warm_up`."""
-    return disabled() or _marker().exists()
+    return DISABLED or _marker().exists()
 
 
 def warm_up(show: Show = lambda *_: None) -> None:
