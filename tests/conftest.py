@@ -8,7 +8,6 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-from equipoise.executors import available_cores
 from equipoise.learning.train import train
 from equipoise.model.actuator import IDEAL_ACTUATOR
 from equipoise.model.arms.iiwa import iiwa
@@ -31,7 +30,7 @@ def pytest_configure(config):
     """Compile the kernels before several workers start, which would compile the same ones."""
     several = getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput")
     if several and not is_warm():
-        warm_up(available_cores())
+        warm_up()
 
 
 def pytest_collectreport(report):

@@ -49,7 +49,12 @@ def checked(function: F) -> F:
             try:
                 bound.arguments[name] = adapters()[name].validate_python(value)
             except ValidationError as error:
-                raise InputError(_sentence(name, value, error)) from None
+                faults = error.errors(include_url=False, include_context=False)
+                expected = dict.fromkeys(
+                    fault["msg"].removeprefix("Input should be ") for fault in faults
+                )
+                message = f"{name} is {quoted(value)}; expected {' or '.join(expected)}"
+                raise InputError(message) from None
         return function(*bound.args, **bound.kwargs)
 
     return cast("F", call)
@@ -66,9 +71,3 @@ def _instances(hint: Any) -> Any:
     if not own or issubclass(hint, tuple):
         return hint
     return Annotated[Any, GetPydanticSchema(lambda *_: is_instance_schema(hint))]
-
-
-def _sentence(name: str, value: Any, error: ValidationError) -> str:
-    faults = error.errors(include_url=False, include_context=False)
-    expected = dict.fromkeys(fault["msg"].removeprefix("Input should be ") for fault in faults)
-    return f"{name} is {quoted(value)}; expected {' or '.join(expected)}"

@@ -12,7 +12,6 @@ import json
 import os
 import platform
 import re
-import reprlib
 import sys
 import threading
 from collections.abc import Generator, Iterable, Mapping
@@ -295,25 +294,18 @@ def quoted(value: Any) -> str:
     """Return the `repr` of a value from a file, shortened for a message.
 
     Example:
-        >>> quoted(0.97), quoted("a" * 1000)
-        ('0.97', "'aaaaaaaaaaaaaaaaaaaaaaaaaaa...aaaaaaaaaaaaaaaaaaaaaaaaaaaa'")
+        >>> quoted(0.97), quoted("off")
+        ('0.97', "'off'")
     """
-    if isinstance(value, int) and abs(value) >= 10**MAX_QUOTE_LENGTH:
-        return f"an integer of {value.bit_length()} bits"
     if isinstance(value, float):
         return f"{value:.10g}"
-    return shortened(_QUOTES.repr(value), 2 * MAX_QUOTE_LENGTH)
+    return shortened(repr(value), 2 * MAX_QUOTE_LENGTH)
 
 
 def shortened(text: str, length: int = MAX_QUOTE_LENGTH) -> str:
     """Return a text on one line of at most `length` characters."""
     line = " ".join(text.splitlines())
     return line if len(line) <= length else f"{line[: length - 3]}..."
-
-
-_QUOTES: Final = reprlib.Repr()
-_QUOTES.maxstring = _QUOTES.maxother = MAX_QUOTE_LENGTH
-_QUOTES.maxlevel = 2
 
 
 def write_whole(path: Path, content: str | bytes) -> None:

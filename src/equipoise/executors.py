@@ -69,8 +69,3 @@ def counted(stage: str, total: int, show: Show) -> Callable[[float], None]:
             show(stage, min(finished / total, 1.0), f"{whole:,} of {total:,} trials")
 
     return done
-
-
-def running(stage: str, show: Show) -> Callable[[int, int], None]:
-    """Return a callback for finished trials of a stage, and the number that is expected."""
-    return lambda done, of: show(stage, done / of, f"{done:,} trials")

@@ -167,12 +167,10 @@ class BoxSettings(Value):
         limits = {"phi_deg": paper.PHI_LIMIT_DEG, "x": paper.X_LIMIT}
         for name in ("phi_deg", "phi_dot_deg", "x", "x_dot"):
             ends, limit = getattr(self, name), limits.get(name, inf)
-            if any(low >= high for low, high in pairwise(ends)):
-                raise ValueError(f"{name} must rise, got {list(ends)}")
-            if ends != tuple(-end for end in reversed(ends)):
-                raise ValueError(f"{name} must be symmetric about zero, got {list(ends)}")
-            if ends[-1] >= limit:
-                raise ValueError(f"{name} must lie within the limit {limit:g}, got {list(ends)}")
+            rises = all(low < high for low, high in pairwise(ends))
+            if not rises or ends != tuple(-end for end in reversed(ends)) or ends[-1] >= limit:
+                form = f"must rise below {limit:g} and be symmetric about zero"
+                raise ValueError(f"{name} {form}, got {list(ends)}")
         if 0.0 not in self.phi_deg:
             raise ValueError(f"phi_deg must have the end 0, got {list(self.phi_deg)}")
         if self.count > 10_000:

@@ -5,7 +5,6 @@ import unicodedata
 from itertools import count
 
 import pytest
-from rich.text import Text
 
 from equipoise.cli.output import Output
 from equipoise.cli.terminal_operator import TerminalOperator
@@ -38,7 +37,6 @@ def check(ran, *, shown=SHOWN):
 def test_output_escapes_whatever_it_is_given(capsys):
     output = Output(as_json=False)
     ways = (
-        lambda: output.tell(Text(HOSTILE)),
         lambda: output.tell(HOSTILE),
         lambda: output.warn(HOSTILE),
         lambda: output.result(**{HOSTILE: HOSTILE}),

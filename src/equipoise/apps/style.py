@@ -28,7 +28,6 @@ GREY: Final = "#767676"
 PALE: Final = "#E4E4E4"
 
 STYLE: Final[dict[str, Any]] = {
-    "font.family": "DejaVu Sans",
     "font.size": 8.5,
     "axes.titlelocation": "left",
     "axes.titlesize": 8.5,
@@ -46,10 +45,7 @@ STYLE: Final[dict[str, Any]] = {
     "legend.frameon": False,
     "figure.titlesize": 10.0,
     "figure.titleweight": "bold",
-    "figure.facecolor": "white",
     "figure.constrained_layout.use": True,
-    "hatch.linewidth": 0.6,
-    "svg.fonttype": "path",
     "svg.hashsalt": "equipoise",
 }
 

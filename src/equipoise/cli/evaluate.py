@@ -16,13 +16,6 @@ if TYPE_CHECKING:
     from equipoise.worlds.evaluation import TrialResults
 
 
-class Report(opt.Files):
-    """Files."""
-
-    out: Path | None = None
-    """File for the evaluation; by default none is written."""
-
-
 class Trials(Options):
     """Trials."""
 
@@ -47,14 +40,14 @@ def evaluate(
     trials: Trials,
     task: opt.Task,
     random: opt.Random,
-    files: Report,
+    files: opt.Files,
 ) -> None:
     """Evaluate a policy: how long it balances, and why it fails.
 
     POLICY is a table from equipoise train, a network (.onnx), Python
     MODULE:NAME, lqr, lqr-snapped, pd or random; by default the shipped table.
-    Four baselines run the same trials. Exit code 1: the median trial ended
-    early.
+    Four baselines run the same trials. A file is written with --out alone. Exit
+    code 1: the median trial ended early.
 
     --claim grants or refuses a claim at 95 % confidence, by an exact bound. It
     determines the number of trials, and leaves out the baselines. Exit code 1:

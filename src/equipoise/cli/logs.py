@@ -83,7 +83,7 @@ class Film(Options):
     """The film."""
 
     video: Path | None = None
-    """Write a film instead, .mp4 or .webp; with --out as well."""
+    """Write a film instead, .mp4 or .webp."""
     from_: float | None = None
     """Begin the film here [s], from the release on."""
     to: float | None = None
@@ -102,22 +102,21 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
     from equipoise.film import check_format, write_film
     from equipoise.logs.run_log import RunLog
 
-    video, folder = film.video, None
-    if video is None and (film.from_ is not None or film.to is not None):
+    video, tables = film.video, None
+    if video is None and film != Film():
         raise InputError("--from and --to choose the part of a film; give --video FILE as well")
     if video is not None:
         check_format(video.suffix.lower())
     log = RunLog.load(run, damaged=True)
-    if files.out is not None or video is None:
-        folder = files.folder(output, run.with_name(f"{run.stem}-csv"))
-    if video is not None:
-        suffix = video.suffix.lower()
-        opt.Files(out=video, force=files.force).file(output, "", run, suffix=suffix)
+    if video is None:
+        tables = log.export(files.folder(output, run.with_name(f"{run.stem}-csv")))
+    else:
+        opt.Files(out=video, force=files.force).file(output, "", run, suffix=video.suffix.lower())
         with output.busy("drawing the film"):
             write_film(log, video, film.from_, film.to)
     output.result(
         run=run,
-        tables=None if folder is None else log.export(folder),
+        tables=tables,
         video=video,
         warnings=[log.damage],
         then=command("log explain", run),

@@ -8,15 +8,13 @@ import re
 import signal
 import sys
 import threading
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 from pydantic_core import to_json
-from rich.console import Console, ConsoleOptions, RenderableType
-from rich.measure import measure_renderables
-from rich.segment import Segment
+from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -28,21 +26,9 @@ if TYPE_CHECKING:
     from equipoise.executors import Show
 
 
-class EscapingConsole(Console):
-    """A console that escapes all control characters except its own."""
-
-    def render(
-        self, renderable: RenderableType, options: ConsoleOptions | None = None
-    ) -> Iterable[Segment]:
-        """Yield the segments with control characters escaped."""
-        for piece in super().render(renderable, options):
-            text = piece.text if piece.control else printable(piece.text, layout=True)
-            yield Segment(text, piece.style, piece.control)
-
-
-def _console(*, stderr: bool = False, quiet: bool = False) -> EscapingConsole:
+def _console(*, stderr: bool = False, quiet: bool = False) -> Console:
     """Return a console on stdout or stderr, whose text is no markup; a quiet one prints nothing."""
-    return EscapingConsole(stderr=stderr, quiet=quiet, markup=False, emoji=False, highlight=False)
+    return Console(stderr=stderr, quiet=quiet, markup=False, emoji=False, highlight=False)
 
 
 class Output:
@@ -58,9 +44,10 @@ class Output:
         self.reserved_names = ExitStack()
         """Names of the files that the verb writes, reserved until its end."""
 
-    def tell(self, what: Any) -> None:
+    def tell(self, what: str, style: str = "") -> None:
         """Print a message for the operator; with `--json` on stderr."""
-        (self._messages if self._as_json else self._words).print(what)
+        text = Text(printable(what, layout=True), style)
+        (self._messages if self._as_json else self._words).print(text)
 
     @property
     def stream(self) -> TextIO:
@@ -93,9 +80,9 @@ class Output:
             shown = _labelled(value) if value else {}
             self.warn(*(fields.pop("warnings", None) or ()), *shown.pop("warnings", ()))
             shown |= {label(name): each for name, each in fields.items()}
-            self._words.print(*_tables(shown, self._words), sep="\n")
+            self._words.print(*_tables(shown), sep="\n")
             if then:
-                line = Text.assemble(("next: ", "dim"), f"equipoise {then}")
+                line = Text.assemble(("next: ", "dim"), f"equipoise {printable(then)}")
                 self._words.print(line, soft_wrap=True)
         if code:
             raise typer.Exit(code)
@@ -125,7 +112,7 @@ class Output:
             redirect_stdout=self._words.is_terminal,
         )
         stages: dict[str, progress.TaskID] = {}
-        lock, compiled = threading.Lock(), 0
+        lock = threading.Lock()
 
         def update(stage: str, fraction: float | None, text: str) -> None:
             with lock:
@@ -134,12 +121,7 @@ class Output:
                 total = None if fraction is None else 1.0
                 bars.update(stages[stage], text=text, total=total, completed=fraction or 0.0)
 
-        def count(_: str) -> None:
-            nonlocal compiled
-            compiled += 1
-            update("compile", None, f"functions, once on this machine: {compiled}")
-
-        with bars, watching_compilation(count):
+        with bars, watching_compilation(lambda _: update("compile", None, "")):
 
             def show(stage: str, fraction: float | None = None, text: str = "") -> None:
                 if self.stopped.is_set():
@@ -147,14 +129,14 @@ class Output:
                 update(stage, fraction, text)
 
             yield show
-            if compiled:
-                update("compile", 1.0, f"functions, once on this machine: {compiled}")
+            if "compile" in stages:
+                update("compile", 1.0, "")
 
     @contextmanager
     def busy(self, what: str) -> Generator[Callable[[str], None]]:
         """Show work of unknown duration; yield a function that renames it."""
-        with self._messages.status(Text(what)) as status:
-            yield lambda now: status.update(Text(now))
+        with self._messages.status(Text(printable(what))) as status:
+            yield lambda now: status.update(Text(printable(now)))
 
 
 def complain(message: str, label: str = "") -> None:
@@ -200,11 +182,8 @@ def _labelled(value: "BaseModel") -> dict[str, Any]:
     return fields
 
 
-def _tables(fields: Mapping[str, Any], console: Console) -> list[RenderableType]:
-    """Return fields as lines of names and values, followed by a table for each nested mapping.
-
-    A table that is too wide for the console becomes lines, row by row.
-    """
+def _tables(fields: Mapping[str, Any]) -> list[RenderableType]:
+    """Return fields as lines of names and values, followed by a table for each nested mapping."""
     lines = Table.grid(padding=(0, 2, 0, 0))
     lines.add_column(no_wrap=True, style="dim")
     lines.add_column(overflow="fold")
@@ -217,13 +196,7 @@ def _tables(fields: Mapping[str, Any], console: Console) -> list[RenderableType]
                 table.add_column(printable(title), overflow="fold")
             for title, row in zip(value, rows, strict=True):
                 table.add_row(printable(label(title)), *map(as_text, row.values()))
-            free = console.options.update_width(10_000)  # no table needs more
-            if measure_renderables(console, free, [table]).minimum <= console.width:
-                tables.append(table)
-                continue
-            for title, row in zip(value, rows, strict=True):
-                row_lines = {label(field): one for field, one in row.items()}
-                tables += [f"{name}: {label(title)}", *_tables(row_lines, console)]
+            tables.append(table)
         elif text := as_text(value):
             lines.add_row(f"  {printable(name)}", text)
     return [lines, *tables]

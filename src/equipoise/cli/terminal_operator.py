@@ -9,8 +9,6 @@ from math import degrees, isnan
 from threading import Event
 from typing import Any, Final
 
-from rich.text import Text
-
 from equipoise.cli.output import Output
 from equipoise.control.ticks import OK
 from equipoise.printable import printable
@@ -52,11 +50,11 @@ class TerminalOperator:
         if event.name != "word":
             self._answers = tuple(event.answers)
             if self._stopped is None:
-                _edit_lines(bool(self._answers))
-        text = printable(event.text.replace("\a", ""))
+                _edit_lines(edits=bool(self._answers))
         if "\a" in event.text and self._output.stream.isatty():
             self._output.stream.write("\a")
-        self._output.tell(Text(text, style=STYLES.get(event.name, "bold" if self._answers else "")))
+        text = printable(event.text.replace("\a", ""))
+        self._output.tell(text, STYLES.get(event.name, "bold" if self._answers else ""))
 
     def read_input(self) -> list[str]:
         """Return the typed input: whole lines for a question, otherwise any key at once.
@@ -97,7 +95,7 @@ class TerminalOperator:
         self._live = True
 
 
-def _edit_lines(edits: bool) -> None:
+def _edit_lines(*, edits: bool) -> None:
     """Let a terminal show and edit a line until Enter, or deliver each key at once."""
     import termios
 
@@ -113,14 +111,13 @@ def _edit_lines(edits: bool) -> None:
 def single_keys() -> Generator[None]:
     """Deliver each key at once while the context is open, on a terminal."""
     import termios
-    import tty
 
     if not sys.stdin.isatty():
         yield
         return
     before = termios.tcgetattr(sys.stdin)
     try:
-        tty.setcbreak(sys.stdin)
+        _edit_lines(edits=False)
         yield
     finally:
         with suppress(termios.error):  # the terminal was closed

@@ -122,8 +122,7 @@ def reproduce(
     beside the paper's robot. Writes every file to a folder (equipoise-report),
     with a self-contained report in HTML.
     """
-    from equipoise.apps.report.page import build
-    from equipoise.apps.report.rows import comparison
+    from equipoise.apps.report.page import build, comparison
     from equipoise.identification.recording import read_swing
     from equipoise.learning.choice import with_digests
     from equipoise.reproduction.pipeline import reproduce
@@ -146,7 +145,9 @@ def reproduce(
             workers=random.threads,
             report=show,
         )
-        page = build(out, lambda name, fraction: show("report", fraction, name))
+        show("report", None, "")
+        page = build(out)
+        show("report", 1.0, "")
     evaluation = found.default.evaluation
     output.result(
         duration_s=evaluation.duration,
@@ -165,13 +166,12 @@ def warm_up(output: Output) -> None:
     Half a minute on two cores. All environments of a user share the machine
     code; another version of the package needs its own.
     """
-    from equipoise.executors import available_cores
     from equipoise.jit import cache_directory
     from equipoise.reproduction.warm_up import warm_up
 
     begin = time.perf_counter()
     with output.progress() as show:
-        warm_up(available_cores(), show)
+        warm_up(show)
     output.result(
         compiled_s=round(time.perf_counter() - begin, 1),
         cache=cache_directory(),

@@ -90,7 +90,7 @@ def reproduce(
         settings, literal = shortened(settings), shortened(literal)
     recording = read_swing(swing) if isinstance(swing, str | os.PathLike) else swing
     if not is_warm():
-        warm_up(workers, report)
+        warm_up(report)
 
     with stage("identify", report):
         source = recording or synthetic_swing(seed)

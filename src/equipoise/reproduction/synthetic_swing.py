@@ -22,25 +22,18 @@ TREMOR: Final = 0.01
 """Amplitude of the hand's tremor [rad]."""
 
 
-def synthetic_swing(
-    seed: int = 0,
-    *,
-    period: float = paper.FREE_SWING_PERIOD,
-    hold: float = SIMULATED_HOLD,
-    noise: float = 5e-4,
-) -> Trajectory:
+def synthetic_swing(seed: int = 0, *, period: float = paper.FREE_SWING_PERIOD) -> Trajectory:
     """Simulate the recording of a swing that a hand releases.
 
     Args:
         seed: Seed of the hand and of the noise.
         period: Period of small swings [s]; by default the paper's.
-        hold: Time before the release [s].
-        noise: Standard deviation of the angle's noise per sample [rad]: vibration, play.
 
     Returns:
         The recording, without the time of the release.
     """
     rate = 1000.0  # [Hz]
+    noise = 5e-4  # [rad], standard deviation per sample: vibration, play
     release = 0.8  # [rad] from hanging: large enough for a swing that is not sinusoidal
     zero = 0.005  # [rad]: friction stopped the pendulum beside the vertical when referenced
     # The pivot is at rest, so that its coupling k is irrelevant.
@@ -54,9 +47,9 @@ def synthetic_swing(
         zero_offset=zero,
         seed=seed,
     )
-    held = np.arange(round(hold * rate)) / rate
+    held = np.arange(round(SIMULATED_HOLD * rate)) / rate
     # The tremor fades with the square of the remaining time, so that the release is at rest.
-    left = 1.0 - held / hold if hold > 0.0 else held
+    left = 1.0 - held / SIMULATED_HOLD
     rng = np.random.default_rng([seed, 1])
     phase = rng.uniform(0.0, 2.0 * pi, 2)
     hand = np.sin(2.0 * pi * 1.7 * held + phase[0]) + 0.5 * np.sin(2.0 * pi * 4.1 * held + phase[1])
@@ -64,5 +57,5 @@ def synthetic_swing(
     angle += noise * rng.standard_normal(held.size)
     step = free.resolution
     theta = np.concatenate((np.floor(angle / step + 0.5) * step, free.values))
-    time = np.concatenate((held, hold + free.time))
+    time = np.concatenate((held, SIMULATED_HOLD + free.time))
     return Trajectory(time=time, theta=theta, resolution=step, source=free.source)

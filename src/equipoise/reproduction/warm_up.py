@@ -6,9 +6,6 @@ long as the sources of the package are equal (`equipoise.jit`).
 """
 
 import multiprocessing
-import time
-from concurrent.futures import ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -40,8 +37,6 @@ LITTLE: Final = {
     "evaluation.duration": SECONDS,
 }
 """Settings of the little work."""
-REFRESH: Final = 0.2
-"""Time between two reports of the progress [s]."""
 
 
 def train_a_little() -> None:
@@ -61,10 +56,6 @@ def run_a_little() -> None:
     simulate_run(policy, world=TWIN, duration=SECONDS)
 
 
-JOBS: Final = (train_a_little, run_a_little)
-"""Jobs of the processes; they share few kernels."""
-
-
 def _marker() -> Path:
     return kernel_folder() / "warm"
 
@@ -74,27 +65,29 @@ def is_warm() -> bool:
     return DISABLED or _marker().exists()
 
 
-def warm_up(workers: int, show: Show = lambda *_: None) -> None:
+def warm_up(show: Show = lambda *_: None) -> None:
     """Compile the kernels of the pipeline, of twins and of runs into the cache.
 
     Args:
-        workers: Maximum number of processes.
-        show: Called with the progress.
+        show: Called at the begin and at the end.
 
     Raises:
         OutsideError: A process ended early.
     """
-    begin, context = time.monotonic(), multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context) as pool:
-        jobs = [pool.submit(job) for job in JOBS]
-        while not all(job.done() for job in jobs):
-            wait(jobs, timeout=REFRESH)
-            show("compile", None, f"once on this machine: {time.monotonic() - begin:.0f} s")
+    context, text = multiprocessing.get_context("spawn"), "half a minute, once on this machine"
+    processes = [context.Process(target=job) for job in (train_a_little, run_a_little)]
+    show("compile", None, text)
     try:
-        for job in jobs:
-            job.result()
-    except BrokenProcessPool:
-        raise OutsideError("a process of the compilation ended early; repeat the command") from None
+        for process in processes:
+            process.start()
+        for process in processes:
+            process.join()
+            if process.exitcode:
+                raise OutsideError(f"a compilation ended with exit code {process.exitcode}")
+    finally:
+        for process in processes:
+            if process.pid is not None:
+                process.terminate()
     with suppress(OSError):  # a cache that cannot be written
         _marker().touch()
-    show("compile", 1.0, "once on this machine")
+    show("compile", 1.0, text)

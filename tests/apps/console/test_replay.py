@@ -7,11 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from equipoise.apps.console.replay import MAX_MARKS, ReplayPage, marks_of
+from equipoise.apps.console.replay import ReplayPage, marks_of
 from equipoise.logs.motion import Motion
-from equipoise.outcomes import Phase
 from equipoise.rig.explanation import explain
-from equipoise.rig.run_controller import PHASES
 from tests.logs.made_up import balanced_on_a_rig, changed_table, conditions
 
 viser = pytest.importorskip("viser", reason="viser is not installed (extra console)")
@@ -92,6 +90,3 @@ def test_the_events_are_phases_warnings_and_the_causes_that_explain_names():
         (2.01, "stopping"),
         (2.5, "warning: The disk is nearly full."),
     ]
-    state = np.resize([PHASES.index(Phase.LIFTING), PHASES.index(Phase.BALANCING)], 901)
-    many = changed_table(RUN, "tick", state=state)
-    assert len(marks_of(many, Motion.of(many))) == MAX_MARKS

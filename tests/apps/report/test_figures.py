@@ -15,12 +15,11 @@ from equipoise.identification.recording import fitted_curve
 from tests.apps.report import made_up
 
 LABELS = {
-    "time-line": ["φ [°]", "x [m]", "u [m/s²]", "box of 270", "time [s]"],
     "swing": ["(the paper's figure 2)", "angle from hanging θ [°]", "time [s]", "RMS"],
     "learning-curve": ["mean duration [s]", "episodes", "kept: episode"],
     "policy": ["φ [°]", "dφ/dt [°/s]", "x from −0.22 to −0.08 m"],
     "survival": ["time since the release [s]", "trials still standing [%]", "90 %", "LQR"],
-    "literal-run": ["Literal recipe: fell over after 1.5 s", "observation", "A7"],
+    "literal-run": ["Literal recipe: angle after 1.5 s", "observation", "A7"],
     "run": ["u [m/s²]", "joints, change [°]", "φ [°]", "x [m]", "dx/dt [m/s]", "observation", "A7"],
 }
 

@@ -11,7 +11,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
 from importlib import resources
 from math import degrees, isfinite, nan
 from typing import TYPE_CHECKING, Any, Final
@@ -154,8 +153,7 @@ class LivePage:
         self._asked.content = card("question", shown(question.text), look)
         for place, (word, label) in enumerate(answers(question).items()):
             button = self._server.gui.add_button(label, order=11.0 + place)
-            answer = partial(self._answer, word, question.time)
-            button.on_click(lambda _, answer=answer: answer())
+            button.on_click(lambda _, word=word: self._answer(word, question.time))
             self._buttons.append(button)
 
     def _answer(self, word: str, question: float) -> None:

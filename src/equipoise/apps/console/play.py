@@ -5,7 +5,6 @@ The twin, the controller and the trials are those of an evaluation.
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from itertools import pairwise
 from math import degrees, exp, inf, pi, radians, remainder, sqrt
@@ -33,19 +32,17 @@ if TYPE_CHECKING:
 
 FALL: Final = 2.0
 """Time that a fall is shown [s]."""
-RECENT: Final = 5.0
-"""Time over which the text describes the motion [s]."""
 PICTURE: Final = 4
 """Number of ticks between two pictures."""
 PUSH: Final = radians(15.0)
 """Change of the pendulum's rate by a button [rad/s]."""
 SLIDERS: Final = {
-    "delay": ("transport [ms]", 0.0, 60.0, 1.0, 1e-3),
-    "zero": ("zero error [deg]", -3.0, 3.0, 0.1, radians(1.0)),
-    "friction": ("friction [1/s²]", 0.0, 2.0, 0.05, 1.0),
-    "lean": ("start [deg]", -10.0, 10.0, 0.5, radians(1.0)),
+    "delay_ms": ("transport [ms]", 0.0, 60.0, 1.0),
+    "zero_deg": ("zero error [deg]", -3.0, 3.0, 0.1),
+    "friction": ("friction [1/s²]", 0.0, 2.0, 0.05),
+    "lean_deg": ("start [deg]", -10.0, 10.0, 0.5),
 }
-"""Label, ends, step and unit of the slider for each quantity of a scene."""
+"""Label, ends and step of the slider for each quantity of a scene."""
 
 
 class Scene(NamedTuple):
@@ -57,14 +54,14 @@ class Scene(NamedTuple):
     """Policy that balances; `yours` is that of the user."""
     predict: bool = True
     """Whether the policy sees the state at which its command takes effect."""
-    delay: float = 0.010
-    """Transport delay of the robot's commands, to which the servo's response adds [s]."""
-    zero: float = 0.0
-    """Error of the encoder's zero [rad]."""
+    delay_ms: float = 10.0
+    """Transport delay of the robot's commands, to which the servo's response adds [ms]."""
+    zero_deg: float = 0.0
+    """Error of the encoder's zero [deg]."""
     friction: float = 0.1
     """Dry friction of the pendulum over its inertia [1/s^2]."""
-    lean: float = radians(3.0)
-    """Angle from upright at the start [rad]."""
+    lean_deg: float = 3.0
+    """Angle from upright at the start [deg]."""
 
 
 SCENES: Final = {
@@ -74,12 +71,12 @@ SCENES: Final = {
         "arrives. Lower the transport delay: from where on does it stand? Then switch the "
         "prediction on.",
         predict=False,
-        delay=0.030,
+        delay_ms=30.0,
     ),
     "zero-error": Scene(
         "The encoder's zero is 1.5 degrees off. Watch the flange: it drives to one side until the "
         "controller has found the error.",
-        zero=radians(1.5),
+        zero_deg=1.5,
     ),
     "friction": Scene(
         "A sticky pivot. The pendulum rests beside upright, and the policy hunts around it.",
@@ -88,12 +85,6 @@ SCENES: Final = {
     "lqr": Scene("Compare with the shipped table: which one is at rest?", policy="LQR"),
 }
 """Scenes by name."""
-POLICIES: Final = {
-    "shipped table": "The shipped table: eight accelerations, so that it is never quite at rest.",
-    "LQR": "A linear regulator: it answers small angles with small accelerations.",
-    "yours": "Your policy.",
-}
-"""Sentence on each policy."""
 
 
 class Playground:
@@ -120,10 +111,11 @@ class Playground:
     def set(self, scene: Scene) -> None:
         """Set another scene up, and begin again."""
         policy, base = self.policies[scene.policy], read_world("twin:nominal").settings
-        rig = {"transport": scene.delay, "coulomb": scene.friction, "zero_offset": scene.zero}
+        transport, zero = 1e-3 * scene.delay_ms, radians(scene.zero_deg)
+        rig = {"transport": transport, "coulomb": scene.friction, "zero_offset": zero}
         exact = {"zero_error": 0.0, "inertia_sigma": 0.0, "friction_sigma": 0.0}
         known = shipped_policy().actuator  # identified on the nominal twin, then moved along
-        moved = max(known.delay.value + scene.delay - base.transport, 0.0)
+        moved = max(known.delay.value + transport - base.transport, 0.0)
         actuator = known.model_copy(update={"delay": Estimate.around(moved, 0.0, "given")})
         controller = policy.settings.controller.model_copy(update={"predict": scene.predict})
         settings = policy.settings.model_copy(update={"controller": controller})
@@ -142,18 +134,16 @@ class Playground:
         if isinstance(policy, TabularPolicy) and policy.settings.boxes == BoxSettings():
             self.u_of_box = policy.u_of_box.reshape(-1)
         """Command of each box [m/s^2], shape (270,); None without a table of the usual boxes."""
-        self.box, self.used = -1, np.zeros(BoxSettings().count)
-        """Recent use of each box, 0 to 1, shape (270,)."""
         self.begin()
 
     def begin(self) -> None:
         """Release the pendulum again."""
         trial = self._simulation.draw(1, self._number).trial(0)
         self._number += 1
-        self._loop.reset(trial._replace(start=(0.0, 0.0, self.scene.lean, 0.0)))
+        self._loop.reset(trial._replace(start=(0.0, 0.0, radians(self.scene.lean_deg), 0.0)))
         self.policy.reset()
         self._tick, self._fell, self.fallen = 0, 0, ""
-        self._recent: deque[tuple[float, float]] = deque(maxlen=round(RECENT / self.h))
+        self.box = -1
 
     def push(self, rate: float) -> None:
         """Push the pendulum, which changes its rate [rad/s]."""
@@ -173,15 +163,10 @@ class Playground:
         self._tick += 1
         if cause != TRUNCATED and not self.fallen:
             self.fallen, self._fell = TRIAL_OUTCOMES[cause], self._tick
-        x, _, self.phi, _ = loop.state().tolist()
-        self.q, self.box = loop.joints(), -1
-        self.used *= exp(-self.h / 2.0)  # a used box fades within some seconds
-        if not self.fallen:
-            self._recent.append((x, self.phi))
-            inside = abs(degrees(seen[2])) < PHI_LIMIT_DEG and abs(seen[0]) < X_LIMIT
-            if self.u_of_box is not None and inside:
-                self.box = int(box_indices(seen[None, :], self._boxes)[0])
-                self.used[self.box] = 1.0
+        self.q, self.phi, self.box = loop.joints(), float(loop.state()[2]), -1
+        inside = abs(degrees(seen[2])) < PHI_LIMIT_DEG and abs(seen[0]) < X_LIMIT
+        if self.u_of_box is not None and inside and not self.fallen:
+            self.box = int(box_indices(seen[None, :], self._boxes)[0])
 
     def sentences(self) -> tuple[str, str, str, str]:
         """Return the policy, the scene, the motion so far, and the effect of the latency."""
@@ -189,16 +174,13 @@ class Playground:
         motion = f"It has stood for {stood:.0f} s."
         if self.fallen:
             motion = f"It fell after {stood:.1f} s ({self.fallen})."
-        elif len(self._recent) > 1:
-            x, phi = np.abs(np.array(self._recent)).max(axis=0)
-            motion += f" In the last {RECENT:g} s: ±{degrees(phi):.1f}°, ±{1e3 * x:.0f} mm."
-        transport, latency = 1e3 * self.scene.delay, 1e3 * self.latency
+        transport, latency = self.scene.delay_ms, 1e3 * self.latency
         effect = (
             f"A command acts after {latency:.0f} ms: {transport:.0f} ms transport + "
             f"{latency - transport:.0f} ms servo. "
             f"Meanwhile a lean grows by {100.0 * (self.growth - 1.0):.0f} %."
         )
-        return POLICIES[self.scene.policy], self.scene.about, motion, effect
+        return f"Policy: {self.scene.policy}.", self.scene.about, motion, effect
 
 
 class PlayPage:
@@ -235,10 +217,9 @@ class PlayPage:
                 "policy": gui.add_dropdown("policy", policies, initial_value=scene.policy),
                 "predict": gui.add_checkbox("prediction", scene.predict),
             }
-            for name, (label, low, high, step, unit) in SLIDERS.items():
-                value = round(getattr(scene, name) / unit, 3)
-                ends: Any = {"min": low, "max": high, "step": step, "initial_value": value}
-                self._controls[name] = gui.add_slider(label, **ends)
+            for name, (label, low, high, step) in SLIDERS.items():
+                value = getattr(scene, name)
+                self._controls[name] = gui.add_slider(label, low, high, step, value)
         scenes.on_update(lambda _: self._take(SCENES[scenes.value]))
         for control in self._controls.values():
             control.on_update(
@@ -250,18 +231,13 @@ class PlayPage:
 
     def _changed(self) -> None:
         """Set the scene of the controls up."""
-        units = {name: slider[-1] for name, slider in SLIDERS.items()}
-        values: dict[str, Any] = {
-            name: control.value * units[name] if name in units else control.value
-            for name, control in self._controls.items()
-        }
+        values = {name: control.value for name, control in self._controls.items()}
         self._set(self.playground.scene._replace(**values))
 
     def _take(self, scene: Scene) -> None:
         """Set a scene up, and move the controls there."""
         for name, control in self._controls.items():
-            value = getattr(scene, name)
-            control.value = round(value / SLIDERS[name][-1], 3) if name in SLIDERS else value
+            control.value = getattr(scene, name)
         self._set(scene)
 
     def _set(self, scene: Scene) -> None:
@@ -308,11 +284,10 @@ class PlayPage:
             left = x * wide + phi * cell
             top = (n_speed - 1 - speed) * high + (n_rate - 1 - rate) * cell
             u = pushes[box]
-            ink = abs(u) / U_MAX * (0.15 + 0.85 * twin.used[box])
             pen = f'stroke="{INK}" stroke-width="3"' if box == twin.box else f'stroke="{PALE}"'
             parts.append(
                 f'<rect x="{left}" y="{top}" width="{cell - 2}" height="{cell - 2}" {pen} '
-                f'fill="{VERMILION if u > 0.0 else BLUE}" fill-opacity="{ink:.2f}"/>'
+                f'fill="{VERMILION if u > 0.0 else BLUE}" fill-opacity="{abs(u) / U_MAX:.2f}"/>'
             )
 
         def write(x: float, y: float, text: str, turned: int = 0) -> None:
@@ -335,8 +310,8 @@ class PlayPage:
             "table",
             f'<svg viewBox="-40 -18 {width + 46} {height + 40}" width="100%" font-size="9.5" '
             f'fill="{INK}">{"".join(parts)}</svg><b style="color:{VERMILION}">■</b> pushes right, '
-            f'<b style="color:{BLUE}">■</b> left; a strong colour is a strong push. Bright boxes '
-            "were used just now; the framed one is in use.",
+            f'<b style="color:{BLUE}">■</b> left; a strong colour is a strong push. '
+            "The framed box is in use.",
         )
 
     def run(self, stopped: Callable[[], bool]) -> None:

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 SPEEDS: Final = {"0.1×": 0.1, "0.25×": 0.25, "0.5×": 0.5, "1×": 1.0, "2×": 2.0, "4×": 4.0}
 """Speeds of a replay, by their labels [-]."""
-MAX_MARKS: Final = 60
-"""Maximum number of events; causes come first."""
 
 
 def marks_of(run: RunLog, motion: Motion) -> list[tuple[float, str]]:
@@ -46,7 +44,7 @@ def marks_of(run: RunLog, motion: Motion) -> list[tuple[float, str]]:
     changes = [i for i, phase in enumerate(phases) if i == 0 or phase != phases[i - 1]]
     marks += [(float(motion.time[i]), phases[i]) for i in changes]
     inside = [(min(max(time, first), last), name) for time, name in marks if isfinite(time)]
-    return sorted(inside[:MAX_MARKS], key=lambda mark: mark[0])
+    return sorted(inside, key=lambda mark: mark[0])
 
 
 class ReplayPage:

@@ -154,8 +154,8 @@ class RigPage:
     def _add_plot(self, number: int, last: bool) -> Any:
         """Add a hidden plot; only the last one has a time axis."""
         title, colour, high, low = PLOTS[number]
-        ends: Any = {"min": {"pad": 0.1, "mode": 1, "soft": low}}
-        ends |= {"max": {"pad": 0.1, "mode": 1, "soft": high}}
+        soft = {"min": low, "max": high}
+        ends: Any = {end: {"pad": 0.1, "mode": 1, "soft": soft[end]} for end in soft}
         return self._server.gui.add_uplot(
             (np.array([-1.0, 0.0]), np.zeros(2)),
             ({}, {"stroke": colour, "width": 1.5, "points": {"show": False}}),
@@ -192,7 +192,7 @@ def _add_bodies(scene: "viser.SceneApi", model: Any) -> dict[int, Any]:
 
 def _mesh(model: Any, number: int) -> Any:
     """Return the shape of a geom in the frame of its body."""
-    from trimesh import creation
+    from trimesh import creation, transformations
 
     kinds, kind = mujoco().mjtGeom, int(model.geom_type[number])
     radius, half = (float(size) for size in model.geom_size[number][:2])
@@ -204,10 +204,8 @@ def _mesh(model: Any, number: int) -> Any:
     else:  # a box, or the floor
         flat = kind == int(kinds.mjGEOM_PLANE)
         mesh = creation.box(2.0 * model.geom_size[number] * [1.0, 1.0, 1e-3 if flat else 1.0])
-    rotation, pose = np.zeros(9), np.eye(4)
-    mujoco().mju_quat2Mat(rotation, model.geom_quat[number])
-    pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), model.geom_pos[number]
-    mesh.apply_transform(pose)
+    mesh.apply_transform(transformations.quaternion_matrix(model.geom_quat[number]))
+    mesh.apply_translation(model.geom_pos[number])
     return mesh
 
 

@@ -70,19 +70,16 @@ class Connection:
         return self._guarded(name, self._client.call, f"sim.{name}", arguments)
 
     def _guarded(self, name: str, function: Any, *arguments: Any) -> Any:
-        self._until, self._answered = time.monotonic() + self._patience, False
+        self._until = time.monotonic() + self._patience
         try:
             return function(*arguments)
         except self._zmq.Again:
             self.close()  # a request without an answer blocks the socket
-            if self._answered:
-                raise OutsideError(
-                    f"the CoppeliaSim at {self.address} does not finish {name} within "
-                    f"{self._patience:g} s: another client holds its simulation; end that client"
-                ) from None
             raise LinkError(
-                f"no CoppeliaSim answers at {self.address} within {self._patience:g} s; start it, "
-                "with its ZMQ remote API server (after a crash it may listen on the next port)"
+                f"no CoppeliaSim answers at {self.address} within {self._patience:g} s, or it "
+                f"does not finish {name} then, as another client holds its simulation; start it, "
+                "with its ZMQ remote API server (after a crash it may listen on the next port), or "
+                "end that client"
             ) from None
         except Exception as error:  # the client raises this class for an error of CoppeliaSim
             text = printable(shortened(str(error).split("_=NL=_")[0], 300))
@@ -98,5 +95,4 @@ class Connection:
         """Receive a reply, which may be a request to wait, by the deadline of the call."""
         if not self._client.socket.poll(max(1e3 * (self._until - time.monotonic()), 0.0)):
             raise self._zmq.Again
-        self._answered = True
         return self._receive()

@@ -34,13 +34,6 @@ TRIAL_LINES: Final[tuple[dict[str, Any], ...]] = (
     {"color": style.PURPLE, "linewidth": 1.3, "linestyle": (0, (3, 1, 1, 1, 1, 1))},
 )
 """Lines of the policy and the baselines; the policy's line, the first, is wide below the others."""
-ENDS: Final = {
-    Outcome.LASTED: "stood to the end",
-    Outcome.ANGLE: "fell over",
-    Outcome.TRACK: "left the track",
-    Outcome.JOINT_LIMIT: "met a joint limit",
-}
-"""Ends of runs in words; another one is named."""
 JOINT_COLOURS: Final = (
     *(style.SKY, style.VERMILION, style.GREY, style.GREEN),
     *(style.ORANGE, style.PURPLE, style.INK),
@@ -168,38 +161,6 @@ def _survival_curve(results: TrialResults, begin: float, end: float) -> tuple[Ar
 
 
 @styled()
-def time_line(run: RunLog, until: float) -> "Figure":
-    """Draw the begin of a run: pendulum, flange, command and box against time.
-
-    Args:
-        run: A run with a policy.
-        until: End of the time axis [s].
-    """
-    shown = run.time < until
-    time, true = run.time[shown], truth(run)
-    edges = np.append(time, time[-1] + run.conditions.h)
-    figure = new_figure(5.0, "The same seconds")
-    axes: Any = figure.subplots(4, 1, sharex=True)
-    lean, position, command, box = axes
-    limits = (paper.PHI_LIMIT_DEG, paper.X_LIMIT)
-    for panel, values, limit in zip(axes, (np.rad2deg(true.phi), true.x), limits, strict=False):
-        panel.plot(time, values[shown], color=style.BLUE)
-        for end in (-limit, limit):
-            panel.axhline(end, color=style.INK, linewidth=1.0, linestyle=(0, (6, 2)))
-    lean.set_title("dashed: failure")
-    lean.set_ylabel("φ [°]")
-    position.set_ylabel("x [m]")
-    command.stairs(run.u[shown], edges, baseline=None, **OBSERVED_LINE)
-    command.set_ylabel("u [m/s²]")
-    box.plot(time, run.box[shown], ".", color=style.ORANGE, markersize=2.5)
-    box.set_ylabel(f"box of {run.conditions.settings.boxes.count}")
-    box.set_xlabel("time [s]")
-    box.set_xlim(0.0, until)
-    figure.align_ylabels(axes)
-    return figure
-
-
-@styled()
 def run_figure(recipe: str, run: RunLog, beside: RunLog) -> "Figure":
     """Draw a run as in the paper's figures 4 to 7: the first 5 s, as there.
 
@@ -224,8 +185,7 @@ def run_figure(recipe: str, run: RunLog, beside: RunLog) -> "Figure":
     )
     time = run.time[run.time < until]
     edges = np.append(time, time[-1] + run.conditions.h)
-    end = ENDS.get(run.outcome, f"ended by {run.outcome}")
-    figure = new_figure(8.8, f"{recipe}: {end} after {run.lasted:g} s")
+    figure = new_figure(8.8, f"{recipe}: {run.outcome} after {run.lasted:g} s")
     axes: Any = figure.subplots(6, 1, sharex=True, height_ratios=(3, 2, 2, 2, 2, 2))
     axes[0].stairs(run.u[run.time < until], edges, baseline=None, **OBSERVED_LINE)
     axes[0].set_yticks(paper.ACTIONS, [typeset(f"{action:+g}") for action in paper.ACTIONS])
