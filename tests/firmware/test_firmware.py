@@ -112,13 +112,6 @@ def reference(before, after):
     return {0: (0, 0), 1: (1, 0), 2: (0, 1), 3: (-1, 0)}[steps]
 
 
-def test_each_transition_of_the_lines_counts_as_the_cycle_says(core):
-    for before in range(4):
-        for after in range(4):
-            said = told(core, [f"begin {before}", f"step {after}"]).split()
-            assert tuple(int(n) for n in said) == reference(before, after), (before, after)
-
-
 def test_a_long_walk_of_the_lines_is_counted(core):
     rng = np.random.default_rng(3)
     walk = [0, *(int(ab) for ab in rng.integers(4, size=5000))]
