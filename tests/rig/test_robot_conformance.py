@@ -81,26 +81,12 @@ def blocks(driver):
     return guest.GuestRobot.replies(driver)
 
 
-class Old(guest.GuestRobot):
-    """Replies with the joints of 20 replies before: 100 ms."""
-
-    past = ()
-
-    def replies(self):
-        replies = []
-        for one in super().replies():
-            self.past = [*(self.past or [one.q] * 20)[-20:], one.q]
-            replies.append(one._replace(q=self.past[0]))
-        return replies
-
-
 def driver(**methods):
     return type("Broken", (guest.GuestRobot,), methods)
 
 
 BROKEN = {
     "recovers by itself": (driver(_fail=recovers), "returned, expected a LinkError"),
-    "joints of the past": (Old, "older than 20 ms"),
     "degrees both ways": (changed(np.degrees, setpoint=np.radians), "in degrees"),
     "works after close": (driver(close=lambda self: None), "send"),
     "loses a sign": (changed(np.abs), "of the wrong sign"),

@@ -21,17 +21,6 @@ def test_equal_seed_gives_equal_bits_and_another_seed_another_run(run, small_pol
     assert other.conditions.pendulum != run.conditions.pendulum
 
 
-def test_what_the_policy_saw_is_the_truth_of_the_arm(run, small_policy):
-    for name in ("x", "x_dot", "phi", "phi_dot"):
-        np.testing.assert_array_equal(getattr(run.truth, name), getattr(run, name))
-    np.testing.assert_array_equal(run.estimated_phi, run.phi)
-    np.testing.assert_array_equal(run.bias, 0.0)
-    arm = small_policy.arm
-    home = arm.kinematics(arm.home_free).position[0]
-    flange = [arm.kinematics(arm.without_held(q)).position[0] for q in run.truth.q]
-    np.testing.assert_allclose(np.array(flange) - home, run.truth.x, atol=1e-12)
-
-
 def test_it_is_the_trial_that_the_compiled_loop_runs(small_policy):
     settings = small_policy.settings
     long = simulate_run(small_policy, seed=5, duration=20.0)

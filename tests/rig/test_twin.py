@@ -140,20 +140,6 @@ def test_a_sample_is_known_when_it_is_old_enough(age, ticks):
     assert q == pytest.approx(now - ticks + 0.1 * np.arange(6))
 
 
-def test_measured_joints_carry_white_noise_of_the_stated_size():
-    settings = EXACT.model_copy(update={"joint_noise": 1e-4})
-    twin = Twin(ARM, PENDULUM, settings, seed=3, index=4)
-    twin.state.past_q[:] = np.arange(6)
-    rows = np.zeros((2000, 6))
-    for tick in range(2000):
-        twin.state.now = tick
-        rows[tick], _ = twin.measured()
-    noise = (rows - np.arange(6)) / 1e-4
-    assert np.std(noise, axis=0) == pytest.approx(np.ones(6), abs=5 / np.sqrt(4000))
-    together = np.corrcoef(np.vstack([noise[1:].T, noise[:-1].T]))
-    assert np.max(np.abs(together - np.eye(12))) < 5 / np.sqrt(2000)
-
-
 @pytest.mark.parametrize(("size", "duration"), [(7, 10.0), (14, 3.0)])
 def test_the_excitation_starts_and_ends_at_rest_at_home_and_keeps_within_the_limits(size, duration):
     arm = iiwa(size)

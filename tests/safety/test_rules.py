@@ -235,33 +235,6 @@ def test_what_is_no_number_stops_the_run_whatever_else_is_wrong(name, number):
     assert (violation.evidence["name"], violation.evidence["got"]) == (name, str(number))
 
 
-def test_of_several_the_first_in_the_order_of_the_rules_is_named():
-    wrong = {
-        Outcome.NUMBER: {"measured": (nan,) * 7},
-        Outcome.LINK: {"overdue": 1.0},
-        Outcome.TORQUE: {"torque": (99.0,) * 7},
-        Outcome.SINGULAR: {"manipulability": 0.0},
-        Outcome.TRACK: {"x": 0.3},
-        Outcome.SPEED: {"x_dot": -0.3},
-        Outcome.DRIFT: {"drift": 1.0},
-        Outcome.TILT: {"tilt": 1.0},
-        Outcome.TICK: {"lateness": 1.0},
-        Outcome.MEASUREMENT_STALE: {"measured_age": 1.0},
-        Outcome.ENCODER_STALE: {"encoder_age": 1.0},
-        Outcome.ENCODER_ILLEGAL: {"encoder_illegal": True},
-        Outcome.ENCODER_GAP: {"encoder_missing": 3},
-        Outcome.ENCODER_JUMP: {"encoder_jump": 1.0},
-        Outcome.ANGLE: {"phi": 1.0},
-    }
-    assert [rule for rule in Outcome if rule in wrong] == list(wrong)
-    for first in range(len(wrong)):
-        changes = {}
-        for change in list(wrong.values())[first:]:
-            changes |= change
-        view = SafetyInputs(on_track=True, balancing=True)._replace(**changes)
-        assert broken(view, SLOW) is list(wrong)[first]
-
-
 # What goes on for a while.
 
 
@@ -395,25 +368,6 @@ def test_the_setpoint_in_force_is_the_newest_that_was_sent_by_then():
 
 
 # Encoder.
-
-
-def test_a_falling_pendulum_is_explained():
-    # Free fall from upright to hanging and on, at any rate of samples, with a push of the pivot.
-    w2 = 70.2
-    for dt in (0.0005, 0.001, 0.002, 0.005):
-        time = np.arange(0.0, 2.0, 1e-4)
-        theta, v = np.empty_like(time), 0.0
-        theta[0] = radians(179.5)
-        for i in range(1, len(time)):
-            v += 1e-4 * (-w2 * np.sin(theta[i - 1]) + 14.0 * np.sign(np.sin(40 * time[i])))
-            theta[i] = theta[i - 1] + 1e-4 * v
-        t = np.arange(0.0, 1.99, dt)
-        counts = np.floor(np.interp(t, time, theta) / RESOLUTION + 0.5).astype(int)
-        worst = max(
-            unexplained_turn(tuple(t[i : i + 3]), tuple(counts[i : i + 3]), RESOLUTION)
-            for i in range(len(t) - 2)
-        )
-        assert worst == 0.0
 
 
 @pytest.mark.parametrize("side", [1, -1])

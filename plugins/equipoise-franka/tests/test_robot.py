@@ -103,18 +103,6 @@ def test_a_jump_of_the_path_is_smoothed_and_without_the_limits_it_is_rejected(be
         stream(bench.robot, jump)
 
 
-def test_joints_that_are_measured_wrongly_do_not_move_the_arm(bench):
-    bench.robot.connect()
-    before = bench.rig.q
-
-    def run_off(time):
-        bench.rig.mismeasure(0.6 * time * np.eye(7)[0])
-        return 0.0
-
-    stream(bench.robot, run_off)
-    assert np.abs(bench.rig.q - before).max() < 0.002
-
-
 FAULTS = {
     "20 lost packets": (lambda rig, now: rig.advance(now + 0.03), "packets were late or lost"),
     "reflex": (lambda rig, now: rig.stop("joint_reflex"), "look for a contact"),

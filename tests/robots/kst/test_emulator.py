@@ -1,8 +1,5 @@
 """The emulated KST server does what the real one was seen to do, its faults included."""
 
-import itertools
-import math
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -72,22 +69,6 @@ EXTERNAL = b"0.5_-1.25_1.0E-4_0.0_0.0_0.0_0.125_\n"
 def test_server_answers_from_joints_and_torques_and_is_silent_otherwise(bench, command, reply):
     assert bench.say(command) == reply
     assert bench.say(ASK) == HOME_LINE
-
-
-def test_motion_is_acknowledged_at_its_start_and_at_its_goal_which_later_targets_do_not_move(bench):
-    assert bench.say("jRelVel_0.5_") == b"done\n"
-    assert bench.say(moved("jp", 0.3)) == b"done\n"
-    assert bench.say("doPTPinJS") == b"done\n"
-    # Half of joint 1's 1.71 rad/s is the peak of a minimum-jerk path: 15/8 of its mean.
-    assert bench.say(moved("jp", -0.3), "Torques_m_J", wait=0.65) == b"done\n"
-    speeds = [(b[0] - a[0]) / 1e-3 for a, b in itertools.pairwise(bench.body.targets)]
-    assert max(speeds) == pytest.approx(0.5 * math.radians(98.0), rel=1e-3)
-    bench.wait(0.5)
-    assert bench.client.read() == b"done\n"
-    assert bench.body.measured() == pytest.approx((0.3, *HOME[1:]), abs=1e-6)
-    assert not bench.server.busy
-    bench.wait(1.0)
-    assert bench.client.read() == b"", "the torques were asked for during the motion"
 
 
 def test_nan_of_c_kills_the_reader_and_leaves_the_servo_on(servo):

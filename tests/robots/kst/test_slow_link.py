@@ -72,6 +72,4 @@ def test_at_the_limit_the_worst_joint_has_a_peak_of_80_percent_of_its_speed(size
         ]
     assert max(shares) == pytest.approx(0.8, rel=0.01)
     # The slower the link, the slower the flange; T1 is slower than any link that a run allows.
-    limits = [flange_speed(arm, period) for period in (0.005, 0.007, 0.009, 0.02)]
-    assert limits == sorted(limits, reverse=True)
-    assert limits[2] > T1_SPEED
+    assert limit > flange_speed(arm, 0.009) > T1_SPEED
