@@ -277,7 +277,12 @@ def lives(pid):
     ("loop", "kind", "saying"),
     [
         (waiting, LinkError, "the encoder is gone"),
-        (breaking, OutsideError, r"the run failed \(ZeroDivisionError: by zero .*\); please"),
+        pytest.param(
+            breaking,
+            OutsideError,
+            r"the run failed \(ZeroDivisionError: by zero .*\); please",
+            marks=pytest.mark.full,
+        ),
     ],
 )
 def test_what_fails_in_the_loops_process_is_one_sentence_here(run, tmp_path, loop, kind, saying):

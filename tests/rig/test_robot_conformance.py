@@ -3,14 +3,13 @@
 Another robot adds a class that says how to make it.
 """
 
-import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from equipoise.errors import LinkError
-from equipoise.rig import clocks, plugins
+from equipoise.rig import plugins
 from equipoise.rig.interfaces import checked_setpoint
 from equipoise.robots.kst.robot import KstRobot
 from equipoise.testing import RobotConformance, RobotUnderTest, emulated_robot, misreads
@@ -103,20 +102,6 @@ BROKEN = {
 def test_a_broken_driver_fails_with_a_message_that_names_its_fault(name):
     broken, words = BROKEN[name]
     assert words in complaint(type("Suite", (TestGuest,), {"driver": broken}))
-
-
-def test_a_driver_that_sleeps_where_it_should_wait_is_told_so(monkeypatch):
-    def sleeps(robot, kind):
-        robot._link.write(robot._frames.pack(kind))
-        while robot._joints is None:
-            time.sleep(1e-3)
-            robot._read()
-
-    monkeypatch.setattr(clocks, "STALL", 0.5)
-    suite = type("Suite", (TestGuest,), {"driver": driver(_ask=sleeps)})
-    said = complaint(suite)
-    assert "connect has waited for 0.5 s" in said
-    assert "test_robot_conformance.py, line" in said
 
 
 def complaint(suite):
