@@ -13,7 +13,11 @@ from tests.faults.verdicts import check_run, setpoints_of, stop_time
 
 pytestmark = pytest.mark.compiled_only
 
-SEEDS = [seed if seed < 2 else pytest.param(seed, marks=pytest.mark.slow) for seed in range(200)]
+SEEDS = [
+    0,
+    pytest.param(1, marks=pytest.mark.full),
+    *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 200)),
+]
 MOVING = {"homing": 0.8, "swing": 2.5, "balancing": 0.8}
 """Messages that a motion begins with, and the time after them within which a fault begins [s]."""
 

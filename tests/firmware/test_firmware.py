@@ -74,23 +74,24 @@ def test_readings_are_the_codecs_byte_for_byte(core):
 
 
 def test_banners_are_the_codecs_or_refused_as_there(core):
-    rng = np.random.default_rng(1)
-    letters = np.array([*"abzAZ019_-."])
-    banners = [Banner("A" * 32, "1" * 16, 999_999_999, 999_999), Banner("A" * 33, "1", 1, 1)]
-    for _ in range(2000):
-        name, firmware = (
-            "".join(rng.choice(letters, size=int(rng.integers(1, n)))) for n in (36, 20)
+    longest = Banner("A" * 32, "1" * 16, 999_999_999, 999_999)
+    good = [Banner("pico_2-b", "1.0", 8192, 1000), longest]
+    bad = [
+        longest._replace(**change)
+        for change in (
+            {"name": "A" * 33},
+            {"name": "1a"},
+            {"firmware": "1" * 17},
+            {"counts_per_rev": 0},
+            {"rate_hz": 0},
+            {"rate_hz": 1_000_000},
         )
-        rate, counts = (int(rng.integers(10 ** int(rng.integers(1, n)))) for n in (8, 10))
-        banners.append(Banner(name, firmware, counts, rate))
-    expected, refused = b"", 0
-    for banner in banners:
-        try:
-            expected += encode(banner)
-        except InputError:
-            expected += b"refused\n"
-            refused += 1
-    assert 100 < refused < len(banners) - 100
+    ]
+    for banner in bad:
+        with pytest.raises(InputError):
+            encode(banner)
+    banners = [*good, *bad]
+    expected = b"".join(map(encode, good)) + len(bad) * b"refused\n"
     commands = [f"banner {b.name} {b.firmware} {b.counts_per_rev} {b.rate_hz}" for b in banners]
     assert told(core, commands) == expected
 
@@ -110,13 +111,6 @@ def reference(before, after):
     cycle = [0b00, 0b10, 0b11, 0b01]  # A leads
     steps = (cycle.index(after) - cycle.index(before)) % 4
     return {0: (0, 0), 1: (1, 0), 2: (0, 1), 3: (-1, 0)}[steps]
-
-
-def test_each_transition_of_the_lines_counts_as_the_cycle_says(core):
-    for before in range(4):
-        for after in range(4):
-            said = told(core, [f"begin {before}", f"step {after}"]).split()
-            assert tuple(int(n) for n in said) == reference(before, after), (before, after)
 
 
 def test_a_long_walk_of_the_lines_is_counted(core):

@@ -2,7 +2,6 @@
 
 import sys
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ import pytest
 from equipoise.control.bound_policy import bind_policy, load_policy
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError
-from equipoise.identification.actuator import identify_actuator
 from equipoise.logs.run_log import RunLog
 from equipoise.outcomes import Phase
 from equipoise.rig.checks import warm_up
@@ -106,10 +104,3 @@ def test_a_policy_that_fails_or_is_slow_is_refused_before_the_arm_moves():
         with pytest.raises(InputError, match=says):
             warm_up(request(bind_policy(function, name="mine")))
     warm_up(request(shipped_policy()))
-
-
-def test_the_shipped_policy_is_read_before_the_stream_that_identifies_the_arm():
-    wanted = replace(request(BALANCE), identify=identify_actuator)
-    shipped_policy.cache_clear()
-    warm_up(wanted)
-    assert shipped_policy.cache_info().currsize == 1

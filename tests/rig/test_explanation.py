@@ -6,18 +6,13 @@ import numpy as np
 import pytest
 
 from equipoise.control.policy import shipped_policy
-from equipoise.control.ticks import OperatorMessage
 from equipoise.identification.refine import read_motion
 from equipoise.logs.conditions import RunEnd
-from equipoise.logs.recorder import Recorder, push_event
 from equipoise.logs.run_log import RunLog
-from equipoise.logs.writer import RunWriter
-from equipoise.model.worlds import World, read_world
 from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.explanation import (
     RootCause,
     explain,
-    response_delay,
     root_causes,
     unexplained_rate,
 )
@@ -98,16 +93,6 @@ def test_a_fall_behind_a_delay_is_explained_by_it(world, settings):
     assert explain(fell)[0].cause is RootCause.DELAY
 
 
-def test_the_delay_is_that_of_the_twin():
-    # A setpoint leads the tick by half a tick, and is held as long.
-    clean = read_world("twin:nominal").settings.model_copy(update={"shaped": False, "lag": 0.001})
-    for transport in (0.01, 0.03):
-        world = World("twin:clean", clean.model_copy(update={"transport": transport}))
-        fell = simulate_run(shipped_policy(), world=world, settings=PRESENT, duration=5.0)
-        expected = transport - 0.005 + 0.0025 + 0.001
-        assert response_delay(fell, motion(fell)) == pytest.approx(expected, abs=0.003)
-
-
 @pytest.mark.parametrize(
     ("since", "cause"), [(0.0, RootCause.OUTSIDE), (4.5, RootCause.SATURATION)]
 )
@@ -137,22 +122,6 @@ def test_a_late_loop_explains_a_late_device_and_a_punctual_one_does_not(rig_log,
     late[:] = 0.0
     late[stop - 1000], late[stop - 20] = 0.064, 0.012  # long before the stop, and too little
     assert explain(changed_table(ended, "tick", late=late))[0].cause is outcome
-
-
-def test_a_log_that_breaks_off_is_explained_as_far_as_it_goes(broken_off):
-    assert explain(RunLog.load(broken_off, damaged=True))[0].cause is Outcome.BROKEN_OFF
-
-
-def test_a_run_that_never_balanced_is_explained_by_its_reason(tmp_path, rig_log):
-    path = tmp_path / "run.mcap"
-    writer = RunWriter(path, RunLog.load(rig_log, damaged=True).conditions, 0.0)
-    recorder = Recorder(7)
-    push_event(recorder.event, 0.5, OperatorMessage("homing", "Moving to home."))
-    writer.drain(recorder)
-    reason = "the encoder turns the wrong way round"
-    writer.finish(1.0, RunEnd(outcome=Outcome.SELF_TEST, evidence={"text": reason}))
-    (found,) = explain(RunLog.load(path, damaged=True))
-    assert (found.cause, found.time, found.evidence) == (Outcome.SELF_TEST, None, reason)
 
 
 def test_every_outcome_of_a_log_is_explained_with_advice(rig_log):

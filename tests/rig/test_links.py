@@ -75,17 +75,13 @@ def rig():
     return request, emulated_rig(WORLD, settings, pendulum, robot="kst", seed=3)
 
 
-def unattended(emulated):
-    return emulated._replace(operator=None)
-
-
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("answered", [0, len(ANSWERS) - 1])
 def test_a_link_that_fails_at_a_question_ends_the_run(tmp_path, answered, fault):
     out, (request, emulated) = tmp_path / "run.mcap", rig()
     person = Absent(emulated, fault, answered)
     with pytest.raises(LinkError, match=person.saying) as failed:
-        run_virtually(request, out, person, rig=unattended(emulated))
+        run_virtually(request, out, person, rig=emulated._replace(operator=None))
     assert 0.0 <= emulated.bench.now - person.failed_at < ENDED
     run = RunLog.load(out, damaged=True)
     assert run.end.evidence["text"] == str(failed.value)
@@ -102,6 +98,6 @@ def test_a_link_that_fails_in_the_preflight_ends_a_run_whose_answers_were_typed_
     request, emulated = rig()
     person = Absent(emulated, fault, len(ANSWERS), at=moment)
     with pytest.raises(OutsideError) as failed:
-        run_virtually(request, None, person, rig=unattended(emulated))
+        run_virtually(request, None, person, rig=emulated._replace(operator=None))
     assert failed.value.exit_code == 3
     assert re.search(f"{person.saying}|the newest", str(failed.value))  # a check of the pre-flight

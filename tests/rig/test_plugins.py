@@ -64,10 +64,8 @@ def test_a_package_registers_a_twin(register, tmp_path, monkeypatch):
     ("fields", "says"),
     [
         ({"open": "guest"}, "callable"),
-        ({"servo": {"cycle": 2}}, "less than or equal to 0.01"),
         ({"servo": {"transprot": 0.004}}, "transprot"),
         ({"link_fraction": 4}, "less than or equal to 1"),
-        ({"watchdog": True}, "watchdog"),
     ],
 )
 def test_a_field_that_cannot_be_is_refused(fields, says):

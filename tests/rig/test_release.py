@@ -7,18 +7,16 @@ by `equipoise.model.pendulum` from where the hand's motion had it.
 
 from itertools import count
 from math import radians, sqrt
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from equipoise.model.encoder import counts_from_theta, theta_from_counts
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.rig.release import MAX_SAMPLE_GAP, ReleaseDetector, ReleaseState
+from equipoise.rig.release import ReleaseDetector, ReleaseState
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
 W = sqrt(PENDULUM.w2)
-COUNTS = 8192
 RATE = 1000
 HELD, ARMED, RELEASED = ReleaseState.HELD, ReleaseState.ARMED, ReleaseState.RELEASED
 SIDES = pytest.mark.parametrize("side", [1.0, -1.0])
@@ -70,12 +68,6 @@ def test_a_hand_that_moves_faster_than_five_degrees_per_second_begins_anew(side,
     assert time[said.index(ARMED)] == pytest.approx(arms_after, abs=0.003)
 
 
-def test_an_armed_hand_may_move_up_to_the_angle_of_release():
-    detector, time = armed()
-    said = fed(detector, time + np.arange(1, 601) / RATE, np.linspace(0.0, 1.49, 600))
-    assert set(said) == {ARMED}
-
-
 @pytest.mark.parametrize("start", [0.3, 0.9, -0.3, -0.9])
 @pytest.mark.parametrize("rate", [500, 1000, 2000])
 def test_a_fall_from_rest_is_seen_while_it_can_be_caught_and_stays(start, rate):
@@ -92,10 +84,6 @@ def test_a_fall_from_rest_is_seen_while_it_can_be_caught_and_stays(start, rate):
     assert detector.feed(begin + 9.0, 0.0) is RELEASED
 
 
-def test_a_fall_that_nobody_armed_is_no_release():
-    assert set(fed(ReleaseDetector(PENDULUM), *fall(0.5, 0.0, 0.0))) == {HELD}
-
-
 def test_a_fast_fall_is_not_waited_for():
     # phi_dot / (w phi) is 2.2 at 1.5 deg, |phi + phi_dot / w| above 4 deg after 35 ms.
     detector, begin = armed()
@@ -103,24 +91,6 @@ def test_a_fast_fall_is_not_waited_for():
     at = fed(detector, time, phi).index(RELEASED)
     growing = 3.0 * np.exp(W * (time[at] - begin))
     assert 4.0 < growing < 4.35, "two samples have to do, also before 1.5 deg"
-
-
-@pytest.mark.parametrize("share", [0.25, 1.6])
-def test_another_pendulum_does_not_fall_like_this_one(share):
-    # What falls with another w2 is something else, such as a hand that moves on.
-    detector, begin = armed(pendulum=PENDULUM._replace(w2=PENDULUM.w2 * share))
-    said = fed(detector, *fall(0.5, 0.0, begin))
-    assert RELEASED not in said
-    assert HELD in said
-
-
-def test_friction_brakes_a_fall():
-    heavy = PENDULUM._replace(c=3.0)
-    detector, begin = armed(pendulum=heavy)
-    growth = 0.5 * (sqrt(heavy.c**2 + 4.0 * heavy.w2) - heavy.c)
-    t = np.arange(1, 300) / RATE
-    angle = 0.9 * np.exp(growth * t)
-    assert fed(detector, begin + t[angle < 4.0], angle[angle < 4.0])[-1] is RELEASED
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
@@ -151,15 +121,6 @@ def test_a_fall_is_believed_from_a_ratio_of_three_down_to_one_of_six_tenths(side
     assert time[at] - begin == pytest.approx(0.0286 + 0.0414 + 0.001, abs=0.0006)
 
 
-def test_a_hand_that_carries_it_away_evenly_is_still_on():
-    # 15 deg/s, as a fall has at 1.8 deg, but without its acceleration.
-    detector, begin = armed()
-    time = begin + np.arange(1, 500) / RATE
-    said = fed(detector, time, 15.0 * (time - begin))
-    assert RELEASED not in said
-    assert said[-1] is HELD
-
-
 @pytest.mark.parametrize(
     ("phi", "grips"),
     [
@@ -173,29 +134,10 @@ def test_an_armed_pendulum_that_does_not_fall_is_held(phi, grips):
     assert fed(detector, begin + np.arange(1, len(phi) + 1) / RATE, phi) == grips
     # It arms again.
     assert fed(detector, begin + np.arange(5, 900) / RATE, np.zeros(895))[-1] is ARMED
-
-
-def test_what_stays_between_is_held():
+    # Between the two it is held after 0.2 s.
     detector, begin = armed()
     said = fed(detector, begin + np.arange(1, 250) / RATE, np.full(249, 2.0))
     assert said.index(HELD) == pytest.approx(201, abs=2)
-
-
-@pytest.mark.parametrize(
-    ("sample", "on"),
-    [
-        ((float("inf"), 0.0), 0.002),
-        ((2 * MAX_SAMPLE_GAP, 0.0), 2 * MAX_SAMPLE_GAP + 0.001),
-        ((-0.1, 0.0), -0.099),
-    ],
-    ids=["no time", "gap", "back in time"],
-)
-def test_a_sample_that_cannot_be_forgets_all(sample, on):
-    detector, begin = armed()
-    assert detector.feed(begin + sample[0], radians(sample[1])) is HELD
-    later = begin + on + np.arange(690) / RATE
-    assert set(fed(detector, later, np.zeros(690))) == {HELD}
-    assert detector.feed(later[-1] + 0.012, 0.0) is ARMED
 
 
 @pytest.mark.parametrize(
@@ -226,17 +168,8 @@ def test_fewer_than_twelve_samples_show_no_fall(rate, seen):
 # How they do.
 
 
-class Hold(NamedTuple):
-    time: np.ndarray
-    """[s]"""
-    phi: np.ndarray
-    """True angle [deg]."""
-    zero: float
-    """Error of the encoder's zero [deg]."""
-
-
 def hold(rng):
-    """Return a hand that holds the pendulum about upright, a tone or a band of noise in it."""
+    """Return times and angles [deg] of a hand that holds it upright, a tone or a band in it."""
     duration = rng.uniform(2.0, 20.0)
     n = round(duration * RATE)
     time = np.arange(n) / RATE + rng.uniform(-5e-5, 5e-5, n)
@@ -249,25 +182,13 @@ def hold(rng):
     tones, phases, sizes = rng.uniform(0.05, 0.4, 3), rng.random(3), rng.uniform(0.2, 1.0, 3)
     slow = np.sin(2 * np.pi * (np.outer(time, tones) + phases)) @ sizes / sizes.sum()
     phi = rng.uniform(0.3, 1.0) * slow + rms * tremor
-    return Hold(time, phi, rng.uniform(-0.1, 0.1))
-
-
-def read(phi, zero):
-    """Return what is read of an angle through the encoder, all in degrees."""
-    counts = counts_from_theta(np.pi - np.radians(phi + zero), float(COUNTS), 1.0)
-    return 180.0 - np.degrees(theta_from_counts(counts, float(COUNTS), 1.0))
-
-
-def starts(held):
-    """Return whether a hold was taken for a release."""
-    said = fed(ReleaseDetector(PENDULUM), held.time, read(held.phi, held.zero))
-    return RELEASED in said
-
-    # It stands.
+    # As the encoder counts it, with an error of its zero.
+    counts = counts_from_theta(np.pi - np.radians(phi + rng.uniform(-0.1, 0.1)), 8192.0, 1.0)
+    return time, 180.0 - np.degrees(theta_from_counts(counts, 8192.0, 1.0))
 
 
 @pytest.mark.compiled_only
-@pytest.mark.parametrize("holds", [4, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("holds", [1, pytest.param(2000, marks=pytest.mark.slow)])
 def test_no_hold_is_taken_for_a_release(holds):
     rng = np.random.default_rng(41)
-    assert not any(starts(hold(rng)) for _ in range(holds))
+    assert not any(RELEASED in fed(ReleaseDetector(PENDULUM), *hold(rng)) for _ in range(holds))

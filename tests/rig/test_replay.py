@@ -21,11 +21,6 @@ def test_a_whole_course_comes_out_bit_for_bit(run):
     assert replay(run, shipped_policy()) == (len(run.tables["tick"]), [])
 
 
-def test_a_log_that_breaks_off_comes_out_as_far_as_it_goes(broken_off):
-    run = RunLog.load(broken_off, damaged=True)
-    assert replay(run, shipped_policy()) == (len(run.tables["tick"]), [])
-
-
 def test_the_first_difference_is_named_with_its_tick(run):
     tick = run.tables["tick"]
     number = int(np.flatnonzero(tick["state"] == 7)[0]) + 20

@@ -16,17 +16,14 @@ from equipoise.identification.driven_swing import SelfTest, SelfTestVerdict
 from equipoise.model.actuator import Actuator
 from equipoise.outcomes import (
     MAX_MEASUREMENT_AGE,
-    MAX_STALL,
     End,
     Outcome,
     Phase,
     describe,
 )
 from equipoise.rig.config import RigSettings
-from equipoise.rig.readings import EncoderReadings
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import MOVING, UNCERTAIN_TORQUE_FACTOR, RunController
-from equipoise.safety.rules import ANGLE_RULE_LIMIT
 
 pytestmark = pytest.mark.compiled_only
 
@@ -239,17 +236,6 @@ def test_an_arm_without_a_usable_actuator_lifts_nothing(identify):
     assert "lift" not in course.told
 
 
-def test_a_pause_ends_an_excitation_at_rest():
-    course = exciting(fails)
-    course.ticks(50)
-    course.tick(0.045)
-    assert course.cause == Outcome.UNIDENTIFIED
-    last = course.sent[-3][1]
-    for _ in range(10):
-        course.tick()
-        assert course.sent[-1][1] == pytest.approx(last, abs=1e-9)
-
-
 REACH = {Phase.EXCITING: lambda: exciting(fails), Phase.ARMED: armed, Phase.BALANCING: balancing}
 """Courses to the phases that `Course.until` alone does not reach."""
 
@@ -270,47 +256,6 @@ def test_each_phase_can_be_stopped_and_nothing_opens_the_latch(phase):
         assert (course.pilot.run.phase, course.pilot.end) == (Phase.STOPPING, key)
     assert course.told.count("stopping") == 1
     assert beyond_the_ramp(np.array([q for _, q in course.sent[begin - 1 :]])) < 1e-9
-
-
-def test_a_confirmation_that_comes_after_the_pendulum_has_moved_is_not_a_stop():
-    course = Course().until(Phase.REFERENCING)
-    while "reference" not in course.told:
-        course.tick()
-    course.answers = []
-    moved = course.now
-    course.theta = lambda time: radians(1.0) if time > moved else 0.0
-    course.tick()
-    course.tick()
-    course.tick(lines=["ok"])
-    assert course.pilot.run.phase is Phase.REFERENCING
-    # It is asked again, once the pendulum has come to rest.
-    course.until(Phase.SELF_TEST, 5.0)
-    assert course.told.count("reference") == 2
-    assert course.pilot.run.encoder.zero == pytest.approx(radians(1.0) * PER_RADIAN, abs=1.0)
-
-
-# Time.
-
-
-@pytest.mark.parametrize("late", [0.071, 0.400])
-def test_a_loop_that_was_late_says_so_and_blames_nobody_else(course, late):
-    course.tick()
-    course.tick(late)
-    assert course.cause == Outcome.TICK
-    assert f"{1e3 * late:.1f} ms late" in course.reason
-
-
-@pytest.mark.parametrize(("first", "late"), [(0.0, 0.0), (0.0, 0.004), (0.015, 0.0)])
-def test_a_robot_that_does_not_answer_is_overdue_however_late_the_loop_is(course, first, late):
-    course.tick()
-    course.link_dead = True
-    course.tick(first)
-    assert course.pilot.run.phase is Phase.BALANCING
-    began = course.now
-    while course.pilot.run.phase is Phase.BALANCING:
-        course.tick(late)
-    assert course.cause == Outcome.LINK
-    assert MAX_STALL - 3.0 * H < course.now - began <= MAX_STALL + H + late
 
 
 def moves(course):
@@ -353,17 +298,6 @@ def test_a_self_test_swings_four_times_at_most():
         assert course.told.count("self-test") == 4
 
 
-def test_a_stall_on_the_way_back_from_the_self_test_leaves_the_arm_at_home():
-    course = Course().until(Phase.SELF_TEST)
-    while "self-test" not in course.told:
-        course.tick()
-    course.ticks(80)
-    assert abs(course.pilot.run.controller.x) > 0.01
-    course.tick(0.04)
-    course.until(Phase.LIFTING)
-    assert course.sent[-1][1] == pytest.approx(ARM.home, abs=2e-5)
-
-
 def test_a_stop_after_a_stall_holds_the_arm_where_it_rests():
     course = STREAMS["balancing"]()
     last = course.sent[-1][1]
@@ -399,25 +333,6 @@ def test_a_third_stall_within_a_second_stops_it(stream, parts, long):
         course.ticks(10)
     assert course.cause == Outcome.STALLS
     assert f"at last {'the loop' if parts[-1] == 'loop' else 'the robot'}" in course.reason
-
-
-def test_a_loop_that_stalls_while_nothing_moves_goes_on():
-    course = Course().until(Phase.REFERENCING)
-    for _ in range(20):
-        course.tick(0.06)
-    assert course.cause is None
-
-
-@pytest.mark.parametrize("late", [45, 50, 65])
-def test_a_release_that_late_samples_show_begins_with_the_state_that_they_show(late):
-    readings, w2 = EncoderReadings(2.0 * pi / COUNTS), FALLS**2
-    readings.zero = 0.0
-    phi = lambda t: 0.02 * cosh(FALLS * t) + 0.5 * sinh(FALLS * t) / FALLS  # noqa: E731
-    for ms in range(60):
-        time = 1e-3 * (ms - 59 - late)
-        readings.add(Sample(time, round((pi - phi(time)) * PER_RADIAN), False, False, 0))
-    found = readings.falling(0.0, w2)
-    assert found == pytest.approx((0.02, 0.5), abs=0.02)
 
 
 def test_a_link_that_stands_still_is_sent_nothing_until_it_answers_again():
@@ -607,13 +522,3 @@ def test_the_torques_at_home_are_what_others_are_compared_with_there():
 
 
 # What the observer believes.
-
-
-def test_the_rules_are_asked_with_the_estimate_of_the_same_tick(course):
-    began, before = course.now, course.theta
-    course.theta = lambda time: before(time) - 60.0 * max(time - began, 0.0) ** 2
-    while course.pilot.run.phase is Phase.BALANCING:
-        seen = course.tick().record
-        # Who is believed to have fallen is not balanced any more.
-        assert seen.box == -1 or abs(seen.estimated_phi) < ANGLE_RULE_LIMIT
-    assert course.cause == Outcome.ANGLE

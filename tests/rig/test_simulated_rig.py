@@ -70,18 +70,6 @@ def test_what_stops_it_brakes_it_at_once_and_it_obeys_nothing_until_set_free():
     assert shown(bench)[0] - there[0] == pytest.approx(0.02, abs=3e-3)
 
 
-@pytest.mark.parametrize(("joint", "value"), [(0, np.inf), (4, np.nan)])
-def test_a_target_that_is_no_number_stops_the_arm_and_harms_nothing_else(joint, value):
-    bench, clock = stand()
-    q = swept(bench, clock, 0.3)
-    q[joint] = value
-    bench.body.target(q)
-    assert "not finite" in bench.body.stopped
-    wait(clock, 0.5)
-    assert np.isfinite(bench.twin.data.qpos).all()
-    assert np.abs(bench.twin.data.qvel[:7]).max() < 0.05
-
-
 def test_external_torques_are_those_of_what_hangs_on_the_flange_and_of_what_presses_on_it():
     bench, clock = stand()
     wait(clock, 0.5)

@@ -121,42 +121,7 @@ def test_a_millisecond_is_a_whole_step_of_mujoco(phi, phi_dot, moved, beyond, st
     assert (ends > 0) == (beyond > 0.0)
 
 
-def path(twin, seconds=0.3):
-    rows = []
-    for row in excitation(ARM, duration=seconds):
-        twin.send(row)
-        twin.advance(0.005)
-        rows.append([twin.now, *twin.encoder(), *twin.measured()[0], *twin.truth()])
-    return np.array(rows)
-
-
-def test_after_a_reset_everything_is_as_in_a_new_twin():
-    used = Twin(ARM, PENDULUM, TwinSettings(), seed=5, index=6)
-    first = path(used)
-    used.advance(0.5)
-    used.reset()
-    assert np.array_equal(path(used), first)
-    assert np.array_equal(path(Twin(ARM, PENDULUM, TwinSettings(), seed=5, index=6)), first)
-    assert not np.array_equal(path(Twin(ARM, PENDULUM, TwinSettings(), seed=5, index=7)), first)
-
-
 # Encoder and replies
-
-
-def test_the_zero_error_differs_between_trials_within_its_bounds():
-    settings = EXACT.model_copy(update={"zero_error": 0.01, "zero_offset": 0.1})
-    twin = Twin(ARM, PENDULUM, settings)
-
-    def zero(seed, index):
-        twin.set_trial(PENDULUM, seed, index)
-        return twin.state.zero
-
-    zeros = np.array([zero(5, index) for index in range(500)])
-    assert np.all(np.abs(zeros - 0.1) <= 0.01)
-    # Even in +-0.01: mean 0, standard deviation 0.0058; 500 of them.
-    assert np.mean(zeros) == pytest.approx(0.1, abs=5 * 0.0058 / np.sqrt(500))
-    assert np.std(zeros) == pytest.approx(0.01 / np.sqrt(3), rel=0.1)
-    assert zero(5, 3) == zeros[3] != zero(6, 3)
 
 
 @pytest.mark.parametrize(("age", "ticks"), [(0.0, 0), (0.001, 1), (0.0042, 5), (0.05, 50)])
@@ -173,21 +138,6 @@ def test_a_sample_is_known_when_it_is_old_enough(age, ticks):
     assert counts == now - ticks - 900
     assert counted == measured == pytest.approx(1e-3 * (now - ticks))
     assert q == pytest.approx(now - ticks + 0.1 * np.arange(6))
-
-
-def test_measured_joints_carry_white_noise_of_the_stated_size():
-    settings = EXACT.model_copy(update={"joint_noise": 1e-4})
-    twin = Twin(ARM, PENDULUM, settings, seed=3, index=4)
-    twin.state.past_q[:] = np.arange(6)
-    rows = np.zeros((2000, 6))
-    for tick in range(2000):
-        twin.state.now = tick
-        rows[tick], _ = twin.measured()
-    noise = (rows - np.arange(6)) / 1e-4
-    assert np.mean(noise, axis=0) == pytest.approx(np.zeros(6), abs=5 / np.sqrt(2000))
-    assert np.std(noise, axis=0) == pytest.approx(np.ones(6), abs=5 / np.sqrt(4000))
-    together = np.corrcoef(np.vstack([noise[1:].T, noise[:-1].T]))
-    assert np.max(np.abs(together - np.eye(12))) < 5 / np.sqrt(2000)
 
 
 @pytest.mark.parametrize(("size", "duration"), [(7, 10.0), (14, 3.0)])

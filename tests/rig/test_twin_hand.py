@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from equipoise.worlds.twin.hand import RANGES, draw_hand_params
 from tests.rig.in_process import PENDULUM, stand
 
 UNSTABLE = np.sqrt(PENDULUM.w2)
@@ -16,28 +15,6 @@ def recorded(bench, clock, seconds):
         clock.wait_until(clock.now() + 0.001)
         angles.append(bench.twin.truth().phi)
     return np.array(angles)
-
-
-def test_manners_are_within_their_limits_and_of_every_kind():
-    random = np.random.default_rng(1)
-    manners = [draw_hand_params(random) for _ in range(2000)]
-    for manner in manners:
-        drawn = {
-            "tremor": np.sqrt(np.sum(manner.amplitude[:-2] ** 2) / 2),
-            "drift": manner.amplitude[-2:].sum(),
-            "tremor frequency": manner.frequency[:-2] / (2 * np.pi),
-            "lifting": manner.lifting,
-            "holding": manner.holding,
-            "push": abs(manner.push) or RANGES["push"][0],
-        }
-        for name, value in drawn.items():
-            assert RANGES[name][0] <= np.min(value) <= np.max(value) <= RANGES[name][1], name
-        assert RANGES["opening"][0] <= manner.opening <= RANGES["dragging"][1]
-    # A share of 0.25 in 2000: four standard deviations are 0.04.
-    clumsy = [m.push != 0.0 or m.opening > RANGES["opening"][1] for m in manners]
-    assert np.mean(clumsy) == pytest.approx(0.25, abs=0.04)
-    assert np.mean([m.side == "front" for m in manners]) == pytest.approx(0.5, abs=0.045)
-    assert {np.sign(m.push) for m in manners} == {-1.0, 0.0, 1.0}
 
 
 @pytest.mark.compiled_only

@@ -89,15 +89,6 @@ def test_a_client_that_vanishes_leaves_the_servo_on_until_the_word_start():
     assert "vanished" in stage.said[0]
 
 
-def test_a_host_that_stalls_is_told_and_time_is_made_up_for():
-    stage = Stage()
-    stage.at(0.1, lambda: stage.clock.wait_until(stage.clock.now() + 0.05))
-    stage.run(1.0)
-    assert len(stage.said) == 1
-    assert "stalled" in stage.said[0]
-    assert stage.emulation.hardware.bench.now == pytest.approx(1.0, abs=0.003)
-
-
 def test_a_port_in_use_is_an_error():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         parts = ARM, PENDULUM, TwinSettings(), VirtualClock()

@@ -61,23 +61,6 @@ def test_a_step_is_as_large_as_acceleration_noise_and_uncertain_times_allow(join
         assert (doubt(course, 5, trip, there) == "") is plausible
 
 
-def test_the_doubt_stays_when_the_joints_come_back():
-    assert "joint 3" in doubt(lambda t: only(2, 0.2 if 0.1 < t < 0.15 else 0.0))
-
-
-def test_brakes_are_plausible():
-    # From half its velocity to rest within 30 ms.
-    v, tau = 0.5 * LIMITS.velocity[0], 0.015
-
-    def braked(t):
-        return only(0, v * (min(t, 0.2) + tau * (1.0 - np.exp(-max(t - 0.2, 0.0) / tau))))
-
-    assert (
-        doubt(braked, commanded=COMMANDED + np.linspace(0.0, 0.35, 64)[:, None] * only(0, 1.0))
-        == ""
-    )
-
-
 def test_noise_and_uncertain_times_are_plausible():
     random = np.random.default_rng(0)
     plausibility, v = JointPlausibility(LIMITS), 0.9 * LIMITS.velocity[3]

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.outcomes import MAX_COUNT_JUMP, Outcome, SafetyInputs
-from equipoise.safety import rules
+from equipoise.outcomes import Outcome, SafetyInputs
 from equipoise.safety.rules import (
     MonitorState,
     check,
@@ -49,52 +48,33 @@ def test_limits_are_those_of_the_arm_less_three_degrees():
     assert np.degrees(LIMITS.upper) == pytest.approx([167, 117, 167, 117, 167, 117, 172])
     assert np.degrees(LIMITS.lower) == pytest.approx([-167, -117, -167, -117, -167, -117, -172])
     assert np.degrees(LIMITS.velocity) == pytest.approx([85, 85, 100, 75, 130, 135, 135])
-    assert LIMITS.acceleration == (10.0,) * 7
-    assert LIMITS.joints == 7
 
 
 def test_a_guard_knows_its_arm():
     assert GUARD.torque == pytest.approx([32.0, 32.0, 17.6, 17.6, 11.0, 4.0, 4.0])
-    assert GUARD.resolution == pytest.approx(RESOLUTION)
-    assert GUARD.limits == LIMITS
-    assert (GUARD.reaction, GUARD.u_max, GUARD.h, GUARD.speed) == (0.03, 2.0, H, inf)
     w = abs(np.linalg.det(ARM.kinematics(ARM.home_free).jacobian))
     assert GUARD.min_manipulability == pytest.approx(0.1 * w)
-    other_way = (*ARM.home[:5], -ARM.home[5], *ARM.home[6:])
-    elbow = ARM.model_copy(update={"home": other_way})
-    assert np.linalg.det(elbow.kinematics(elbow.home_free).jacobian) < 0.0
-    mirrored = make_safety_params(elbow, reaction=0.0, u_max=1.0, h=H, counts_per_rev=9, speed=0.3)
-    assert mirrored.min_manipulability == pytest.approx(GUARD.min_manipulability)
-    assert mirrored.speed == 0.3
+    mirrored = ARM.model_copy(update={"home": (*HOME[:5], -HOME[5], *HOME[6:])})
+    guard = make_safety_params(mirrored, reaction=0.0, u_max=1.0, h=H, counts_per_rev=9)
+    assert guard.min_manipulability == pytest.approx(GUARD.min_manipulability)
 
 
 # Setpoints.
 
 
-def test_a_good_setpoint_may_be_sent():
-    assert check_setpoint(LIMITS, HOME, HOME, HOME, DT) is None
-    assert check_first(LIMITS, HOME, HOME) is None
-
-
 @pytest.mark.parametrize(
-    ("q", "rule", "evidence"),
+    ("q", "rule"),
     [
         *(
-            (moved(HOME, joint, number), Outcome.NUMBER, {"joint": joint, "got": str(number)})
-            for joint in range(1, 8)
-            for number in (nan, inf, -inf)
+            (moved(HOME, joint, number), Outcome.NUMBER)
+            for joint, number in enumerate((nan, inf, -inf, nan, inf, -inf, nan), start=1)
         ),
-        *((q, Outcome.COUNT, {"value": len(q), "limit": 7}) for q in ((), HOME[:6], (*HOME, 0.0))),
+        *((q, Outcome.COUNT) for q in ((), HOME[:6], (*HOME, 0.0))),
     ],
 )
-def test_only_one_finite_number_per_joint_is_sent(q, rule, evidence):
-    sent = check_setpoint(LIMITS, q, HOME, HOME, DT)
-    first, measured = check_first(LIMITS, q, HOME), check_first(LIMITS, HOME, q)
-    for violation in (sent, first, measured):
-        assert violation.outcome is rule
-        assert violation.evidence.items() >= evidence.items()
-    assert first.evidence["name"].startswith("a setpoint")
-    assert measured.evidence["name"].startswith("the measured posture")
+def test_only_one_finite_number_per_joint_is_sent(q, rule):
+    assert check_setpoint(LIMITS, q, HOME, HOME, DT).outcome is rule
+    assert check_first(LIMITS, q, HOME).outcome is check_first(LIMITS, HOME, q).outcome is rule
 
 
 @pytest.mark.parametrize("joint", range(1, 8))
@@ -104,26 +84,13 @@ def test_a_setpoint_stays_inside_the_position_limits(joint, upper):
     inwards = -1e-9 if upper else 1e-9
     at = moved(HOME, joint, limit - HOME[joint - 1] + inwards)
     beyond = moved(at, joint, -2 * inwards)
-    assert check_setpoint(LIMITS, at, at, at, DT) is None
-    evidence = {
-        "joint": joint, "limit": limit, "value": beyond[joint - 1],
-        "lower": LIMITS.lower[joint - 1], "upper": LIMITS.upper[joint - 1],
-    }  # fmt: skip
+    assert check_setpoint(LIMITS, at, at, at, DT) is check_first(LIMITS, at, at) is None
     for violation in (
         check_setpoint(LIMITS, beyond, beyond, beyond, DT),
+        check_setpoint(LIMITS, beyond, beyond, beyond, DT, to_rest=True),
         check_first(LIMITS, beyond, beyond),
     ):
-        assert violation.outcome is Outcome.POSITION
-        assert violation.evidence == evidence
-    assert check_first(LIMITS, at, at) is None
-
-
-def test_at_its_bound_a_setpoint_may_be_sent():
-    # Joint 3 is at zero at home, so that nothing is rounded.
-    for side in (1.0, -1.0):
-        assert check_first(LIMITS, moved(HOME, 3, side * rules.FIRST_LIMIT), HOME) is None
-        jump = moved(HOME, 3, side * rules.STEP_LIMIT)
-        assert check_setpoint(LIMITS, jump, HOME, HOME, 10.0) is None
+        assert of_joint(violation, Outcome.POSITION, joint, beyond[joint - 1], limit)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -142,17 +109,6 @@ def test_a_setpoint_can_be_stopped_before_the_limit(side):
         # On the way back it may be there, and on a way to rest.
         assert check_setpoint(LIMITS, last, q, moved(q, 1, 1.2 * side * DT), DT) is None
         assert check_setpoint(LIMITS, q, last, before, DT, True) is None
-
-
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_only_on_a_way_to_rest_nobody_asks_where_a_joint_could_be_stopped(side):
-    limit = LIMITS.upper[6] if side > 0.0 else LIMITS.lower[6]
-    stream = [(*HOME[:6], limit - side * far) for far in (1e-9, 0.0011, 0.0022)]
-    assert check_setpoint(LIMITS, *stream, DT).outcome is Outcome.POSITION
-    assert check_setpoint(LIMITS, *stream, DT, to_rest=True) is None
-    # The limit itself stays one.
-    beyond = ((*HOME[:6], limit + side * 1e-9), *stream[1:])
-    assert check_setpoint(LIMITS, *beyond, DT, to_rest=True).outcome is Outcome.POSITION
 
 
 def of_joint(violation, rule, joint, value, limit):
@@ -184,14 +140,6 @@ def test_no_joint_is_sent_faster_or_harder_than_it_can(joint, side, dt):
                 assert hard is None
             else:
                 assert of_joint(hard, Outcome.ACCELERATION, joint, share * hardest, hardest)
-
-
-@pytest.mark.parametrize(("share", "may"), [(5e-7, True), (5e-6, False)])
-def test_rounding_is_forgiven_and_no_more(share, may):
-    v, a = (limit * (1.0 + share) for limit in (LIMITS.velocity[0], 10.0))
-    fast = check_setpoint(LIMITS, moved(HOME, 1, v * DT), HOME, moved(HOME, 1, -v * DT), DT)
-    hard = check_setpoint(LIMITS, moved(HOME, 1, a * DT**2), HOME, HOME, DT)
-    assert (fast is None) == (hard is None) == may
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -256,33 +204,6 @@ def test_each_rule_on_either_side_of_its_bound(rule, kept, not_kept):
     assert abs(value) >= abs(limit) or rule is Outcome.SINGULAR
 
 
-def test_at_their_bounds_these_are_kept():
-    at = SafetyInputs(
-        on_track=True,
-        drift=rules.DRIFT_LIMIT,
-        tilt=rules.TILT_LIMIT,
-        manipulability=GUARD.min_manipulability,
-        encoder_jump=MAX_COUNT_JUMP,
-    )
-    motion = (rules.EXPECTED_MOTION,)
-    monitor = MonitorState(expected_motion=motion, error_time=rules.FOLLOWING_TIME)
-    assert check(GUARD, monitor, at) is None
-    # Joint 3 is at zero at home, so that nothing is rounded.
-    view = SafetyInputs(measured=moved(HOME, 3, rules.FOLLOWING_LIMIT), expected=HOME)
-    assert update_monitor(GUARD, CALM, view).error_time == 0.0
-    rested = update_monitor(GUARD, CALM, SafetyInputs(measured=HOME, expected=HOME))
-    view = SafetyInputs(measured=moved(HOME, 3, rules.STILL_ANGLE), expected=HOME)
-    assert update_monitor(GUARD, rested, view).rest == HOME
-
-
-def test_who_would_come_to_rest_at_the_very_end_of_the_track_is_stopped():
-    at_once = GUARD._replace(reaction=0.0)
-    # From 0.5 m/s to rest it takes 31.25 mm.
-    for x_dot, x in ((0.0, 0.22), (0.5, 0.22 - 0.03125)):
-        assert broken(SafetyInputs(on_track=True, x=x, x_dot=x_dot), at_once) is Outcome.TRACK
-        assert broken(SafetyInputs(on_track=True, x=x - 1e-9, x_dot=x_dot), at_once) is None
-
-
 def test_flange_and_angle_count_where_they_mean_something():
     away = SafetyInputs(x=9.0, x_dot=9.0, drift=9.0, tilt=9.0, manipulability=0.0, phi=3.0)
     assert check(SLOW, CALM, away) is None
@@ -296,13 +217,6 @@ def test_t1_is_slow_and_a_stop_not_a_clip():
         assert broken(slow, SLOW) is None
         assert broken(fast, SLOW) is Outcome.SPEED
         assert broken(fast) is None
-    violation = check(SLOW, CALM, fast)
-    assert (violation.evidence["value"], violation.evidence["limit"]) == (-0.23, 0.23)
-
-
-def test_the_violation_names_the_joint_that_is_touched():
-    violation = check(GUARD, CALM, SafetyInputs(torque=(0, 0, 0, 0, 0, -4.5, 0)))
-    assert of_joint(violation, Outcome.TORQUE, 6, -4.5, 4.0)
 
 
 FIELDS = zip(SafetyInputs._fields, SafetyInputs(), strict=True)
@@ -319,33 +233,6 @@ def test_what_is_no_number_stops_the_run_whatever_else_is_wrong(name, number):
     violation = check(GUARD, CALM, view)
     assert violation.outcome is Outcome.NUMBER
     assert (violation.evidence["name"], violation.evidence["got"]) == (name, str(number))
-
-
-def test_of_several_the_first_in_the_order_of_the_rules_is_named():
-    wrong = {
-        Outcome.NUMBER: {"measured": (nan,) * 7},
-        Outcome.LINK: {"overdue": 1.0},
-        Outcome.TORQUE: {"torque": (99.0,) * 7},
-        Outcome.SINGULAR: {"manipulability": 0.0},
-        Outcome.TRACK: {"x": 0.3},
-        Outcome.SPEED: {"x_dot": -0.3},
-        Outcome.DRIFT: {"drift": 1.0},
-        Outcome.TILT: {"tilt": 1.0},
-        Outcome.TICK: {"lateness": 1.0},
-        Outcome.MEASUREMENT_STALE: {"measured_age": 1.0},
-        Outcome.ENCODER_STALE: {"encoder_age": 1.0},
-        Outcome.ENCODER_ILLEGAL: {"encoder_illegal": True},
-        Outcome.ENCODER_GAP: {"encoder_missing": 3},
-        Outcome.ENCODER_JUMP: {"encoder_jump": 1.0},
-        Outcome.ANGLE: {"phi": 1.0},
-    }
-    assert [rule for rule in Outcome if rule in wrong] == list(wrong)
-    for first in range(len(wrong)):
-        changes = {}
-        for change in list(wrong.values())[first:]:
-            changes |= change
-        view = SafetyInputs(on_track=True, balancing=True)._replace(**changes)
-        assert broken(view, SLOW) is list(wrong)[first]
 
 
 # What goes on for a while.
@@ -371,12 +258,6 @@ def along(n, follow, *, joint=1, speed=0.1):
     ]
 
 
-def test_an_arm_that_follows_is_left_alone():
-    for follow in (1.0, 0.95):
-        assert seen(*along(50, follow))[1] is None
-    assert seen(*along(300, 1.0, speed=0.0))[1] is None
-
-
 def test_an_arm_that_stands_still_while_it_should_move_does_not_follow():
     views = along(50, 0.0)
     # 0.1 rad/s: after 0.1 s it should have gone 10 mrad.
@@ -386,15 +267,15 @@ def test_an_arm_that_stands_still_while_it_should_move_does_not_follow():
     assert violation.evidence["value"] == pytest.approx(0.011, abs=0.0015)
     assert violation.evidence["limit"] == 0.01
     assert watched.rest == HOME
-    # Each tremble within the noise is no motion.
-    trembles = (moved(HOME, i % 7 + 1, 2e-4 * (-1) ** i) for i in range(len(views)))
-    trembling = [view._replace(measured=q) for view, q in zip(views, trembles, strict=True)]
-    assert seen(*trembling)[1].outcome is Outcome.NOT_FOLLOWING
-    # ... beyond it, it is.
-    for joint, rule in ((1, None), (2, Outcome.NOT_FOLLOWING)):
-        creeps = (moved(HOME, joint, 6e-4 * (i % 2)) for i in range(len(views)))
-        creeping = [view._replace(measured=q) for view, q in zip(views, creeps, strict=True)]
-        violation = seen(*creeping[:20])[1]
+    # A tremble within the noise is no motion; beyond it, it is one of that joint.
+    for joint, by, rule in (
+        (1, 2e-4, Outcome.NOT_FOLLOWING),
+        (1, 6e-4, None),
+        (2, 6e-4, Outcome.NOT_FOLLOWING),
+    ):
+        trembles = (moved(HOME, joint, by * (i % 2)) for i in range(20))
+        views = [v._replace(measured=q) for v, q in zip(views, trembles, strict=False)]
+        violation = seen(*views)[1]
         assert (violation and violation.outcome) is rule
 
 
@@ -476,11 +357,6 @@ def test_the_reach_is_where_a_simulated_stop_ends(u_max, x, x_dot, reaction):
     assert stopping_reach(x, x_dot, reaction, u_max) == pytest.approx(place, abs=1e-9)
 
 
-def test_at_rest_the_reach_is_on_the_side_where_it_is():
-    assert stopping_reach(-0.2, 0.0, 0.0, 2.0) == pytest.approx(0.2)
-    assert stopping_reach(0.2, -0.0, 0.0, 2.0) == pytest.approx(0.2)
-
-
 def test_the_setpoint_in_force_is_the_newest_that_was_sent_by_then():
     sent = [0.04, 0.01, 0.02, 0.03]  # the fifth has taken the place of the first
     in_force = [newest_before(sent, 5, since) for since in (0.045, 0.04, 0.039, 0.02, 0.01)]
@@ -492,25 +368,6 @@ def test_the_setpoint_in_force_is_the_newest_that_was_sent_by_then():
 
 
 # Encoder.
-
-
-def test_a_falling_pendulum_is_explained():
-    # Free fall from upright to hanging and on, at any rate of samples, with a push of the pivot.
-    w2 = 70.2
-    for dt in (0.0005, 0.001, 0.002, 0.005):
-        time = np.arange(0.0, 2.0, 1e-4)
-        theta, v = np.empty_like(time), 0.0
-        theta[0] = radians(179.5)
-        for i in range(1, len(time)):
-            v += 1e-4 * (-w2 * np.sin(theta[i - 1]) + 14.0 * np.sign(np.sin(40 * time[i])))
-            theta[i] = theta[i - 1] + 1e-4 * v
-        t = np.arange(0.0, 1.99, dt)
-        counts = np.floor(np.interp(t, time, theta) / RESOLUTION + 0.5).astype(int)
-        worst = max(
-            unexplained_turn(tuple(t[i : i + 3]), tuple(counts[i : i + 3]), RESOLUTION)
-            for i in range(len(t) - 2)
-        )
-        assert worst == 0.0
 
 
 @pytest.mark.parametrize("side", [1, -1])

@@ -16,21 +16,20 @@ from equipoise_franka.robot import Request
 
 T = 0.005
 HOME = np.array(iiwa(7).home)
-UNANSWERED = 3
 
 
 class Paced:
-    """A robot that asks every few milliseconds, and gives up where nobody answers."""
+    """A robot that asks every millisecond."""
 
     joints = 7
 
-    def __init__(self, clock, period_ms):
-        self.clock, self.period_ms = clock, period_ms
+    def __init__(self, clock):
+        self.clock = clock
         self.streams, self.waiting, self.answers = False, deque(), []
         clock.attach(self.advance)
 
     def advance(self, now):
-        if self.streams and round(1e3 * now) % self.period_ms == 0:
+        if self.streams:
             self.waiting.append(Request(now, tuple(HOME), None))
 
     def connect(self):
@@ -45,8 +44,6 @@ class Paced:
     def request(self, until):
         while not self.waiting and self.clock.now() < until:
             self.clock.wait_until(self.clock.now() + 1e-3)
-        if len(self.waiting) > UNANSWERED:
-            raise LinkError(f"{len(self.waiting)} requests without an answer")
         return self.waiting[0] if self.waiting else None
 
     def answer(self, q):
@@ -54,14 +51,10 @@ class Paced:
         self.answers.append((self.clock.now(), q))
 
 
-def paced_robot(period_ms):
-    clock = VirtualClock()
-    return Paced(clock, period_ms), clock
-
-
-def streamed(setpoints, period_ms=1, late=lambda k: 0.0):
+def streamed(setpoints, late=lambda k: 0.0):
     """Send setpoints of the first joint from home, one each period; return times and answers."""
-    robot, clock = paced_robot(period_ms)
+    clock = VirtualClock()
+    robot = Paced(clock)
     stream = PacedStream(robot, clock, T)
     stream.connect()
     stream.start()
@@ -96,16 +89,6 @@ def test_it_is_the_quadratic_b_spline_of_scipy():
     assert q[inside] == pytest.approx(spline(t[inside]), abs=1e-12)
 
 
-@pytest.mark.parametrize("period_ms", [1, 2, 4, 8])
-def test_an_even_motion_is_followed_evenly_whatever_the_pace(period_ms):
-    speed = 0.5
-    t, q = streamed(speed * T * np.arange(1, 200), period_ms)
-    inside = (t > 0.1) & (t < 0.9)
-    assert np.diff(q[inside]) == pytest.approx(speed * 1e-3 * period_ms, abs=1e-12)
-    # A setpoint is due one period after it was sent: what is later is the delay of the path.
-    assert t[inside] - q[inside] / speed == pytest.approx(0.5 * T + MARGIN, abs=1e-9)
-
-
 def test_setpoints_that_come_late_within_the_margin_change_nothing():
     setpoints = 0.02 * np.sin(np.linspace(0.0, 3.0, 60))
     times, q = streamed(setpoints)
@@ -114,20 +97,11 @@ def test_setpoints_that_come_late_within_the_margin_change_nothing():
     assert late[:n] == pytest.approx(q[:n], abs=1e-12)
 
 
-def test_a_late_setpoint_bends_the_path_and_a_missing_one_ends_it_at_the_last():
-    speed, missing = 0.5, 100
-    setpoints = speed * T * np.arange(1, 200)
-    _, q = streamed(setpoints, late=lambda k: 0.003 * (k == missing))
-    # 2 ms beyond the margin: 0.4 of a period.
-    assert np.abs(np.diff(q)).max() <= speed * 1e-3 + 0.5 * 0.4**2 * speed * T + 1e-12
-    _, q = streamed(setpoints[:missing])
-    assert q[-1] == setpoints[missing - 1]
-
-
 @pytest.mark.parametrize("wrong", [0.1, -9.0, np.nan])
 def test_a_start_that_the_first_request_contradicts_answers_nothing(wrong):
     for lies in ("measured", "request"):
-        robot, clock = paced_robot(1)
+        clock = VirtualClock()
+        robot = Paced(clock)
         stream = PacedStream(robot, clock, T)
         if lies == "measured":
             robot.measured = lambda: HOME + wrong
@@ -139,22 +113,3 @@ def test_a_start_that_the_first_request_contradicts_answers_nothing(wrong):
         assert robot.answers == []
         with pytest.raises(LinkError, match="from its posture at the start"):
             stream.send(HOME)
-
-
-def test_a_robot_that_gives_up_or_falls_silent_is_a_link_that_is_lost():
-    robot, clock = paced_robot(1)
-    stream = PacedStream(robot, clock, T)
-    stream.start()
-    clock.wait_until(0.01)  # nobody answers
-    with pytest.raises(LinkError, match="without an answer"):
-        stream.wait_until(0.02)
-    robot, clock = paced_robot(1)
-    stream = PacedStream(robot, clock, T)
-    stream.start()
-    stream.wait_until(0.01)
-    robot.streams = False
-    stream.wait_until(0.109)
-    stream.send(HOME)
-    stream.wait_until(0.112)
-    with pytest.raises(LinkError, match="nothing for 100 ms"):
-        stream.send(HOME)

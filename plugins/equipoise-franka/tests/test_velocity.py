@@ -46,13 +46,6 @@ def test_any_desired_velocities_keep_the_limits(seed):
     assert np.abs(jerk).max() > 0.9 * SHARE * JERK, "the limits were not reached"
 
 
-def test_a_constant_velocity_is_reached_as_fast_as_the_limits_allow_and_kept():
-    v, _ = streamed(np.full((200, 7), 0.5))
-    assert np.abs(v[60:] - 0.5).max() < 1e-9
-    # 9.5 rad/s^2, reached in two cycles.
-    assert np.argmax(v[:, 0] >= 0.49) == pytest.approx(0.49 / 9.5 / PERIOD, abs=3)
-
-
 def test_a_joint_can_stop_before_the_end_of_its_range():
     """A braking at the controller's deceleration ends before the limit, wherever it begins."""
     for share in np.linspace(0.0, 1.0, 50):

@@ -16,16 +16,14 @@ TREMOR = np.deg2rad(0.3)
 class ByHand:
     """theta against time [rad], as a callable."""
 
-    def __init__(
-        self, height=0.8, *, start=0.0, zero=0.3, length=60.0, theta_dot=0.0, pendulum=PENDULUM
-    ):
-        self.height = height
-        self.start = start
-        self.zero = zero
-        self._time = np.arange(0.0, length, 0.0005)
+    zero = 0.3
+
+    def __init__(self, height):
+        self.height, self.start = height, 0.0
+        self._time = np.arange(0.0, 60.0, 0.0005)
         self._theta, rate = np.empty_like(self._time), np.empty_like(self._time)
         begin = height + self.tremor(RELEASE)
-        swing(self._time, begin, theta_dot, 0.0005, pendulum.parameters(), self._theta, rate)
+        swing(self._time, begin, 0.0, 0.0005, PENDULUM.parameters(), self._theta, rate)
 
     def tremor(self, time):
         return TREMOR * sin(2.0 * pi * 7.0 * time)

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from equipoise.errors import LinkError
-from equipoise.rig.interfaces import AngleSensor
 from equipoise.robots.encoder.codec import Reading, decode, encode
-from equipoise.robots.encoder.sensor import MAX_INCONSISTENT, LineEncoder
+from equipoise.robots.encoder.sensor import MAX_INCONSISTENT
 from tests.robots.encoder.rig import Bench
 
 RESOLUTION = 2.0 * pi / 8192
@@ -158,38 +157,3 @@ def test_a_wrong_line_with_a_right_checksum_is_dropped_alone(bench, field, by):
     assert np.max(np.diff([sample.time for sample in samples])) < 2.2e-3
     assert bench.sensor.rejected == 1
     assert [sample.missing for sample in samples if sample.missing] == [1]
-
-
-def test_a_board_of_malformed_lines_gives_only_true_samples():
-    bench = Bench(seed=3)
-    bench.motion = swinging
-    bench.sensor.connect()
-    bench.board.malformed = 0.2
-    samples = bench.run(10.0)
-    assert bench.sensor.rejected > 1000
-    assert 7_000 < len(samples) < 8_000
-    for sample in samples:
-        assert abs(sample.counts * RESOLUTION - swinging(sample.time - 0.001)) < 0.02
-    # What is not given out is told as missing, the damaged lines at the very end apart.
-    told = sum(sample.missing for sample in samples)
-    assert told + len(samples) == pytest.approx(10_000, abs=20)
-
-
-def test_a_link_that_cannot_be_opened_says_why():
-    def nowhere():
-        raise LinkError("there is no device /dev/ttyX; plug the board in")
-
-    sensor = LineEncoder(nowhere, Bench().clock)
-    with pytest.raises(LinkError, match="/dev/ttyX"):
-        sensor.connect()
-    with pytest.raises(LinkError, match="is not connected"):
-        sensor.samples()
-
-
-def test_a_closed_sensor_gives_nothing_and_may_be_closed_again(bench):
-    assert isinstance(bench.sensor, AngleSensor)
-    assert bench.sensor.counts_per_rev == 8192
-    for _ in range(2):
-        bench.sensor.close()
-    with pytest.raises(LinkError):
-        bench.sensor.samples()

@@ -4,7 +4,6 @@ import sys
 import threading
 import time
 from collections import deque
-from contextlib import closing
 from math import pi
 
 import pytest
@@ -12,7 +11,6 @@ import pytest
 from equipoise.errors import LinkError
 from equipoise.rig.clocks import SystemClock
 from equipoise.robots.encoder.board import Board, Terminal
-from equipoise.robots.encoder.codec import Decoder
 from equipoise.robots.encoder.plugin import open_serial
 from equipoise.robots.encoder.sensor import LineEncoder
 
@@ -78,24 +76,3 @@ def test_an_unplugged_device_is_an_error():
     for call in (transport.read, lambda: transport.write(b"?\n")):
         with pytest.raises(LinkError, match="is gone"):
             call()
-
-
-def test_a_terminal_that_is_not_read_loses_whole_lines():
-    board = Board(lambda: 0.0)
-    with closing(Terminal(board)) as terminal:
-        # Ten seconds of lines are far more than any terminal keeps.
-        for tick in range(10_000):
-            terminal.advance(0.001 * (tick + 1))
-        transport = open_serial(f"serial://{terminal.path}")
-        decoder, said = Decoder(), []
-        decoder.feed(b"\n")
-        for tick in range(10_000, 10_200):
-            terminal.advance(0.001 * (tick + 1))
-            said += decoder.feed(transport.read())
-        clock = SystemClock()
-        end = clock.now() + 1.0
-        while said[-1].seq < 10_199 and clock.now() < end:  # the last ones are on their way
-            said += decoder.feed(transport.read())
-        assert said[-1].seq == 10_199
-        assert decoder.rejected <= 1
-        transport.close()

@@ -68,17 +68,6 @@ def test_what_is_recorded_identifies_the_pendulum(tmp_path, height):
     assert LEAD_TIME - PERIOD / 4.0 - 0.1 < pendulum.fit.release < LEAD_TIME + PERIOD
 
 
-def test_the_recording_begins_before_the_fall_and_lasts_as_asked():
-    swing, _ = recorded(ByHand(0.8), duration=5.0)
-    assert swing.time[0] == 0.0
-    assert swing.time[-1] == pytest.approx(5.0 + LEAD_TIME, abs=0.002)
-    assert swing.resolution == 2.0 * pi / N
-    assert not swing.released
-    # The fall is at its place: a quarter of a period after the release.
-    fall = float(swing.time[np.flatnonzero(swing.theta <= 0.0)[0]])
-    assert fall == pytest.approx(LEAD_TIME, abs=0.002)
-
-
 def carried(time):
     """A hand carries it through the middle and holds it there."""
     if time < 3.0:
@@ -121,8 +110,3 @@ def without(begin, end):
 def test_what_is_no_free_swing_is_refused(motion, change):
     with pytest.raises(RecordingError):
         recorded(motion, change=change)
-
-
-def test_what_moves_is_not_taken_for_hanging():
-    with pytest.raises(LinkError, match="no sample is left"):
-        recorded(lambda time: 0.01 * np.sin(8.0 * time))

@@ -1,8 +1,5 @@
 """The emulated KST server does what the real one was seen to do, its faults included."""
 
-import itertools
-import math
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -46,21 +43,11 @@ def test_servo_is_acknowledged_before_it_exists_and_then_forgets_its_target(benc
     assert float(bench.say(ASK).split(b"_")[0]) == pytest.approx(0.3)
 
 
-def test_one_number_is_accepted_and_changes_the_first_joint_only(servo):
-    assert servo.say("jp_0.1_", wait=0.3) == b"done\n"
-    assert servo.body.targets[-1] == (0.1, *HOME[1:])
-
-
 @pytest.mark.parametrize("command", ["doPTPinJS", START])
 def test_main_thread_is_deaf_while_a_servo_runs(servo, command):
     assert servo.say(command, wait=0.5) == b""
     assert servo.say(moved("jp", 0.0)) == b"done\n"
     assert servo.say(STOP, wait=0.5) == b"done\n", "what waited has been erased"
-
-
-def test_of_two_commands_for_the_main_thread_in_one_segment_the_last_is_answered(bench):
-    assert bench.say("Torques_ext_J", "Torques_m_J") == TORQUES
-    assert bench.say("blueOn", "Torques_m_J") == b"done\n" + TORQUES
 
 
 TORQUES = b"0.0_-12.5_0.0_8.25_0.0_0.5_0.0_\n"
@@ -84,45 +71,6 @@ def test_server_answers_from_joints_and_torques_and_is_silent_otherwise(bench, c
     assert bench.say(ASK) == HOME_LINE
 
 
-def test_motion_is_acknowledged_at_its_start_and_at_its_goal_which_later_targets_do_not_move(bench):
-    assert bench.say("jRelVel_0.5_") == b"done\n"
-    assert bench.say(moved("jp", 0.3)) == b"done\n"
-    assert bench.say("doPTPinJS") == b"done\n"
-    # Half of joint 1's 1.71 rad/s is the peak of a minimum-jerk path: 15/8 of its mean.
-    assert bench.say(moved("jp", -0.3), "Torques_m_J", wait=0.65) == b"done\n"
-    speeds = [(b[0] - a[0]) / 1e-3 for a, b in itertools.pairwise(bench.body.targets)]
-    assert max(speeds) == pytest.approx(0.5 * math.radians(98.0), rel=1e-3)
-    bench.wait(0.5)
-    assert bench.client.read() == b"done\n"
-    assert bench.body.measured() == pytest.approx((0.3, *HOME[1:]), abs=1e-6)
-    assert not bench.server.busy
-    bench.wait(1.0)
-    assert bench.client.read() == b"", "the torques were asked for during the motion"
-
-
-@pytest.mark.parametrize("refused", ["speed", "range", "nan", "stop"])
-def test_motion_that_cannot_be_planned_is_acknowledged_then_refused(bench, refused):
-    bench.say("jRelVel_1.5_" if refused == "speed" else "jRelVel_0.5_")
-    bench.say(moved("jp", {"range": 3.0, "nan": "NaN"}.get(refused, 0.3)))
-    bench.body.stopped = "emergency stop" if refused == "stop" else ""
-    assert bench.say("doPTPinJS") == b"done\n"
-    bench.wait(0.2)
-    assert bench.client.read() == b"nak\n"
-    assert bench.body.targets == []
-
-
-def test_motion_without_a_speed_is_refused(bench):
-    assert bench.say(moved("jp", 0.3), "doPTPinJS", wait=0.3) == b"done\n" * 2 + b"nak\n"
-
-
-def test_stop_is_acknowledged_before_the_servo_ends(servo):
-    assert servo.say(STOP, wait=0.001) == b"done\n"
-    assert servo.body.running
-    servo.wait(0.01)
-    assert not servo.body.running
-    assert not servo.server.busy
-
-
 def test_nan_of_c_kills_the_reader_and_leaves_the_servo_on(servo):
     assert servo.say(moved("jp", 0.2), wait=0.001) == b"done\n"
     for command in ("jp_nan_0_0_0_0_0_0_", ASK, STOP, "end", moved("jp", 0.0)):
@@ -130,11 +78,6 @@ def test_nan_of_c_kills_the_reader_and_leaves_the_servo_on(servo):
     assert servo.body.running
     assert not servo.server.closed
     assert servo.body.measured()[0] == pytest.approx(0.2)
-
-
-def test_nan_of_java_becomes_the_target(servo):
-    assert servo.say(moved("jpJP", "NaN")) == HOME_LINE
-    assert math.isnan(servo.body.targets[-1][0])
 
 
 def test_client_that_vanishes_leaves_the_servo_on_and_nobody_is_served_again(servo):
@@ -153,20 +96,6 @@ def test_end_has_no_reply_ends_the_servo_and_closes(servo):
         servo.say("end")
     assert servo.server.ended
     assert not servo.body.running
-
-
-@pytest.mark.parametrize(("fault", "reply"), [("drops", b""), ("refuses", b"nak\n"), ("cut", None)])
-def test_injected_faults_leave_the_servo_on(servo, fault, reply):
-    if reply is None:
-        servo.say(moved("jp", 0.1), wait=0.001)
-        servo.server.cut = True
-        with pytest.raises(LinkError):
-            servo.say(ASK, wait=0.2)
-    else:
-        setattr(servo.server, fault, True)
-        assert servo.say(moved("jpJP", 0.1), wait=0.2) == reply
-    assert servo.body.running
-    assert servo.body.measured()[0] == pytest.approx(0.1)
 
 
 COMMANDS = st.sampled_from(

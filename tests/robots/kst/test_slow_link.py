@@ -5,7 +5,7 @@ from math import expm1, sqrt
 import numpy as np
 import pytest
 
-from equipoise.model.actuator import AMPLITUDE, CYCLE, INTERVAL_WIDTH, speed_of_peak
+from equipoise.model.actuator import AMPLITUDE, CYCLE, INTERVAL_WIDTH
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.worlds import TwinSettings
 from equipoise.robots.kst.plugin import T1_SPEED, flange_speed
@@ -52,12 +52,6 @@ def test_the_shaped_peak_is_that_of_the_cabinet_with_a_perfect_drive(speed, peri
     assert peak <= shaped_peak(speed, 1e-3 * period_ms) <= 1.12 * peak
 
 
-@pytest.mark.parametrize("period", [0.002, 0.03])
-@pytest.mark.parametrize("speed", [0.01, 1.0])
-def test_each_is_the_inverse_of_the_other(speed, period):
-    assert speed_of_peak(shaped_peak(speed, period), period) == pytest.approx(speed, rel=1e-9)
-
-
 @pytest.mark.parametrize("size", [7, 14])
 def test_at_the_limit_the_worst_joint_has_a_peak_of_80_percent_of_its_speed(size):
     arm, period = IIWA[size], 0.008
@@ -78,6 +72,4 @@ def test_at_the_limit_the_worst_joint_has_a_peak_of_80_percent_of_its_speed(size
         ]
     assert max(shares) == pytest.approx(0.8, rel=0.01)
     # The slower the link, the slower the flange; T1 is slower than any link that a run allows.
-    limits = [flange_speed(arm, period) for period in (0.005, 0.007, 0.009, 0.02)]
-    assert limits == sorted(limits, reverse=True)
-    assert limits[2] > T1_SPEED
+    assert limit > flange_speed(arm, 0.009) > T1_SPEED
