@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from equipoise.control.baselines import baselines
 from equipoise.control.policy import TabularPolicy, shipped_policy
-from equipoise.errors import InputError
 from equipoise.identification.recording import read_swing
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.urdf import read_urdf
@@ -94,8 +92,3 @@ def test_a_damaged_file_is_a_value_or_a_sentence(tmp_path, name, count):
     read(path)
     found = outcomes(read, path, mutations(path.read_bytes(), count))
     assert found["refused"] > 0
-
-
-def test_a_pendulum_that_no_regulator_balances_is_refused():
-    with pytest.raises(InputError):
-        baselines(Pendulum.assumed(1e5, 0.1).parameters(), 0.01)

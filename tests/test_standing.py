@@ -9,20 +9,23 @@ from equipoise.identification.recording import read_swing
 from equipoise.identification.swing import identify
 from equipoise.learning.train import ATTEMPTS, train_to_target
 from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.worlds import MODEL
 from equipoise.settings import resolve
 from equipoise.worlds.evaluation import evaluate
 
 TESTS = resolve(overrides=["evaluation.trials=1000"])
 
 
-def summaries(pendulum, settings, seeds, tests=TESTS, attempts=ATTEMPTS):
+def summaries(pendulum, settings, seeds, tests=TESTS, attempts=ATTEMPTS, world=MODEL):
     """Train for each seed alone, and return what the trials of each policy came to."""
     workers = available_cores()
     for seed in seeds:
         policy = train_to_target(
             pendulum, iiwa(7), settings, attempts=attempts, seed=seed, workers=workers
         )
-        evaluation = evaluate(policy, tests, seed=seed, with_baselines=False, workers=workers)
+        evaluation = evaluate(
+            policy, tests, world=world, seed=seed, with_baselines=False, workers=workers
+        )
         yield evaluation.results.summary()
 
 
@@ -74,16 +77,4 @@ def test_the_policy_that_ships_stands_on_the_twin():
 def test_every_seed_stands_a_minute_on_the_twin(pendulum):
     # The actuator that ships was identified from ten seconds on that twin.
     tests = resolve(overrides=["evaluation.trials=200"])
-    results = []
-    for seed in range(10):
-        cores = available_cores()
-        policy = train_to_target(pendulum, iiwa(7), tests, seed=seed, workers=cores)
-        evaluation = evaluate(
-            policy,
-            tests,
-            world="twin:nominal",
-            with_baselines=False,
-            workers=available_cores(),
-        )
-        results.append(evaluation.results.summary())
-    assert_they_stand(results)
+    assert_they_stand(list(summaries(pendulum, tests, range(10), tests, world="twin:nominal")))

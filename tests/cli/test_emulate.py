@@ -1,6 +1,5 @@
 """`equipoise rig emulate` as a program of its own: what stands on its port and its terminal."""
 
-import itertools
 import json
 import os
 import re
@@ -60,7 +59,5 @@ def test_robot_and_board_answer_and_ctrl_c_ends_it_well(tmp_path):
             lines = readings(link, 1.0)
         assert len(lines) > 500
         assert any(line.flags & Flags.DOWN for line in lines)
-        steps = {b.t_us - a.t_us for a, b in itertools.pairwise(lines)}
-        assert 1000 in steps
         assert it.end() == 0
     assert not link.is_symlink()

@@ -5,7 +5,6 @@ import unicodedata
 from itertools import count
 
 import pytest
-from rich.text import Text
 
 from equipoise.cli.output import Output
 from equipoise.cli.terminal_operator import TerminalOperator
@@ -38,10 +37,8 @@ def check(ran, *, shown=SHOWN):
 def test_output_escapes_whatever_it_is_given(capsys):
     output = Output(as_json=False)
     ways = (
-        lambda: output.tell(Text(HOSTILE)),
         lambda: output.tell(HOSTILE),
         lambda: output.warn(HOSTILE),
-        lambda: output.result(**{HOSTILE: HOSTILE}),
         lambda: output.result(table={HOSTILE: {HOSTILE: HOSTILE}}, then=HOSTILE),
         lambda: TerminalOperator(output).notify(OperatorMessage("notice", HOSTILE)),
     )
@@ -50,17 +47,6 @@ def test_output_escapes_whatever_it_is_given(capsys):
         said = capsys.readouterr().out
         assert "owned" in said
         assert not raw(said), said
-
-
-def test_a_live_display_escapes_its_words(capsys, monkeypatch):
-    monkeypatch.setenv("TTY_COMPATIBLE", "1")  # rich takes it for a terminal
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    with Output(as_json=False).busy(HOSTILE) as rename:
-        rename(HOSTILE)
-    said = capsys.readouterr().err
-    assert r"evil\x1b[2J" in said
-    assert "\x1b[2J" not in said
-    assert "\x1b]0;" not in said
 
 
 HOSTILE_ARM = iiwa(7).model_copy(

@@ -6,11 +6,7 @@ import time
 
 import pytest
 
-from equipoise.control.policy import shipped_policy
 from equipoise.logs.run_log import RunLog
-from equipoise.model.actuator import Actuator
-from equipoise.rig import clocks
-from equipoise.robots.kst.robot import KstRobot
 from tests.cli.conftest import contents
 from tests.robots.encoder.by_hand import RELEASE, ByHand
 from tests.robots.encoder.rig import Bench
@@ -39,37 +35,12 @@ def test_a_dry_run_ends_before_the_arm_moves_and_names_the_run_itself(equipoise)
     assert ran.out.endswith(f"next: equipoise {again}\n")
 
 
-@pytest.mark.full
-def test_an_arm_that_fits_no_policy_leads_to_a_training_for_it(equipoise, pendulum, tmp_path):
-    slow = Actuator.assumed("kst", delay=0.05, lag=0.008)
-    policy = shipped_policy().model_copy(update={"pendulum": pendulum, "actuator": slow})
-    policy.save(tmp_path / "slow.json", command="test")
-    pendulum.save(tmp_path / "my-pendulum.json", command="test")
-    ran = equipoise(
-        "deploy", "slow.json", "--robot", "twin:nominal", "--arm", "iiwa7", "--identify"
-    )
-    assert "arm not identified" in ran.out, ran
-    then = "train my-pendulum.json --arm iiwa7 --actuator run-actuator.json"
-    assert ran.out.endswith(f"next: equipoise {then}\n")
-
-
-def test_a_driver_that_sleeps_ends_a_run_on_a_twin(equipoise, monkeypatch):
-    monkeypatch.setattr(clocks, "STALL", 0.5)
-    monkeypatch.setattr(KstRobot, "_wait", lambda robot, duration: time.sleep(1e-3))
-    ran = equipoise("deploy", "--robot", "twin:nominal")
-    assert ran.code == 3, ran
-    assert "KstRobot.connect has waited for 0.5 s" in ran.err
-
-
 @pytest.mark.parametrize(
     ("verb", "stage"),
     [
         ("deploy", "rig.simulate.simulate_run"),
-        ("rig doctor", "rig.preflight.examine"),
         ("train", "learning.target.train_to_target"),
         ("evaluate", "worlds.evaluation.evaluate"),
-        ("reproduce", "reproduction.pipeline.reproduce"),
-        ("warm-up", "reproduction.warm_up.warm_up"),
     ],
 )
 def test_a_signal_ends_a_verb_with_its_exit_code(equipoise, monkeypatch, verb, stage):

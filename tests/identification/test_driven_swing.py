@@ -41,7 +41,7 @@ class Rig(NamedTuple):
 RIGHT = Rig()
 
 
-def recording(rng, rig=RIGHT, *, swinging=0.0):
+def recording(rng, rig):
     """Return times and counts of the encoder, times and places of the pivot, the resting count."""
     begin = rng.uniform(0.3, 0.6)
     path = flange_move(rng.uniform(-0.02, 0.02), rng.choice([-1.0, 1.0]))
@@ -62,7 +62,7 @@ def recording(rng, rig=RIGHT, *, swinging=0.0):
     )
     # It rests where dry friction lets it.
     theta = rng.uniform(-1.0, 1.0) * plant.coulomb / plant.w2
-    phi, phi_dot = pi - theta, -swinging
+    phi, phi_dot = pi - theta, 0.0
     thetas = np.empty_like(x)
     for i in range(len(grid)):
         thetas[i] = pi - phi
@@ -76,17 +76,12 @@ def recording(rng, rig=RIGHT, *, swinging=0.0):
     replies = np.arange(0.01, grid[-1], 0.01)
     measured = np.interp(replies, grid, x) + 2e-5 * rng.standard_normal(len(replies))
     # Referenced while it rested, or was held beside the vertical.
-    resting = np.median(counts[:200]) if not swinging else float(start)
-    resting += round(radians(rig.zero_deg) * COUNTS / (2 * pi))
+    resting = np.median(counts[:200]) + round(radians(rig.zero_deg) * COUNTS / (2 * pi))
     return stamps, counts, replies + 0.005, measured, float(resting)
 
 
-def unchanged(*signals):
-    return signals
-
-
-def judged(rng, rig=RIGHT, change=unchanged, **options):
-    stamps, counts, replies, x, resting = change(*recording(rng, rig, **options))
+def judged(rng, rig=RIGHT, change=lambda *signals: signals):
+    stamps, counts, replies, x, resting = change(*recording(rng, rig))
     return self_test(
         stamps,
         counts,
@@ -105,13 +100,10 @@ def judged(rng, rig=RIGHT, change=unchanged, **options):
         (RIGHT, SelfTestVerdict.PASSED, "as the model says"),
         (Rig(sign=-1.0), SelfTestVerdict.FAILED, "the encoder's sign"),
         (Rig(factor=0.5), SelfTestVerdict.FAILED, "counts per revolution"),
-        (Rig(factor=1.1), SelfTestVerdict.FAILED, "counts per revolution"),
-        (Rig(w2=0.7), SelfTestVerdict.FAILED, "w2 is"),
         (Rig(w2=0.9), SelfTestVerdict.FAILED, "w2 is"),
         (Rig(w2=1.1), SelfTestVerdict.FAILED, "w2 is"),
         (Rig(late=0.03), SelfTestVerdict.FAILED, "behind the arm"),
         (Rig(zero_deg=1.0), SelfTestVerdict.ZERO, "reference it again"),
-        (Rig(zero_deg=-1.0), SelfTestVerdict.ZERO, "reference it again"),
         (Rig(touch=5.0), SelfTestVerdict.FAILED, "the model leaves"),
     ],
     ids=str,
@@ -150,18 +142,11 @@ def test_a_disturbed_swing_is_repeated():
     assert result.zero_half > ZERO_INTERVAL
 
 
-def by_hand(t, c, s, x, r):
-    return t, r + 60.0 * np.sin(2 * pi * 0.9 * t) + 40.0 * np.sin(2 * pi * 0.37 * t), s, x, r
-
-
 @pytest.mark.parametrize(
     ("change", "word"),
     [
-        (by_hand, "the model leaves"),
         (lambda t, c, s, x, r: (t, np.full_like(c, r), s, x, r), "encoder moved"),
         (lambda t, c, s, x, r: (t, c, s, 0.0 * x, r), "flange"),
-        (lambda t, c, s, x, r: (t[::-1], c, s, x, r), "increase"),
-        (lambda t, c, s, x, r: (t[:100], c[:100], s, x, r), "samples"),
         (lambda t, c, s, x, r: (t[t < 2.5], c[t < 2.5], s, x, r), "observed"),
     ],
 )

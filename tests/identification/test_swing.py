@@ -117,8 +117,7 @@ def test_the_furuta_swings_need_not_be_told_where_the_hand_lets_go(recordings, r
 
 
 RECORDED = [
-    # name, first and last start [s] (three periods are left), length of a window [s], w2 [1/s^2],
-    # largest relative difference (a short window at small amplitude)
+    # name, first and last start [s], length of a window [s], w2 [1/s^2], largest difference
     ("free_swing_furuta_01.csv", 0.544, 3.4, 5.0, 120.0, 8e-3),
     ("free_swing_furuta_03.csv", 0.286, 3.4, 5.0, 120.0, 8e-3),
     ("gyro_wheel.csv", 0.0, 1.1, 5.0, 19.38, 3e-3),
@@ -128,7 +127,7 @@ RECORDED = [
 
 @pytest.mark.parametrize(("name", "first", "last", "length", "w2", "within"), RECORDED)
 def test_no_start_of_a_recorded_swing_is_refused(recordings, name, first, last, length, w2, within):
-    for start in np.linspace(first, last, 4):
+    for start in (first, last):
         pendulum = identify(read_swing(recordings / name, start=start, end=start + length))
         assert pendulum.w2.value == pytest.approx(w2, rel=within), f"from {start:.3f} s"
         assert pendulum.fit.quantity == ("rate" if "gyro" in name else "angle")
@@ -175,7 +174,7 @@ def test_small_and_large_swings_give_the_same_pendulum(amplitude, rate_hz):
     assert (short, small) == (amplitude == 3.0, amplitude < 0.1)
 
 
-@pytest.mark.parametrize("amplitude", [0.1, 1.5, 2.6])
+@pytest.mark.parametrize("amplitude", [0.1, 2.6])
 def test_a_gyro_gives_the_pendulum_and_its_bias(amplitude):
     rng, time = np.random.default_rng(2), np.arange(0.0, 6.0, 0.005)
     _, rate = reference.swing(time, amplitude, 0.0, w2=70.2, c=0.15)
@@ -222,7 +221,6 @@ def lift(angle, seconds):
 
 HANDS = {
     "held still for a second": lambda: lift(1.0, 1.0),
-    "held longer than it swings": lambda: lift(1.0, 12.0),
     "moved to and fro": lambda: 1.0 * np.cos(2.0 * np.arange(1000) * STEP) ** 3 + 0.2,
     "pushed in time with the swing": lambda: (
         np.linspace(0.1, 1.0, 500) * np.cos(2.0 * pi / PERIOD * (np.arange(500) - 500) * STEP)
@@ -248,7 +246,7 @@ def test_a_hand_that_stops_the_swing_is_left_out():
     assert pendulum.w2.value == pytest.approx(70.2, rel=1e-3)
 
 
-@pytest.mark.parametrize(("gap", "lasts"), [(0.0, 0.3), (0.0, 0.5), (0.6, 0.5)])
+@pytest.mark.parametrize(("gap", "lasts"), [(0.0, 0.3), (0.6, 0.5)])
 def test_several_swings_in_one_recording_are_distinguished(gap, lasts):
     # The pendulum is lifted again within about half a period; or the recorder paused meanwhile.
     time, theta = [], []
@@ -281,7 +279,7 @@ def test_a_richer_friction_is_asked_for_where_it_is_missing():
     assert (quadratic.richer_friction, quadratic.warnings) == (None, ())
 
 
-def refused_or_warned(swing, friction):
+def refused_or_warned(swing, friction="viscous"):
     """Return what the user reads about a swing."""
     try:
         return " ".join(identify(swing, with_friction(friction)).fit.warnings)
@@ -289,53 +287,28 @@ def refused_or_warned(swing, friction):
         return str(refusal)
 
 
-def spring(amplitude=0.55):
-    time = np.arange(0.0, 20.0, 0.017)
-    theta = amplitude * np.exp(-0.01 * time) * np.cos(2.0 * pi * time / 1.31)
-    return Trajectory(time=time, theta=theta, resolution=radians(0.001))
-
-
-def test_a_richer_friction_is_never_worse_for_any_oscillator():
-    rng, swings = np.random.default_rng(44), [spring(), spring(1.5)]
-    for seed in range(8):
-        w2 = 10.0 ** rng.uniform(1.0, 2.3)
-        c, coulomb, drag = (rng.integers(2) * 10.0 ** rng.uniform(-3.0, -1.5) for _ in range(3))
-        truth = PendulumParameters(w2, w2 / 9.81, c * sqrt(w2), coulomb * w2, drag)
-        period, theta0 = 2.0 * pi / sqrt(w2), rng.uniform(0.3, 2.5)
-        options = {"duration": 12.0 * period, "rate_hz": 50.0 / period, "seed": seed}
-        swings.append(simulated(truth, theta0=theta0, **options))
-    for swing in swings:
-        rms = [identify(swing, with_friction(model)).fit.rms for model in MODELS]
-        assert rms == sorted(rms, reverse=True)
-
-
 @pytest.mark.parametrize("friction", MODELS)
 def test_a_spring_is_named_and_no_other_friction_advised(friction):
-    said = refused_or_warned(spring(), friction)
+    time = np.arange(0.0, 20.0, 0.017)
+    theta = 0.55 * np.exp(-0.01 * time) * np.cos(2.0 * pi * time / 1.31)
+    spring = Trajectory(time=time, theta=theta, resolution=radians(0.001))
+    said = refused_or_warned(spring, friction)
     assert "period does not depend on the amplitude: a spring" in said
     assert "--friction" not in said
 
 
-WRONG_UNITS = {
-    "four times too few counts per revolution": (4.0, "4 times smaller"),
-    "twice too many counts per revolution": (0.5, "2 times larger"),
-}
-
-
-@pytest.mark.parametrize(("factor", "said"), WRONG_UNITS.values(), ids=WRONG_UNITS)
-@pytest.mark.parametrize("amplitude", [0.6, 1.5])
-def test_counts_per_revolution_that_are_off_are_suspected_by_the_period(factor, said, amplitude):
-    swing = simulated(theta0=amplitude, noise=1e-4, duration=8.0)
+@pytest.mark.parametrize(("factor", "said"), [(4.0, "4 times smaller"), (0.5, "2 times larger")])
+def test_counts_per_revolution_that_are_off_are_suspected_by_the_period(factor, said):
+    swing = simulated(theta0=1.5, noise=1e-4, duration=8.0)
     wrong = replace(swing, theta=factor * swing.theta, sha256="")
-    assert said in refused_or_warned(wrong, "viscous")
+    assert said in refused_or_warned(wrong)
 
 
-@pytest.mark.parametrize("amplitude", [0.5, 1.0, 2.4])
-def test_deg_per_s_taken_for_rad_per_s_are_suspected_by_the_period(amplitude):
+def test_deg_per_s_taken_for_rad_per_s_are_suspected_by_the_period():
     rng, time = np.random.default_rng(2), np.arange(0.0, 8.0, 0.005)
-    _, rate = reference.swing(time, amplitude, 0.0, w2=70.2, c=0.15)
+    _, rate = reference.swing(time, 1.0, 0.0, w2=70.2, c=0.15)
     recorded = np.rad2deg(rate + 0.005 * rng.standard_normal(len(time)))
-    said = refused_or_warned(Trajectory(time=time, theta_dot=recorded), "viscous")
+    said = refused_or_warned(Trajectory(time=time, theta_dot=recorded))
     assert "57.3 times smaller than recorded" in said
 
 
@@ -378,10 +351,8 @@ CHIRP = np.arange(0.0, 10.0, STEP)
 NOISE = np.random.default_rng(0).standard_normal(2000)
 NO_SWINGS = {
     "a third of a period": lambda: simulated(theta0=0.5, duration=0.3 * PERIOD),
-    "at rest": lambda: plain(np.zeros(2000)),
     "noise": lambda: plain(0.01 * NOISE),
     "a chirp": lambda: plain(0.3 * np.sin(CHIRP * (3.0 + CHIRP))),
-    "sampled too slowly": lambda: simulated(theta0=0.5, rate_hz=5.0, duration=20.0),
     "milliseconds as seconds": lambda: simulated(
         PendulumParameters(70.2e-6, 7.15e-6, 0.15e-3), duration=4e3, rate_hz=0.25
     ),

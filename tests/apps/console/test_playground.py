@@ -41,16 +41,6 @@ def test_a_delay_without_prediction_falls_and_with_it_stands():
     assert not played(playground, 30.0).fallen
 
 
-def test_the_boxes_light_up_where_the_policy_is():
-    playground = Playground(SCENES["balance"])
-    played(playground, 3.0)
-    assert playground.used[playground.box] == 1.0
-    assert 3 <= np.count_nonzero(playground.used > 0.1) < 200
-    playground.set(SCENES["lqr"])
-    assert played(playground, 1.0).box == -1
-    assert not playground.used.any()
-
-
 def test_the_page_pushes_and_changes_the_rig(monkeypatch):
     viser = pytest.importorskip("viser", reason="viser is not installed (extra console)")
     server, pushes = viser.ViserServer("127.0.0.1", 0, verbose=False), []

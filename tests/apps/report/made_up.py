@@ -36,20 +36,17 @@ PROVENANCE = Provenance(
 )
 
 
-def swing(rate=False, source="swing.csv"):
+def swing(source="swing.csv"):
     """A decaying cosine: near enough to a small swing to be drawn as one."""
     time = np.arange(0.0, 5.0, 0.005)
     free = time - RELEASE
     decay = np.where(free < 0.0, 1.0, np.exp(-0.5 * C * free))
     theta = 0.05 * decay * np.cos(np.sqrt(W2) * np.maximum(free, 0.0))
-    if rate:
-        return Trajectory(time=time, theta_dot=np.gradient(theta, time), source=source)
     return Trajectory(time=time, theta=theta, source=source)
 
 
-def pendulum(trajectory, warnings=(), release=RELEASE):
+def pendulum(trajectory, warnings=()):
     """What was identified from it."""
-    rate = trajectory.theta is None
 
     def estimate(value):
         return Estimate.normal(value, 0.001 * value, "identified")
@@ -65,9 +62,9 @@ def pendulum(trajectory, warnings=(), release=RELEASE):
         fit=SwingFit(
             source=trajectory.source,
             sha256=trajectory.sha256,
-            quantity="rate" if rate else "angle",
+            quantity="angle",
             window=(RELEASE, 4.995),
-            release=release,
+            release=RELEASE,
             samples=900,
             periods=6.0,
             rms=2e-4,
@@ -81,19 +78,15 @@ def pendulum(trajectory, warnings=(), release=RELEASE):
     )
 
 
-def policy(of, recipe="robust", unvisited=7):
+def policy(of, recipe="robust"):
     """A table that pushes towards where the pendulum leans, after a training with a selection."""
     settings = resolve(recipe)
     visits = np.ones((270, 8), dtype=np.int64)
-    visits[:unvisited] = 0
+    visits[:7] = 0
     lean = np.repeat([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0], 45)
     selected = settings.selection.every > 0
     curve = [
-        LearningPoint(
-            episodes=n,
-            steps=40 * n,
-            duration=n / 1000.0,
-        )
+        LearningPoint(episodes=n, steps=40 * n, duration=n / 1000.0)
         for n in range(1000, 10001, 1000)
     ]
     candidates = [
@@ -161,12 +154,8 @@ def run(of, lasted=60.0, cause=Outcome.LASTED, world=MODEL):
     twin = None if world == MODEL else read_world(world)
 
     def state(t):
-        return {
-            "x": 0.12 * np.sin(t),
-            "x_dot": 0.12 * np.cos(t),
-            "phi": 0.05 * np.sin(8.0 * t),
-            "phi_dot": 0.4 * np.cos(8.0 * t),
-        }
+        track = {"x": 0.12 * np.sin(t), "x_dot": 0.12 * np.cos(t)}
+        return track | {"phi": 0.05 * np.sin(8.0 * t), "phi_dot": 0.4 * np.cos(8.0 * t)}
 
     was = state(time - AHEAD if twin else time)
     u = np.array(paper.ACTIONS)[np.arange(n) // 3 % 8]

@@ -2,16 +2,10 @@
 
 import numpy as np
 import pytest
-from matplotlib import rcParams
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
-from scipy.integrate import solve_ivp
 
-from equipoise.apps.report.figures import free_swing
 from equipoise.apps.report.page import FIGURES
-from equipoise.apps.style import render, save
-from equipoise.errors import RecordingError
-from equipoise.identification.recording import fitted_curve
 from tests.apps.report import made_up
 
 LABELS = {
@@ -52,44 +46,6 @@ def test_a_figure_names_what_it_shows_with_units_and_cuts_nothing_off(drawn, nam
         box = panel.get_tightbbox(artist.get_renderer())
         assert page.contains(box.x0, box.y0), name
         assert page.contains(box.x1, box.y1), name
-
-
-def test_equal_values_give_equal_files_whatever_the_settings_of_matplotlib(
-    results, tmp_path, monkeypatch
-):
-    first = [path.read_bytes() for path in save(FIGURES["swing"](results), tmp_path / "swing")]
-    monkeypatch.setitem(rcParams, "font.size", 30.0)
-    again = FIGURES["swing"](results)
-    assert first == [render(again, "svg"), render(again, "png")]
-
-
-def test_the_fitted_curve_solves_the_pendulums_equation(results):
-    swing, pendulum = results.swing, results.pendulum
-    inside = swing.time >= made_up.RELEASE
-    witness = solve_ivp(
-        lambda _, s: [s[1], -made_up.W2 * np.sin(s[0]) - made_up.C * s[1]],
-        (made_up.RELEASE, swing.time[-1]),
-        [0.05, 0.0],
-        t_eval=swing.time[inside],
-        rtol=1e-10,
-        atol=1e-12,
-    )
-    np.testing.assert_allclose(fitted_curve(swing, pendulum)[inside], witness.y[0], atol=1e-6)
-    with pytest.raises(RecordingError):
-        free_swing(made_up.swing(rate=True), pendulum)
-
-
-def test_a_gyros_recording_is_drawn_as_a_rate():
-    trajectory = made_up.swing(rate=True)
-    shown = texts(free_swing(trajectory, made_up.pendulum(trajectory)))
-    assert "angular velocity dθ/dt [°/s]" in shown
-
-
-def test_the_learning_curve_is_the_mean_between_its_points(drawn):
-    means, edges, _ = drawn["learning-curve"].axes[0].patches[0].get_data()
-    # The training of `made_up` takes 40 steps of 0.01 s in every episode.
-    np.testing.assert_allclose(means, 0.4)
-    np.testing.assert_array_equal(edges, 1000 * np.arange(11))
 
 
 def test_the_picture_of_the_policy_has_its_commands_where_the_boxes_are(results, drawn):
@@ -139,9 +95,3 @@ def test_a_run_is_drawn_as_observed_and_as_it_was(results, drawn, name, until):
         np.testing.assert_allclose(drawn_lines, unit * np.array([was[:until], seen[:until]]))
     limits = {line.get_ydata()[0] for line in axes[2].lines if len(line.get_ydata()) == 2}
     assert {-11.0, 11.0, -5.0, -1.0, 0.0, 1.0, 5.0} <= limits
-
-
-def test_the_runs_of_both_recipes_have_the_same_axes(drawn):
-    for one, other in zip(drawn["run"].axes, drawn["literal-run"].axes, strict=True):
-        assert one.get_xlim() == other.get_xlim() == (0.0, 5.0)
-        np.testing.assert_allclose(one.get_ylim(), other.get_ylim())

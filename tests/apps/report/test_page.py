@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 
 from equipoise import film
-from equipoise.apps.report import page as page_module
 from equipoise.apps.report.page import FIGURES, PAGE, build, page
-from equipoise.errors import ArtefactError, OutsideError
+from equipoise.errors import ArtefactError
 from equipoise.identification.recording import write_swing
 from equipoise.model.actuator import shipped_actuator
-from equipoise.model.worlds import MODEL, TwinSettings
+from equipoise.model.worlds import MODEL
 from equipoise.outcomes import Outcome
 from equipoise.reproduction import results as files
-from equipoise.settings import Settings
 from tests.apps.report import made_up
 
 HOSTILE = "<script>alert('x')</script>&\x1b[2J.csv"
@@ -60,17 +58,6 @@ def made(missing="", **changes):
 @pytest.fixture(scope="module")
 def plain():
     return made()
-
-
-def test_all_links_lead_to_a_place_and_all_sections_are_linked(plain):
-    attributes = Reader(plain).attributes
-    links = [v for _, name, v in attributes if name == "href"]
-    places = [v for _, name, v in attributes if name == "id"]
-    sections = [v for tag, name, v in attributes if (tag, name) == ("section", "id")]
-    to_sections = [link for link in links if not link.startswith(("#at-", "#large-"))]
-    assert to_sections == [f"#{section}" for section in sections]
-    assert len(set(places)) == len(places)
-    assert {link[1:] for link in links} == set(places)
 
 
 @pytest.mark.parametrize("changes", [{}, {"world": MODEL}, {"recipe": "paper"}])
@@ -140,16 +127,6 @@ def test_the_page_depends_on_the_results(plain, changes, there):
     assert there not in Reader(plain).text
 
 
-def test_every_setting_is_there_with_value_and_reason(plain):
-    words = Reader(plain).text
-    for section, model in Settings.model_fields.items():
-        for key in model.annotation.model_fields:
-            assert f"{section}.{key}" in words
-    assert "clik.K_p400Gain on the pose error" in words
-    for key in TwinSettings.model_fields:
-        assert key in words
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A folder as `reproduce` leaves it."""
@@ -159,16 +136,13 @@ def folder(tmp_path_factory):
     # The digest of a recording is that of its file.
     swing = files.read_swing(out / files.SWING)
     policy = made_up.policy(made_up.pendulum(swing))
-    found = found._replace(
-        swing=swing,
-        pendulum=policy.pendulum,
-        default=files.RecipeResults(
-            policy=policy,
-            evaluation=made_up.evaluation(policy),
-            twin_evaluation=made_up.twin_evaluation(policy),
-            run=made_up.run(policy, lasted=8.0, cause=Outcome.TRACK, world="twin:nominal"),
-        ),
+    recipe = found.default._replace(
+        policy=policy,
+        evaluation=made_up.evaluation(policy),
+        twin_evaluation=made_up.twin_evaluation(policy),
+        run=made_up.run(policy, lasted=8.0, cause=Outcome.TRACK, world="twin:nominal"),
     )
+    found = found._replace(swing=swing, pendulum=policy.pendulum, default=recipe)
     record = found.record.model_copy(update={"files": dict(files.digests(found))})
     files.save(found._replace(record=record), out)
     return out
@@ -185,17 +159,6 @@ def test_the_page_is_built_from_the_folder_alone(folder, monkeypatch):
     assert folder.parent.name not in text  # no path of this machine
     assert {f"{name}.svg" for name in FIGURES} < {p.name for p in (folder / "figures").iterdir()}
     assert told[-1] == (PAGE, 1.0)
-
-
-@pytest.mark.full
-def test_without_opengl_the_page_says_why_the_film_is_missing(folder, monkeypatch):
-    def fail(*_, **__):
-        raise OutsideError("cannot draw pictures")
-
-    monkeypatch.setattr(page_module, "write_film", fail)
-    monkeypatch.setattr(page_module, "FIGURES", dict.fromkeys(FIGURES, FIGURES["swing"]))
-    text = build(folder).read_text(encoding="utf-8")
-    assert "The film of the run is missing: cannot draw pictures." in Reader(text).text
 
 
 @pytest.mark.parametrize("prefix", ["", files.LITERAL])
