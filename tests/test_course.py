@@ -69,14 +69,11 @@ def run(book, folder, answers):
 
 
 @pytest.mark.compiled_only
-def test_the_first_notebook_runs(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [(NOTEBOOKS[0], WRONG), *(pytest.param(n, (), marks=pytest.mark.slow) for n in NOTEBOOKS[1:])],
+)
+def test_a_notebook_runs(tmp_path, monkeypatch, name, wrong):
     monkeypatch.delenv("MPLBACKEND", raising=False)  # the kernel chooses the one of notebooks
-    run(with_answers(NOTEBOOKS[0], WRONG), tmp_path, ("not solved yet", "not yet", "right."))
-
-
-@pytest.mark.slow
-@pytest.mark.compiled_only
-@pytest.mark.parametrize("name", NOTEBOOKS[1:])
-def test_every_other_notebook_runs(tmp_path, monkeypatch, name):
-    monkeypatch.delenv("MPLBACKEND", raising=False)
-    run(with_answers(name), tmp_path, ("not solved yet", "right."))
+    answers = ("not solved yet", "not yet", "right.") if wrong else ("not solved yet", "right.")
+    run(with_answers(name, wrong), tmp_path, answers)

@@ -17,7 +17,6 @@ from equipoise.reproduction.results import (
     RecipeResults,
     ReproductionRecord,
     Results,
-    digests,
 )
 from equipoise.settings import resolve
 from equipoise.worlds.evaluation import Evaluation, TrialResults
@@ -198,7 +197,6 @@ def results(
     quick=False,
     given=None,
     warnings=(),
-    falls=(3.0, 20.0),
     world="twin:nominal",
     **of_run,
 ):
@@ -207,7 +205,7 @@ def results(
     identified = pendulum(trajectory, warnings)
     trained, literal = policy(identified, recipe), policy(identified, "paper")
     twin = world != MODEL
-    found = Results(
+    return Results(
         record=ReproductionRecord(
             quick=quick,
             seed=0,
@@ -220,7 +218,7 @@ def results(
         pendulum=identified,
         default=RecipeResults(
             policy=trained,
-            evaluation=evaluation(trained, falls),
+            evaluation=evaluation(trained),
             twin_evaluation=twin_evaluation(trained) if twin else None,
             run=run(trained, world=world, **of_run),
         ),
@@ -231,5 +229,3 @@ def results(
             run=run(literal, lasted=1.5, cause=Outcome.ANGLE, world=world),
         ),
     )
-    record = found.record.model_copy(update={"files": digests(found)})
-    return found._replace(record=record)

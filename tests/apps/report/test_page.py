@@ -6,14 +6,10 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from equipoise import film
-from equipoise.apps.report.page import FIGURES, PAGE, build, page
-from equipoise.errors import ArtefactError
-from equipoise.identification.recording import write_swing
+from equipoise.apps.report.page import FIGURES, page
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.worlds import MODEL
 from equipoise.outcomes import Outcome
-from equipoise.reproduction import results as files
 from tests.apps.report import made_up
 
 HOSTILE = "<script>alert('x')</script>&\x1b[2J.csv"
@@ -125,52 +121,3 @@ def test_the_comparison_states_the_paper_and_both_recipes(plain):
 def test_the_page_depends_on_the_results(plain, changes, there):
     assert there in Reader(made(**changes)).text
     assert there not in Reader(plain).text
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A folder as `reproduce` leaves it."""
-    out = tmp_path_factory.mktemp("machine") / "report"
-    found = made_up.results()
-    write_swing(out / files.SWING, found.swing)
-    # The digest of a recording is that of its file.
-    swing = files.read_swing(out / files.SWING)
-    policy = made_up.policy(made_up.pendulum(swing))
-    recipe = found.default._replace(
-        policy=policy,
-        evaluation=made_up.evaluation(policy),
-        twin_evaluation=made_up.twin_evaluation(policy),
-        run=made_up.run(policy, lasted=8.0, cause=Outcome.TRACK, world="twin:nominal"),
-    )
-    found = found._replace(swing=swing, pendulum=policy.pendulum, default=recipe)
-    record = found.record.model_copy(update={"files": dict(files.digests(found))})
-    files.save(found._replace(record=record), out)
-    return out
-
-
-@pytest.mark.full
-def test_the_page_is_built_from_the_folder_alone(folder, monkeypatch):
-    monkeypatch.setitem(film.FORMATS, film.WEBP, (64, 64, 2.0))
-    told = []
-    path = build(folder, lambda name, share: told.append((name, share)))
-    text = path.read_text(encoding="utf-8")
-    Reader(text)
-    assert path == folder / PAGE
-    assert folder.parent.name not in text  # no path of this machine
-    assert {f"{name}.svg" for name in FIGURES} < {p.name for p in (folder / "figures").iterdir()}
-    assert told[-1] == (PAGE, 1.0)
-
-
-@pytest.mark.parametrize("prefix", ["", files.LITERAL])
-def test_a_file_of_another_reproduction_is_refused(folder, tmp_path, prefix):
-    for path in folder.iterdir():
-        if path.is_file():
-            (tmp_path / path.name).write_bytes(path.read_bytes())
-    name = f"{prefix}evaluation.json"
-    other = made_up.evaluation(files.TabularPolicy.load(folder / files.POLICY), falls=(1.0,))
-    other.save(tmp_path / name, command="test")
-    with pytest.raises(ArtefactError):
-        build(tmp_path)
-    (tmp_path / name).unlink()
-    with pytest.raises(ArtefactError):
-        build(tmp_path)
