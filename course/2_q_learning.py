@@ -12,9 +12,8 @@ from checks import check
 import equipoise as eq
 from equipoise import paper
 from equipoise.control.grid import box_count, box_index
-from equipoise.learning import q_learning
-from equipoise.learning.learner import Transition, new_tables
-from equipoise.learning.train import training_config
+from equipoise.learning.episodes import training_config
+from equipoise.learning.learner import Transition, new_tables, q_learning
 
 # %% [markdown]
 # ## Grid
@@ -61,12 +60,13 @@ for lean in (-8, -3, -0.5, 0.5, 3, 8):
 # %%
 learning = policy.settings.learning
 tables = new_tables(270, 0)
-update = training_config(policy.settings, policy.pendulum.k.value).update._replace(mirrored=False)
+update = training_config(policy.settings, policy.pendulum.k.value, 0).update._replace(
+    mirrored=False
+)
 falls = Transition(
     box=17,
     action=3,
     reward=-1.0,
-    discount=learning.gamma,
     box_next=18,
     failed=True,
     ended=True,
@@ -76,7 +76,7 @@ falls = Transition(
 )
 stands = falls._replace(reward=0.0, failed=False, ended=False)
 for transition in (falls, stands, stands, falls, stands):
-    q_learning.update(tables, transition, update)
+    q_learning(tables, transition, update)
     print("falls: " if transition.failed else "stands:", f"Q[17, 3] = {tables.Q[17, 3]:+.3f}")
 
 # %% [markdown]

@@ -24,8 +24,8 @@ import equipoise as eq
 #
 # $$ r + \gamma \left( \epsilon \,\overline{Q(s', \cdot)} + (1 - \epsilon) \max_{a'} Q(s', a') \right) $$
 #
-# **Exercise 1.** Complete the file. `transition` has `reward`, `discount` (that is $\gamma$, to the power of the
-# steps an action was held), `box`, `box_next`, `action`, `epsilon` and `failed`; `best_value(Q, box)` is the maximum.
+# **Exercise 1.** Complete the file. `transition` has `reward`, `box`, `box_next`, `action`, `epsilon` and `failed`;
+# `params.gamma` is $\gamma$, and `best_value(Q, box)` is the maximum.
 
 # %% tags=["exercise"]
 RULE = '''
@@ -57,8 +57,9 @@ def target_of(rule):
     names["update"].__globals__["move_towards"] = lambda *arguments: seen.append(arguments[3])
     Q = np.array([[0.0] * 8, [-0.8, -0.1, -0.3, -0.4, -0.2, -0.6, -0.7, -0.9]])
     tables = type("Tables", (), {"Q": Q})
-    fields = {"box": 0, "action": 2, "reward": 0.0, "discount": 0.9, "box_next": 1, "failed": False}
-    names["update"](tables, type("Transition", (), fields | {"epsilon": 0.2}), None)
+    fields = {"box": 0, "action": 2, "reward": 0.0, "box_next": 1, "failed": False, "epsilon": 0.2}
+    params = type("UpdateParams", (), {"gamma": 0.9})
+    names["update"](tables, type("Transition", (), fields), params)
     return seen[0]
 
 
@@ -66,7 +67,7 @@ check(
     1,
     ... if "..." in RULE else target_of(RULE),
     lambda target: abs(target - 0.9 * (0.2 * -0.5 + 0.8 * -0.1)) < 1e-9,
-    "discount * (epsilon * mean of Q[box_next] + (1 - epsilon) * best_value(Q, box_next)).",
+    "params.gamma * (epsilon * mean of Q[box_next] + (1 - epsilon) * best_value(Q, box_next)).",
 )
 
 # %% [markdown]

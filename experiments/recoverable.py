@@ -19,12 +19,12 @@ from scipy.linalg import expm
 from scipy.optimize import linprog
 
 from equipoise import paper
+from equipoise.arrays import fields, new_records
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.grid import PHI_LIMIT
 from equipoise.errors import SettingsError
-from equipoise.model.actuator import CYCLE, Actuator, follow, lag_share
+from equipoise.model.actuator import CYCLE, Actuator, Servos, follow, lag_share
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
-from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters, step
 from equipoise.settings import Settings
 from equipoise.worlds.reachability import diverging_angle, fall_rate, recoverable_angle
@@ -121,17 +121,18 @@ def response_delay(arm: Arm, actuator: Actuator, rate: float, u_max: float = pap
     _, lever_y, lever_z = home.rotation @ np.array(arm.pivot)
     along_x = np.linalg.solve(home.jacobian, np.eye(FREE_JOINTS)[0])
     of_pivot = home.jacobian[0] + lever_z * home.jacobian[4] - lever_y * home.jacobian[5]
-    q, dq, target = (np.zeros(FREE_JOINTS * BATCH_SIZE) for _ in range(3))
-    share = np.repeat([float(lag_share(lag.value)) for lag in actuator.lags], BATCH_SIZE)
+    records = new_records(Servos)
+    servos = fields(records, Servos)
+    servos.fraction[:, 0] = [float(lag_share(lag.value)) for lag in actuator.lags]
     interval = round(paper.STEP / SETPOINTS_PER_TICK / CYCLE)
     late, cycles = round(actuator.delay.value / CYCLE), round(RESPONSE_TIME / CYCLE)
     v = np.zeros(cycles)
     for cycle in range(cycles):
         # A setpoint is the place of the reference at the end of its interval.
         sent = max((cycle - late) // interval + 1, 0) * interval * CYCLE
-        target[::BATCH_SIZE] = 0.5 * u_max * sent**2 * along_x
-        follow(q, dq, target, share, actuator.parameters, 1)
-        v[cycle] = of_pivot @ dq[::BATCH_SIZE]
+        servos.target[:, 0] = 0.5 * u_max * sent**2 * along_x
+        follow(servos, actuator.parameters, 0, 1)
+        v[cycle] = of_pivot @ servos.dq[:, 0]
     # By parts, with the mean of the last interval and full acceleration from there on.
     weights = np.diff(-np.exp(-rate * CYCLE * np.arange(cycles + 1)))
     last = float(np.mean(v[-interval:])) + u_max / rate

@@ -11,16 +11,10 @@ from benchmarks.bench import (
 
 from equipoise import paper
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import resolve
-from equipoise.worlds import plant
-from equipoise.worlds.plant import (
-    TRACKED,
-    DomainRandomization,
-    make_loop_params,
-    new_batch_state,
-)
+from equipoise.worlds.plant import DomainRandomization, make_loop_params
+from tests.batch import Batch
 
 pytestmark = pytest.mark.full
 
@@ -35,8 +29,8 @@ def test_the_loop_through_pinocchio_moves_the_arm_as_ours_does(size):
     pytest.importorskip("pinocchio")
     arm = iiwa(size)
     peer = PinocchioLoop(arm, QUIET, paper.STEP)
-    params, ours = make_loop_params(arm, QUIET, paper.STEP, PENDULUM), new_batch_state()
-    plant.reset(params, ours, PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0), 0)
+    ours = Batch(make_loop_params(arm, QUIET, paper.STEP, PENDULUM))
+    ours.reset(PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0))
     rng = np.random.default_rng(5)
     x, x_dot, reached = 0.0, 0.0, 0.0
     for _ in range(1000):
@@ -44,12 +38,12 @@ def test_the_loop_through_pinocchio_moves_the_arm_as_ours_does(size):
         ahead = x + x_dot * abs(x_dot) / 2.0
         u = rng.choice(paper.ACTIONS) if abs(ahead) < 0.15 else -np.sign(ahead) * 2.0
         ours.controller.u[0] = u
-        plant.step(params, ours, 1)
+        ours.step()
         assert peer.run([float(u)]) == 1
-        assert peer.q == pytest.approx(ours.controller.q[::BATCH_SIZE], abs=1e-9)
+        assert peer.q == pytest.approx(ours.controller.q[:, 0], abs=1e-9)
         # u' is a difference of velocities over h = 0.01 s: a hundredth as exact.
-        assert peer.tracked == pytest.approx(ours.state[TRACKED * BATCH_SIZE], abs=1e-7)
-        x, x_dot = ours.state[0], ours.state[BATCH_SIZE]
+        assert peer.tracked == pytest.approx(ours.state.u_tracked[0], abs=1e-7)
+        x, x_dot, _, _ = ours.true(0)
         reached = max(reached, abs(x))
     assert peer.within
     assert 0.1 < reached < 0.22

@@ -21,25 +21,25 @@ def triple(x, out):
 """
 SESSION = """
 import os, sys
-if room := os.environ.get("ROOM"):  # no file may grow beyond it
-    import resource
-    resource.setrlimit(resource.RLIMIT_FSIZE, (int(room), resource.RLIM_INFINITY))
+if room := os.environ.get("ROOM"):
+    import shutil
+    shutil.disk_usage = lambda _: shutil._ntuple_diskusage(0, 0, int(room))
 sys.path.insert(0, sys.argv[1])
 import numba, numpy as np
 from equipoise import jit
 from tried import double, triple
 
 out = np.zeros(1)
-pointer = jit.function_pointer(triple, numba.void(numba.float64, numba.float64[::1]))
+address = jit.pointer(triple, numba.float64, numba.float64[::1])
 
 @jit.kernel
-def through(pointer, x, out):
-    pointer(x, out)
+def through(address, x, out):
+    jit.call(address, (x, out))
 
-through(pointer, 2.0, out)
+through(address, 2.0, out)
 four = double(2.0)
 hits = "plain" if double is getattr(double, "py_func", double) else sum(
-    double.stats.cache_hits.values()) + pointer.cache_hits
+    double.stats.cache_hits.values())
 print(four, out[0], hits)
 """
 
@@ -60,22 +60,18 @@ def session(folder, factor="2.0", **environment):
 
 
 @pytest.mark.skipif(not JIT, reason="nothing is compiled")
-def test_machine_code_is_found_again_unless_its_file_changed_or_is_damaged(tmp_path):
+def test_machine_code_is_found_again_unless_its_file_changed(tmp_path):
     assert session(tmp_path) == (["4.0", "6.0", "0"], "")
     if os.name == "posix":  # loading cached code runs it
         assert (tmp_path / "cache").stat().st_mode & 0o077 == 0
-    assert session(tmp_path) == (["4.0", "6.0", "2"], "")
-    for file in (tmp_path / "cache").rglob("*.nb?"):
-        file.write_bytes(file.read_bytes()[:20])
-    assert session(tmp_path) == (["4.0", "6.0", "0"], "")
-    assert session(tmp_path) == (["4.0", "6.0", "2"], "")
-    assert session(tmp_path, factor="5.0") == (["10.0", "6.0", "0"], "")
+    assert session(tmp_path) == (["4.0", "6.0", "1"], "")
+    assert session(tmp_path, factor="5.25") == (["10.5", "6.0", "0"], "")
 
 
 @pytest.mark.skipif(not JIT, reason="nothing is compiled")
 @pytest.mark.parametrize(
     ("environment", "reason"),
-    [({"EQUIPOISE_CACHE_DIR": __file__}, "Not a directory"), ({"ROOM": "100"}, "File too large")],
+    [({"EQUIPOISE_CACHE_DIR": __file__}, "File exists"), ({"ROOM": "1000000"}, "1 MB are free")],
 )
 def test_a_cache_that_takes_no_code_gives_one_warning_and_right_results(
     tmp_path, environment, reason
@@ -84,9 +80,6 @@ def test_a_cache_that_takes_no_code_gives_one_warning_and_right_results(
     assert told == ["4.0", "6.0", "0"]
     assert warning.count("cannot write the cache") == 1
     assert f"({reason})" in warning
-    if "ROOM" in environment:  # with room again, code is stored in the same folder
-        assert session(tmp_path) == (["4.0", "6.0", "0"], "")
-        assert session(tmp_path) == (["4.0", "6.0", "2"], "")
 
 
 def test_without_compilation_kernels_are_plain_functions(tmp_path):
@@ -98,31 +91,28 @@ def test_the_key_of_the_cache_changes_with_the_files_that_kernels_depend_on(tmp_
     from equipoise import jit
 
     monkeypatch.setattr(jit, "PACKAGE", tmp_path)
-    for package in ("control/inner", "cli"):
+    for package in ("worlds/twin", "control", "cli"):
         (tmp_path / package).mkdir(parents=True)
     seen = set()
     for name, text in (
-        ("a.py", ""),
-        ("control/inner/a.py", ""),
-        ("control/inner/a.py", "x = 1"),
-        ("b.py", "x = 1"),
+        ("jit.py", ""),
+        ("worlds/twin/a.py", ""),
+        ("worlds/twin/a.py", "x = 1"),
+        ("control/a.py", "x = 1"),
     ):
         (tmp_path / name).write_text(text)
         seen.add(jit.package_digest.__wrapped__())
     assert len(seen) == 4
-    for name in ("notes.txt", "control/notes.txt", "cli/help.py"):
+    for name in ("settings.py", "control/notes.txt", "cli/help.py"):
         (tmp_path / name).write_text("no kernel")
         assert jit.package_digest.__wrapped__() in seen
 
 
-def test_every_kernel_is_in_a_package_of_the_key():
+def test_every_kernel_is_in_a_file_of_the_key():
     from equipoise import jit
 
-    word = r"@(kernel|called|inlined|compilable)\b|= (function_pointer|struct_ref)\("
-    holding = [
-        file.relative_to(jit.PACKAGE).parts
-        for file in jit.PACKAGE.rglob("*.py")
-        if re.search(word, file.read_text())
-    ]
+    named = {file for pattern in jit.KERNEL_FILES for file in jit.PACKAGE.glob(pattern)}
+    word = r"@(kernel|inlined|compilable)\b|\b(pointer|kernel)\("
+    holding = {file for file in jit.PACKAGE.rglob("*.py") if re.search(word, file.read_text())}
     assert len(holding) > 10
-    assert {parts[0] for parts in holding if len(parts) > 1} <= set(jit.KERNEL_PACKAGES)
+    assert holding <= named

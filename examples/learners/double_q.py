@@ -48,7 +48,7 @@ def update(tables: Tables, transition: Transition, params: UpdateParams) -> None
     sign = 1.0 if transition.chance < 0.5 else -1.0
     target = transition.reward
     if not transition.failed:
-        target += transition.discount * value_of_best(Q, D, transition.box_next, sign)
+        target += params.gamma * value_of_best(Q, D, transition.box_next, sign)
     # The moved table changes by `change`, their mean and half their difference by half of it.
     value = Q[box, action] + sign * D[box, action]
     change = learning_rate(visits[box, action], params) * (target - value)

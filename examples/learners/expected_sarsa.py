@@ -23,7 +23,7 @@ def update(tables: Tables, transition: Transition, params: UpdateParams) -> None
     if not transition.failed:
         values, epsilon = tables.Q[transition.box_next], transition.epsilon
         greedy = best_value(tables.Q, transition.box_next)
-        target += transition.discount * (epsilon * values.mean() + (1.0 - epsilon) * greedy)
+        target += params.gamma * (epsilon * values.mean() + (1.0 - epsilon) * greedy)
     move_towards(tables, transition.box, transition.action, target, params)
 
 

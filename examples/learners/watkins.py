@@ -38,9 +38,9 @@ def update(tables: Tables, transition: Transition, params: UpdateParams) -> None
         trace[:] = 0.0
     target = transition.reward
     if not transition.failed:
-        target += transition.discount * best_value(Q, transition.box_next)
+        target += params.gamma * best_value(Q, transition.box_next)
     delta = target - Q[box, action]
-    fade = 0.0 if transition.ended else transition.discount * TRACE_DECAY
+    fade = 0.0 if transition.ended else params.gamma * TRACE_DECAY
     trace[box, action] = 1.0
     for s in range(trace.shape[0]):
         for a in range(trace.shape[1]):

@@ -39,7 +39,7 @@ def test_a_dry_run_ends_before_the_arm_moves_and_names_the_run_itself(equipoise)
     ("verb", "stage"),
     [
         ("deploy", "rig.simulate.simulate_run"),
-        ("train", "learning.target.train_to_target"),
+        ("train", "learning.train.train_to_target"),
         ("evaluate", "worlds.evaluation.evaluate"),
     ],
 )

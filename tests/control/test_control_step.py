@@ -3,24 +3,21 @@
 That all of it together equals a slow loop is shown in tests/worlds/test_plant.py.
 """
 
-import copy
 from math import pi
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from equipoise.arrays import fields, new_records
 from equipoise.artefacts import Estimate
 from equipoise.control.baselines import lqr_gains
 from equipoise.control.control_step import (
-    EST_PHI,
-    command,
+    ControllerState,
     horizon,
     make_controller_params,
-    new_controller_state,
-    observe,
-    start_controller,
 )
+from equipoise.control.controller import command_tick, estimate_of, observe_tick, start
 from equipoise.control.grid import TRUNCATED
 from equipoise.errors import SettingsError
 from equipoise.model.actuator import Actuator
@@ -28,13 +25,8 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import resolve
-from equipoise.worlds.plant import (
-    DomainRandomization,
-    make_loop_params,
-    new_batch_state,
-    reset,
-    step,
-)
+from equipoise.worlds.plant import DomainRandomization, make_loop_params
+from tests.batch import Batch
 from tests.reference.closed_loop import Joints
 
 ARM = iiwa(14)
@@ -107,17 +99,18 @@ def swinging(age, revolutions, counts=FINE, ticks=300):
         dense_output=True,
     ).sol
     controller = made(Actuator.assumed("lag", delay=0.01, lag=0.008), counts=counts)
-    memory = new_controller_state()
-    start_controller(controller, memory, 0.0, 0.0, *swing(0.0), 0)
-    memory.measured[::BATCH_SIZE] = ARM.home_free
+    records = new_records(ControllerState)
+    memory = fields(records, ControllerState)
+    start(controller, records, 0.0, 0.0, *swing(0.0))
+    memory.measured[:, 0] = ARM.home_free
     estimates = []
     for time in times[1:]:
         memory.u[0] = 0.0
-        command(controller, memory, 1)
+        command_tick(controller, records)
         theta = pi - swing(time - age)[0] + 2.0 * pi * revolutions
         memory.counts[0] = np.floor(theta * counts / (2.0 * pi) + 0.5)
-        observe(controller, memory, age, 0.0, 1)
-        estimates.append(memory.estimate[: 3 * BATCH_SIZE : BATCH_SIZE].copy())
+        observe_tick(controller, records, age, 0.0)
+        estimates.append(estimate_of(memory)[:3])
     return np.array(estimates), swing(times[1:]).T
 
 
@@ -126,7 +119,7 @@ def test_old_counts_are_taken_from_their_own_time_and_whole_revolutions_do_not_m
     age, revolutions
 ):
     estimates, truth = swinging(age, revolutions)
-    error = np.abs(estimates[:, EST_PHI] - truth[:, 0]).max()
+    error = np.abs(estimates[:, 0] - truth[:, 0]).max()
     fastest, hardest = np.abs(truth[:, 1]).max(), 70.2 * np.sin(0.6)
     # A straight line back: what is left is of second order, beside the first-order age * phi_dot.
     assert error < age**2 * hardest
@@ -136,23 +129,24 @@ def test_old_counts_are_taken_from_their_own_time_and_whole_revolutions_do_not_m
 def offsets_of(reply_age, actuator, believed_age):
     """Accelerate an arm that follows as the actuator says; return what corrects its model."""
     controller = made(actuator, "controller.predict=false")
-    memory = new_controller_state()
-    start_controller(controller, memory, 0.0, 0.0, 0.0, 0.0, 0)
+    records = new_records(ControllerState)
+    memory = fields(records, ControllerState)
+    start(controller, records, 0.0, 0.0, 0.0, 0.0)
     arm = Joints(actuator, 1.0, ARM.home_free)
     went, sent = [arm.q.copy()] * 50, [(-1000, ARM.home_free)]
     transport = round(1e3 * actuator.delay.value)
     offsets = []
     for tick in range(60):
         memory.u[0] = 1.0 if tick < 20 else 0.0
-        command(controller, memory, 1)
-        setpoints = memory.setpoints[::BATCH_SIZE].reshape(2, 6).copy()
+        command_tick(controller, records)
+        setpoints = memory.setpoints[:, :, 0].copy()
         sent += [(10 * tick, setpoints[0]), (10 * tick + 5, setpoints[1])]
         for ms in range(10 * tick, 10 * tick + 10):
             arm.millisecond([q for time, q in sent if time + transport <= ms][-1])
             went.append(arm.q.copy())
-        memory.measured[::BATCH_SIZE] = went[-1 - round(1e3 * reply_age)]
-        observe(controller, memory, 0.0, believed_age, 1)
-        offsets.append(memory.offset[::BATCH_SIZE].copy())
+        memory.measured[:, 0] = went[-1 - round(1e3 * reply_age)]
+        observe_tick(controller, records, 0.0, believed_age)
+        offsets.append(memory.offset[:, 0].copy())
     return np.array(offsets)
 
 
@@ -172,19 +166,17 @@ def balance(actuator, *overrides, ticks, push):
     """Yield plant and block of 16 trials, before each tick; all of them must last."""
     settings = resolve(overrides=overrides)
     plant = make_loop_params(ARM, settings, H, PENDULUM, actuator)
-    block, rng = new_batch_state(), np.random.default_rng(0)
+    block, rng = Batch(plant), np.random.default_rng(0)
     gains = np.array(lqr_gains(PENDULUM, H))
     for n in range(BATCH_SIZE):
-        reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.0, rng.uniform(-0.03, 0.03), 0.0), n)
+        block.reset(PENDULUM, NOMINAL, (0.0, 0.0, rng.uniform(-0.03, 0.03), 0.0), n)
     for _ in range(ticks):
         yield plant, block
-        u = gains @ block.controller.observation.reshape(4, BATCH_SIZE) + push * rng.choice(
-            [-1, 0, 1], BATCH_SIZE
-        )
+        u = gains @ block.observation() + push * rng.choice([-1, 0, 1], BATCH_SIZE)
         block.controller.u[:] = np.clip(u, -2.0, 2.0)
-        block.controller.noise[:] = rng.standard_normal(6 * BATCH_SIZE)
-        step(plant, block, BATCH_SIZE)
-        assert np.all(block.cause == TRUNCATED)
+        block.controller.noise[:] = rng.standard_normal((6, BATCH_SIZE))
+        block.step(BATCH_SIZE)
+        assert np.all(block.state.cause == TRUNCATED)
 
 
 def rms(values, axis=None):
@@ -193,11 +185,11 @@ def rms(values, axis=None):
 
 def later(plant, block, ticks):
     """Return the state of a block after some ticks without acceleration, shape (4, lanes)."""
-    block = copy.deepcopy(block)
+    block = Batch(plant, block.records)
     for _ in range(ticks):
         block.controller.u[:] = block.controller.noise[:] = 0.0
-        step(plant, block, BATCH_SIZE)
-    return block.state[: 4 * BATCH_SIZE].reshape(4, BATCH_SIZE)
+        block.step(BATCH_SIZE)
+    return block.true()
 
 
 @pytest.mark.compiled_only
@@ -220,8 +212,8 @@ def test_what_the_policy_sees_is_the_state_at_the_horizon(kind, horizon, lag):
         if tick >= 40 and tick % 10 == 0:
             assert plant.controller.horizon == pytest.approx(horizon, abs=1e-12)
             then = later(plant, block, round(horizon / H))
-            errors.append(block.controller.observation.reshape(4, BATCH_SIZE) - then)
-            changes.append(block.state[: 4 * BATCH_SIZE].reshape(4, BATCH_SIZE) - then)
+            errors.append(block.observation() - then)
+            changes.append(block.true() - then)
     x, x_dot, phi, phi_dot = rms(errors, axis=(0, 2))
     # Beside a track of 0.22 m and angles of 11 degrees; what is left of the velocities is the
     # ripple of setpoints that come 200 times a second.

@@ -68,12 +68,12 @@ def test_in_a_pause_the_model_comes_to_rest_with_the_twins_arm(unsent):
         for setpoint in (first, last):
             rig.body.target(setpoint)
             rig.advance(rig.now + 0.5 * H)
-    assert rig.truth().x_dot > 0.1
+    assert rig.twin.truth().x_dot > 0.1
     own.rest(last, 4, unsent)
     rig.advance(rig.now + 4 * H)
     own.observe(*counted(24), ARM.home, 0.004)
     assert own.x_dot == 0.0
-    assert own.x == pytest.approx(rig.truth().x, abs=2e-3)
+    assert own.x == pytest.approx(rig.twin.truth().x, abs=2e-3)
     # The estimate of the observer is that of the arm now, a delay behind the command.
-    assert own.estimate.v == pytest.approx(rig.truth().x_dot, abs=0.01)
+    assert own.estimate.v == pytest.approx(rig.twin.truth().x_dot, abs=0.01)
     assert delay < 2 * H

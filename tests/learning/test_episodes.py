@@ -6,17 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise import paper
-from equipoise.learning import q_learning
-from equipoise.learning.choice import compile_learner, load_learner
+from equipoise.arrays import fields
+from equipoise.learning.choice import compile_functions
 from equipoise.learning.episodes import (
-    BEGUN,
-    ENDED,
-    IN_USE,
-    STEPS,
+    Plant,
+    Totals,
+    compiled_loop,
     exploration,
-    new_training_loop,
     new_training_state,
-    train_episodes,
+    training_config,
 )
 from equipoise.learning.learner import (
     Tables,
@@ -25,8 +23,8 @@ from equipoise.learning.learner import (
     best_value,
     learning_rate,
     move_towards,
+    q_learning,
 )
-from equipoise.learning.train import training_config
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
@@ -38,7 +36,7 @@ WORD = 2**32
 
 def params(**changes):
     """Return constants of an update with some settings changed."""
-    return training_config(resolve(), 5.0).update._replace(**changes)
+    return training_config(resolve(), 5.0, 0).update._replace(**changes)
 
 
 def problem(pendulum, recipe, *overrides, actuator=IDEAL_ACTUATOR):
@@ -49,24 +47,20 @@ def problem(pendulum, recipe, *overrides, actuator=IDEAL_ACTUATOR):
     return plant, parameters, settings
 
 
-def trained(plant, parameters, settings, *stops, seed=0, number=0):
-    training = new_training_state(270, load_learner(settings.learning).tables)
-    constants, learner = training_config(settings, parameters.k), compile_learner(settings.learning)
-    key = np.array((seed, number))
-    loop = new_training_loop(plant, parameters, constants, learner, training, key)
+def trained(plant, parameters, settings, *stops, seed=0):
+    """Return tables and totals after a training that stops and goes on."""
+    training, config = new_training_state(270), training_config(settings, parameters.k, seed)
+    train_episodes = compiled_loop(*compile_functions(settings.learning))
     for until in stops:
-        train_episodes(loop, until)
-    return training
+        train_episodes(Plant(plant, parameters), config, training, until, 16)
+    return training.tables, fields(training.totals, Totals)
 
 
 def same(progress, other):
     """Tell whether two trainings have the same table and counts, bit for bit."""
-    return all(
-        ours.tobytes() == theirs.tobytes()
-        for ours, theirs in zip(
-            (*progress.tables, progress.totals), (*other.tables, other.totals), strict=True
-        )
-    )
+    (tables, totals), (others, counts) = progress, other
+    pairs = zip((*tables, totals), (*others, counts), strict=True)
+    return all(ours.tobytes() == theirs.tobytes() for ours, theirs in pairs)
 
 
 # Against the slow loop
@@ -90,14 +84,14 @@ def test_training_equals_the_slow_loop_bit_for_bit(pendulum, recipe, overrides):
     # Bits, not 1e-12: the same sums in the same order, and lanes do not see each other.
     plant, parameters, settings = problem(pendulum, recipe, "learning.episodes=100", *overrides)
     for until in (1, 100):
-        ours = trained(plant, parameters, settings, until, seed=11, number=2)
-        theirs = reference.train(plant, parameters, settings, until, 11, 2)
-        assert (ours.totals[BEGUN], ours.totals[ENDED]) == (theirs.begun, theirs.ended)
-        assert ours.totals[STEPS] == theirs.steps
-        assert np.array_equal(ours.tables.visits, theirs.visits)
-        assert np.array_equal(ours.tables.Q, theirs.Q)
-    assert ours.totals[IN_USE] == 0
-    assert np.count_nonzero(ours.tables.visits) > 60
+        tables, totals = trained(plant, parameters, settings, until, seed=11)
+        theirs = reference.train(plant, parameters, settings, until, 11)
+        assert (totals.begun, totals.ended) == (theirs.begun, theirs.ended)
+        assert totals.steps == theirs.steps
+        assert np.array_equal(tables.visits, theirs.visits)
+        assert np.array_equal(tables.Q, theirs.Q)
+    assert totals.running == 0
+    assert np.count_nonzero(tables.visits) > 60
 
 
 @pytest.mark.parametrize(
@@ -116,12 +110,12 @@ def test_training_behind_an_actuator_equals_the_slow_loop_bit_for_bit(pendulum, 
         *overrides,
         actuator=Actuator.assumed(kind, delay=0.0125, lag=0.01),
     )
-    ours = trained(plant, parameters, settings, 100, seed=5, number=1)
-    theirs = reference.train(plant, parameters, settings, 100, 5, 1)
-    assert ours.totals[STEPS] == theirs.steps
-    assert np.array_equal(ours.tables.visits, theirs.visits)
-    assert np.array_equal(ours.tables.Q, theirs.Q)
-    assert np.count_nonzero(ours.tables.visits) > 60
+    tables, totals = trained(plant, parameters, settings, 100, seed=5)
+    theirs = reference.train(plant, parameters, settings, 100, 5)
+    assert totals.steps == theirs.steps
+    assert np.array_equal(tables.visits, theirs.visits)
+    assert np.array_equal(tables.Q, theirs.Q)
+    assert np.count_nonzero(tables.visits) > 60
 
 
 # What the result depends on
@@ -130,19 +124,18 @@ def test_training_behind_an_actuator_equals_the_slow_loop_bit_for_bit(pendulum, 
 @pytest.mark.parametrize("episodes", [1, 15, 17])
 def test_fewer_episodes_than_lanes_are_trained_too(pendulum, episodes):
     plant, parameters, settings = problem(pendulum, "robust", f"learning.episodes={episodes}")
-    ours = trained(plant, parameters, settings, episodes)
-    theirs = reference.train(plant, parameters, settings, episodes, 0, 0)
-    assert ours.totals.tolist() == [episodes, episodes, 0, theirs.steps, theirs.steps]
-    assert np.array_equal(ours.tables.Q, theirs.Q)
+    tables, totals = trained(plant, parameters, settings, episodes)
+    theirs = reference.train(plant, parameters, settings, episodes, 0)
+    assert totals.tolist() == (episodes, episodes, 0, theirs.steps, theirs.steps)
+    assert np.array_equal(tables.Q, theirs.Q)
 
 
 def test_equal_seeds_give_equal_bits_wherever_one_stops_and_others_do_not(pendulum):
     given = problem(pendulum, "robust", "learning.episodes=30")
-    first = trained(*given, 30, seed=3, number=1)
-    assert same(first, trained(*given, *range(1, 31), seed=3, number=1))
-    # Seeds have 64 bits: the upper ones count.
-    for seed, number in ((4, 1), (3, 2), (3 + 2**40, 1)):
-        assert not same(first, trained(*given, 30, seed=seed, number=number))
+    first = trained(*given, 30, seed=3)
+    assert same(first, trained(*given, *range(1, 31), seed=3))
+    for seed in (4, 3 + 2**40):  # seeds have 64 bits: the upper ones count
+        assert not same(first, trained(*given, 30, seed=seed))
 
 
 # Equation (1)
@@ -157,9 +150,8 @@ def test_one_update_is_equation_1():
     Q, visits, _ = given
     Q[7, 3] = -0.5
     Q[20] = -0.25
-    constants = params(alpha_initial=0.1, alpha_decay=0.0, mirrored=False)
-    after = Transition(7, 3, 0.0, 0.9, 20, False, False, 0.0, 0.0, 0)
-    q_learning.update(given, after, constants)
+    constants = params(gamma=0.9, alpha_initial=0.1, alpha_decay=0.0, mirrored=False)
+    q_learning(given, Transition(7, 3, 0.0, 20, False, False, 0.0, 0.0, 0), constants)
     # (1 - 0.1) (-0.5) + 0.1 (0 + 0.9 (-0.25)) by hand.
     assert Q[7, 3] == pytest.approx(-0.4725, rel=1e-15)
     assert visits[7, 3] == 1
@@ -200,7 +192,7 @@ def test_with_a_rate_of_one_over_n_a_value_is_the_mean_of_its_targets(targets):
 
 
 def test_exploration_falls_linearly_to_zero_over_its_share_of_the_episodes():
-    config = training_config(resolve(), 5.0)
+    config = training_config(resolve(), 5.0, 0)
     falling = config._replace(episodes=1000, epsilon_initial=0.4, epsilon_until=0.5)
     found = [exploration(n, falling) for n in (0, 125, 250, 500, 999)]
     assert found == pytest.approx([0.4, 0.3, 0.2, 0.0, 0.0])

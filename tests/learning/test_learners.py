@@ -7,9 +7,8 @@ import pytest
 
 from equipoise.control.controller import Observation
 from equipoise.errors import InputError, SettingsError
-from equipoise.learning.choice import compile_learner, with_digests
+from equipoise.learning.choice import LEARNERS, compile_functions, with_digests
 from equipoise.learning.learner import Transition, UpdateParams, epsilon_greedy, new_tables
-from equipoise.learning.q_learning import learner as q_learning
 from equipoise.learning.rewards import REWARDS
 from equipoise.learning.train import train
 from equipoise.settings import LearningSettings
@@ -30,7 +29,7 @@ def example(monkeypatch):
 
 
 def transition(box, action, reward, box_next, **changes):
-    after = Transition(box, action, reward, GAMMA, box_next, False, False, EPSILON, 0.0, 0)
+    after = Transition(box, action, reward, box_next, False, False, EPSILON, 0.0, 0)
     return after._replace(**changes)
 
 
@@ -42,7 +41,7 @@ def corridor(state, action):
 def learned(learner, updates, seed=0):
     """Return the tables after a walk on the corridor, with falling learning rates."""
     tables = new_tables(270, learner.tables)
-    params = UpdateParams(1.0, 0.2, 0.0, False)
+    params = UpdateParams(GAMMA, 1.0, 0.2, 0.0, False)
     rng = np.random.default_rng(seed)
     state = int(rng.integers(1, STATES + 1))
     action = epsilon_greedy(tables.Q, state, EPSILON, *rng.random(2))
@@ -63,7 +62,7 @@ def learned(learner, updates, seed=0):
 )
 def test_learners_of_the_best_policy_find_its_values(example, name, updates):
     # The best policy never falls: Q* is 0 but for the step into the fall, -1, and each way is seen.
-    Q = learned(q_learning if name == "q_learning" else example(name), updates).Q
+    Q = learned(LEARNERS.get(name) or example(name), updates).Q
     exact = np.zeros((STATES + 1, 8))
     exact[1, 0] = -1.0
     # Actions that look bad are tried seldom, and still remember some of their first targets.
@@ -99,7 +98,7 @@ def test_double_q_moves_one_table_towards_the_value_of_the_other(example, chance
     tables = new_tables(270, 1)
     tables.Q[:], tables.own[0] = (A + B) / 2, (A - B) / 2
     given = transition(4, 5, -0.25, 9, chance=chance)
-    example("double_q").update(tables, given, UpdateParams(0.5, 0.0, 0.0, False))
+    example("double_q").update(tables, given, UpdateParams(GAMMA, 0.5, 0.0, 0.0, False))
     mine, other = (A, B) if moved == 0 else (B, A)
     mine[4, 5] = 0.5 * mine[4, 5] + 0.5 * (-0.25 + GAMMA * other[9, np.argmax(mine[9])])
     np.testing.assert_allclose(tables.Q + tables.own[0], A, rtol=0.0, atol=1e-14)
@@ -107,7 +106,7 @@ def test_double_q_moves_one_table_towards_the_value_of_the_other(example, chance
 
 
 def test_watkins_carries_a_failure_back_until_an_action_that_was_not_the_best(example):
-    watkins, params = example("watkins"), UpdateParams(1.0, 0.0, 0.0, False)
+    watkins, params = example("watkins"), UpdateParams(GAMMA, 1.0, 0.0, 0.0, False)
     tables, decay = new_tables(270, watkins.tables), 0.7 * GAMMA
     watkins.update(tables, transition(1, 0, 0.0, 2, lane=3), params)
     tables.Q[4, 1] = -0.5  # so that action 1 in box 4 is not the best
@@ -150,7 +149,7 @@ def update(tables, transition, params):
         best = tables.Q[transition.box_next, 0]
         for value in tables.Q[transition.box_next]:
             best = max(best, value)
-        target += transition.discount * best
+        target += params.gamma * best
     move_towards(tables, transition.box, transition.action, target, params)
 
 def nothing(state, u, next_state, failed):
@@ -226,7 +225,7 @@ REFUSED = {
 @pytest.mark.parametrize("name", REFUSED)
 def test_unusable_objects_are_refused_in_one_sentence(guest, name):
     with pytest.raises((InputError, SettingsError)) as refusal:
-        compile_learner(with_digests(LearningSettings(**{REFUSED[name]: name})))
+        compile_functions(with_digests(LearningSettings(**{REFUSED[name]: name})))
     assert "\n" not in str(refusal.value)
 
 
@@ -234,16 +233,16 @@ def test_unusable_objects_are_refused_in_one_sentence(guest, name):
 @pytest.mark.parametrize(
     ("name", "line", "reason"),
     [
-        ("plain", "return inner", "'inner'"),
-        ("imports", "import math", "IMPORT_NAME"),
-        ("nothing", "    pass", "No conversion from none to float64"),
+        ("plain", "def plain", "'inner'"),
+        ("imports", "def imports", "IMPORT_NAME"),
+        ("nothing", "def nothing", "No conversion from none to float64"),
     ],
 )
 def test_a_function_that_cannot_be_compiled_is_named_with_its_line(guest, name, line, reason):
     lines = guest.read_text().splitlines()
     (number,) = (i for i, text in enumerate(lines, start=1) if line in text)
     with pytest.raises(InputError, match="cannot be compiled") as refusal:
-        compile_learner(with_digests(LearningSettings(reward=f"guest_of_tests:{name}")))
+        compile_functions(with_digests(LearningSettings(reward=f"guest_of_tests:{name}")))
     assert reason in str(refusal.value)
     assert f"({guest}, line {number})" in str(refusal.value)
 

@@ -7,18 +7,13 @@ from equipoise.artefacts import Estimate
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, SettingsError
 from equipoise.learning import train as train_module
-from equipoise.learning.choice import compile_learner
-from equipoise.learning.episodes import (
-    new_training_loop,
-    new_training_state,
-    train_episodes,
-)
+from equipoise.learning.episodes import Training
 from equipoise.learning.select import measure_survival
-from equipoise.learning.train import check_task, train, train_to_target, training_config
+from equipoise.learning.train import check_task, train, train_to_target
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
-from equipoise.worlds.plant import make_loop_params
+from equipoise.worlds import Setup
 
 # Thousands of episodes' worth of steps: minutes without compilation.
 pytestmark = pytest.mark.compiled_only
@@ -108,15 +103,15 @@ def test_the_candidate_with_the_best_score_is_the_policy(pendulum, policies):
     assert len(others) == 1  # of the last 60 %: after 40 and 60 episodes
     assert best.score >= others[0].score
     # The table of the policy is the running average when that candidate was taken.
-    plant = make_loop_params(ARM, settings(), 0.01, pendulum.parameters(), shipped_actuator())
-    constants = training_config(settings(), pendulum.parameters().k)
-    learner = compile_learner(settings().learning)
-    progress, average = new_training_state(270), np.zeros((270, 8))
-    selection, key = settings().selection, np.array((5, 0))
-    loop = new_training_loop(plant, pendulum.parameters(), constants, learner, progress, key)
+    setup = Setup(pendulum, ARM, settings(), shipped_actuator(), 0.01)
+    training, average, selection = (
+        Training(setup, "model", 5),
+        np.zeros((270, 8)),
+        settings().selection,
+    )
     for taken in range(1, best.episodes // selection.every + 1):
-        train_episodes(loop, taken * selection.every)
-        average += max(selection.averaging, 1.0 / taken) * (progress.tables.Q - average)
+        training.run(taken * selection.every)
+        average += max(selection.averaging, 1.0 / taken) * (training.tables.Q - average)
     np.testing.assert_allclose(policy.table, average, rtol=0.0, atol=1e-12)
 
 

@@ -8,6 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from equipoise.arrays import new_records
+from equipoise.jit import compilable, kernel
 from equipoise.model.actuator import (
     AMPLITUDE,
     CYCLE,
@@ -20,7 +22,9 @@ from equipoise.model.actuator import (
     Actuator,
     ActuatorParameters,
     JointResponse,
+    Servos,
     follow,
+    follow_setpoint,
     lag_share,
     shaped_step,
     steady_error,
@@ -28,22 +32,39 @@ from equipoise.model.actuator import (
 )
 from equipoise.model.elementary import BATCH_SIZE
 
+compiled = compilable(follow_setpoint)
+
 SHAPED = ActuatorParameters(KST)
 UNSHAPED_SERVO = ActuatorParameters(UNSHAPED, cycle=0.02)
 
 
-def share_of(lag):
-    return np.full(6 * BATCH_SIZE, lag_share(lag))
+@kernel
+def follow_cycles(servos, actuator, cycles, lanes):
+    compiled(servos[0], actuator, cycles, False, lanes)
+
+
+@kernel
+def cycle(servos, actuator, lanes):
+    follow(servos[0], actuator, 0, lanes)
+
+
+def servos(q, dq, target, fraction):
+    """Return servos with the same numbers, or blocks of them."""
+    records = new_records(Servos)
+    for name, value in (("q", q), ("dq", dq), ("target", target), ("fraction", fraction)):
+        records[name] = value
+    return records
 
 
 def moved(targets, actuator, lag=0.0):
     """Return positions and velocities of a joint after each cycle, from rest at zero."""
-    q, dq = np.zeros(6 * BATCH_SIZE), np.zeros(6 * BATCH_SIZE)
+    joint = servos(0.0, 0.0, 0.0, lag_share(lag))
     positions, velocities = [], []
     for target in targets:
-        follow(q, dq, np.full(6 * BATCH_SIZE, target), share_of(lag), actuator, 1)
-        positions.append(q[0])
-        velocities.append(dq[0])
+        joint["target"] = target
+        cycle(joint, actuator, 1)
+        positions.append(joint["q"][0, 0, 0])
+        velocities.append(joint["dq"][0, 0, 0])
     return np.array(positions), np.array(velocities)
 
 
@@ -139,17 +160,16 @@ def test_without_an_actuator_a_joint_is_where_it_is_sent():
 def test_each_lane_and_joint_moves_alone(kind, error):
     # Small errors alone take the short series, with others among them the whole law.
     rng = np.random.default_rng(2)
-    target, q = rng.uniform(-error, error, (2, 6 * BATCH_SIZE))
-    dq, share = rng.uniform(-0.5, 0.5, 6 * BATCH_SIZE), rng.uniform(0.05, 1.0, 6 * BATCH_SIZE)
-    together, speeds = q.copy(), dq.copy()
-    follow(together, speeds, target, share, ActuatorParameters(kind), BATCH_SIZE)
-    for place in range(6 * BATCH_SIZE):
-        one, speed, its_target, its_share = (np.zeros(6 * BATCH_SIZE) for _ in range(4))
-        one[0], speed[0], its_target[0], its_share[0] = (
-            q[place], dq[place], target[place], share[place]
-        )  # fmt: skip
-        follow(one, speed, its_target, its_share, ActuatorParameters(kind), 1)
-        assert (one[0], speed[0]) == (together[place], speeds[place])
+    target, q = rng.uniform(-error, error, (2, 6, BATCH_SIZE))
+    dq, fraction = rng.uniform(-0.5, 0.5, q.shape), rng.uniform(0.05, 1.0, q.shape)
+    actuator, together = ActuatorParameters(kind), servos(q, dq, target, fraction)
+    follow_cycles(together, actuator, 5, BATCH_SIZE)
+    for joint, lane in np.ndindex(q.shape):
+        its = (block[joint, lane] for block in (q, dq, target, fraction))
+        alone = servos(*its)
+        follow_cycles(alone, actuator, 5, 1)
+        for name in ("q", "dq"):
+            assert alone[name][0, 0, 0] == together[name][0, joint, lane]
 
 
 # A whole log.

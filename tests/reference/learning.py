@@ -1,6 +1,6 @@
 """Learners as one reads them: a dictionary of boxes, one episode after the other in a list.
 
-`equipoise.learning.episodes.train_episodes` must equal it, with each of the four learners. Both
+The loop of `equipoise.learning.episodes` must equal it. Both
 share the compiled plant (`reset`, `draw_noise`, `step`) and the random words; boxes, table, mirror,
 rewards, learning rules, exploration and the order of events are written here a second time. Every
 episode has a batch of its own and is alone in it.
@@ -17,7 +17,6 @@ import numpy as np
 
 from equipoise import paper
 from equipoise.control.grid import TRUNCATED
-from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import (
     TRAINING_ACTION,
@@ -29,14 +28,8 @@ from equipoise.model.random import (
     philox,
     uniform,
 )
-from equipoise.worlds.plant import (
-    BatchState,
-    DomainRandomization,
-    draw_noise,
-    new_batch_state,
-    reset,
-    step,
-)
+from equipoise.worlds.plant import DomainRandomization, draw_noise
+from tests.batch import Batch
 from tests.reference.intervals import place
 
 SIDE_BY_SIDE = 16
@@ -55,17 +48,15 @@ class Result(NamedTuple):
 class Episode:
     """One episode on a plant of its own."""
 
-    def __init__(self, plant, pendulum, settings, seed, learner, number):
+    def __init__(self, plant, pendulum, settings, seed, number):
         """Draw the pendulum, the rig and the start."""
-        self.plant, self.seed, self.learner, self.number = plant, seed, learner, number
-        self.tick = 0
-        self.block: BatchState = new_batch_state()
-        w0, w1, _, _ = philox(seed, 0, number, learner, TRAINING_EPISODE)
+        self.seed, self.number, self.tick, self.block = seed, number, 0, Batch(plant)
+        w0, w1, _, _ = philox(seed, 0, number, 0, TRAINING_EPISODE)
         on_I, on_b = normal_pair(w0, w1)
         I = max(0.1, 1.0 + settings.plant.inertia_sigma * on_I)
         b = max(0.0, 1.0 + settings.plant.friction_sigma * on_b)
         s = settings.learning
-        words = philox(seed, 0, number, learner, TRAINING_START)
+        words = philox(seed, 0, number, 0, TRAINING_START)
         widths = (s.start_x, s.start_x_dot, s.start_phi, s.start_phi_dot)
         start = tuple(uniform(w, -width, width) for w, width in zip(words, widths, strict=True))
         # w2 = m g l / I, k = m l / I, c = b / I.
@@ -78,7 +69,7 @@ class Episode:
             linearised=pendulum.linearised,
         )
         rig = settings.plant
-        w0, w1, w2, _ = philox(seed, 0, number, learner, TRAINING_ACTUATOR)
+        w0, w1, w2, _ = philox(seed, 0, number, 0, TRAINING_ACTUATOR)
         variation = DomainRandomization(
             inertia_factor=1.0,  # the pendulum has them already
             friction_factor=1.0,
@@ -86,15 +77,14 @@ class Episode:
             lag_factor=uniform(w1, 1.0 - rig.lag_spread, 1.0 + rig.lag_spread),
             zero=uniform(w2, -rig.zero_error, rig.zero_error),
         )
-        reset(plant, self.block, own, variation, start, 0)
+        self.block.reset(own, variation, start)
         self.look_ahead, self.length = settings.boxes.look_ahead, 1.0 / pendulum.k
         self.cell = self.place()
-        self.action, self.held, self.gained = -1, 0, 0.0
-        self.discount = 1.0  # gamma to the number of steps held, a product as it grows
+        self.action = -1
 
     def observation(self):
         """Return what the policy sees."""
-        return [float(value) for value in self.block.controller.observation[::BATCH_SIZE]]
+        return self.block.observation(0).tolist()
 
     def place(self):
         """Return the intervals (i, j, k, m) that hold what the policy sees."""
@@ -106,14 +96,12 @@ class Episode:
 
     def advance(self):
         """Make one control step with its action; tell whether it failed."""
-        tick, number = np.full(BATCH_SIZE, self.tick), np.full(BATCH_SIZE, self.number)
-        draw_noise(
-            self.block.controller.noise, self.seed, tick, number, self.learner, TRAINING_NOISE, 1
-        )
+        tick, number = [self.tick], [self.number]
+        draw_noise(self.block.controller.noise, self.seed, tick, number, 0, TRAINING_NOISE, 1)
         self.block.controller.u[0] = paper.ACTIONS[self.action]
-        step(self.plant, self.block, 1)
+        self.block.step()
         self.tick += 1
-        return self.block.cause[0] != TRUNCATED
+        return self.block.state.cause[0] != TRUNCATED
 
 
 REWARDS = {
@@ -126,10 +114,10 @@ REWARDS = {
 }
 
 
-def train(plant, pendulum, settings, until, seed, learner, reward=None):
+def train(plant, pendulum, settings, until, seed):
     """Return the table after `until` episodes have ended."""
     s = settings.learning
-    reward = reward or REWARDS[s.reward]
+    reward = REWARDS[s.reward]
     Q = {cell: [0.0] * 8 for cell in np.ndindex(6, 5, 3, 3)}
     visits = {cell: [0] * 8 for cell in Q}
     begun = ended = steps = 0
@@ -138,10 +126,10 @@ def train(plant, pendulum, settings, until, seed, learner, reward=None):
     def begin():
         nonlocal begun
         begun += 1
-        return Episode(plant, pendulum, settings, seed, learner, begun - 1)
+        return Episode(plant, pendulum, settings, seed, begun - 1)
 
     def choose(episode):
-        w0, w1, _, _ = philox(seed, episode.tick, episode.number, learner, TRAINING_ACTION)
+        w0, w1, _, _ = philox(seed, episode.tick, episode.number, 0, TRAINING_ACTION)
         epsilon = s.epsilon_initial
         if s.epsilon_until > 0.0:
             epsilon *= max(0.0, 1.0 - episode.number / (s.epsilon_until * s.episodes))
@@ -160,11 +148,11 @@ def train(plant, pendulum, settings, until, seed, learner, reward=None):
             i, j, k, m = cell
             table[5 - i, 4 - j, 2 - k, 2 - m][7 - action] = table[cell][action]
 
-    def learn(episode, cell, action, failed):
+    def learn(episode, cell, action, r, failed):
         """Apply equation (1); the episode is in its next cell."""
-        target = episode.gained
+        target = r
         if not failed:
-            target += episode.discount * max(Q[episode.cell])
+            target += s.gamma * max(Q[episode.cell])
         a = alpha(cell, action)
         Q[cell][action] = (1.0 - a) * Q[cell][action] + a * target
         mirror(Q, cell, action)
@@ -174,23 +162,18 @@ def train(plant, pendulum, settings, until, seed, learner, reward=None):
     running = [begin() for _ in range(min(SIDE_BY_SIDE, s.episodes))]
     while ended < until:
         for episode in running:
-            if episode.held == 0:
-                episode.action = int(choose(episode))
+            episode.action = int(choose(episode))
         failed = [episode.advance() for episode in running]
         steps += len(running)
         for n in reversed(range(len(running))):
             episode = running[n]
             x, _, phi, _ = episode.observation()
             r = reward(x, phi, failed[n])
-            episode.gained += episode.discount * r
-            episode.discount *= s.gamma
-            episode.held += 1
             over = failed[n] or episode.tick >= longest
             cell, action = episode.cell, episode.action
             if not failed[n]:
                 episode.cell = episode.place()
-            learn(episode, cell, action, failed[n])
-            episode.held, episode.gained, episode.discount = 0, 0.0, 1.0
+            learn(episode, cell, action, r, failed[n])
             if not over:
                 continue
             ended += 1

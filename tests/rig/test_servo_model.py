@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from equipoise.model.actuator import follow, lag_share
+from equipoise.arrays import fields, new_records
+from equipoise.model.actuator import Servos, follow, lag_share
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.worlds.twin.excitation import excitation
@@ -65,17 +65,16 @@ def test_an_arm_without_load_moves_as_the_equivalent_actuator(changes):
     setpoints = excitation(ARM, duration=2.0)
     found = equivalent_actuator(settings)
     model = found.parameters
-    q, dq, target = (np.zeros(6 * BATCH_SIZE) for _ in range(3))
-    share = np.full(6 * BATCH_SIZE, lag_share(found.lags[0].value))
-    q[::BATCH_SIZE] = ARM.home_free
+    servos = new_records(Servos)
+    servos["q"], servos["fraction"] = ARM.home_free[:, None], lag_share(found.lags[0].value)
     apart = []
     for row in setpoints:
         twin.send(row)
-        target[::BATCH_SIZE] = row
+        servos["target"] = row[:, None]
         for _ in range(5):
             twin.advance(TICK)
-            follow(q, dq, target, share, model, 1)
-            apart.append(twin.data.qpos[twin.state.free] - q[::BATCH_SIZE])
+            follow(fields(servos, Servos), model, 0, 1)
+            apart.append(twin.data.qpos[twin.state.free] - servos["q"][0, :, 0])
     # Off home the mass matrix is another than the drives': joints shake each other a little.
     assert np.max(np.abs(apart)) < 1e-3
     assert np.sqrt(np.mean(np.square(apart))) < 2e-4

@@ -7,16 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from equipoise.control.control_step import (
-    EST_PHI,
-    EST_PIVOT_V,
-    make_controller_params,
-    new_controller_state,
-)
+from equipoise.arrays import fields, new_records
+from equipoise.control.control_step import ControllerState, make_controller_params
 from equipoise.jit import kernel
 from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import read_world
 from equipoise.outcomes import SAFETY_RULES, Outcome
@@ -30,14 +25,29 @@ from equipoise.safety.rules import (
     make_safety_params,
     newest_before,
 )
-from equipoise.safety.trial import (
-    new_trial_monitor,
-    reset_trial_monitor,
-    setpoint_violation,
-    trial_safety,
-    trial_violation,
-)
+from equipoise.safety.trial import new_trial_monitor, trial_safety, trial_violation
+from equipoise.safety.trial import reset_trial_monitor as compilable_reset
+from equipoise.safety.trial import setpoint_violation as compilable_setpoint_violation
 from equipoise.settings import Settings
+
+
+@kernel
+def reset_trial_monitor(monitor, q):
+    """Begin a trial, as kernels do it."""
+    compilable_reset(monitor, q)
+
+
+@kernel
+def setpoint_violation(monitor, q, now):
+    """Return the rule that forbids a setpoint, as kernels do it."""
+    return compilable_setpoint_violation(monitor, q, now)
+
+
+@kernel
+def violation(monitor, controller, records, q, measured_at):
+    """Return the rule that ends the trial, as kernels do it."""
+    return trial_violation(monitor, controller, records[0], q, measured_at)
+
 
 ARM = iiwa(7)
 GUARD_7 = make_safety_params(ARM, reaction=0.03, u_max=2.0, h=0.01, counts_per_rev=8192)
@@ -134,8 +144,8 @@ def test_what_may_not_be_sent_is_not_remembered_as_sent():
     far = home + 1e-5
     far[2] += 0.02
     assert SAFETY_RULES[setpoint_violation(watching, far, 0.01)] is Outcome.VELOCITY
-    newest = newest_before(watching.sent, watching.number[0], 1.0)
-    assert watching.setpoints[newest] == pytest.approx(home + 1e-5)
+    newest = newest_before(watching.states["sent"][0], int(watching.states["number"][0]), 1.0)
+    assert watching.states["setpoints"][0, newest] == pytest.approx(home + 1e-5)
     assert SAFETY_RULES[setpoint_violation(watching, home + 6e-4, 0.01)] is Outcome.ACCELERATION
 
 
@@ -147,16 +157,16 @@ class Tick:
             ARM, Settings(), IDEAL_ACTUATOR, PendulumParameters(70.2, 7.16, 0.15), h=0.01,
             counts_per_rev=8192,
         )  # fmt: skip
-        self.memory, self.watching = new_controller_state(), new_trial_monitor(ARM, guard)
+        self.records, self.watching = new_records(ControllerState), new_trial_monitor(ARM, guard)
+        self.memory = fields(self.records, ControllerState)
         reset_trial_monitor(self.watching, ARM.home_free + begin)
 
     def __call__(self, away=(0.0,) * 6, v=0.0, phi=0.0, measured_at=0.0):
         """Return the rule that ends the run, or none; joints are told as seen from home [rad]."""
         q = ARM.home_free + away
-        self.memory.measured[::BATCH_SIZE] = q
-        for row, value in ((EST_PIVOT_V, v), (EST_PHI, phi)):
-            self.memory.estimate[row * BATCH_SIZE] = value
-        code = trial_violation(self.watching, self.controller, self.memory, q, measured_at)
+        self.memory.measured[:, 0] = q
+        self.memory.estimate.pivot_v[0], self.memory.estimate.phi[0] = v, phi
+        code = violation(self.watching, self.controller, self.records, q, measured_at)
         return None if code == NO_VIOLATION else SAFETY_RULES[code]
 
 

@@ -9,10 +9,10 @@ from equipoise.worlds import Recorder, Setup, run_trial
 from equipoise.worlds.ideal import PlantSimulation
 
 
-def on_the_plant(params, arm, pendulum, settings=None, seed=0, stream=TEST, spread=1.0):
+def on_the_plant(params, arm, pendulum, settings=None, seed=0, stream=TEST):
     """Return the simulation of a plant."""
     task = shipped_pendulum(), arm, settings or Settings(), IDEAL_ACTUATOR, paper.STEP
-    simulation = PlantSimulation("model", Setup(*task, spread), seed=seed, stream=stream)
+    simulation = PlantSimulation("model", Setup(*task), seed=seed, stream=stream)
     simulation.params, simulation.pendulum = params, pendulum
     return simulation
 

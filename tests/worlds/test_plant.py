@@ -13,7 +13,6 @@ from equipoise.control.policy import KernelPolicy, shipped_policy, table_kernel
 from equipoise.errors import ArmError
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.pendulum import step as pendulum_step
 from equipoise.settings import BoxSettings, Settings, resolve
@@ -21,11 +20,9 @@ from equipoise.worlds.evaluation import evaluate
 from equipoise.worlds.plant import (
     DomainRandomization,
     make_loop_params,
-    new_batch_state,
-    reset,
     scaled,
-    step,
 )
+from tests.batch import Batch
 from tests.reference.closed_loop import Joints, Loop
 from tests.worlds.recorded import on_the_plant, record
 
@@ -56,17 +53,15 @@ def leaning_table():
 @pytest.mark.parametrize(("x", "x_dot"), [(0.0, 0.0), (0.2, -0.6), (-0.13, 0.4)])
 def test_reset_places_the_flange_on_its_track(size, x, x_dot):
     arm, lane = iiwa(size), 3
-    block = new_batch_state()
     start = (x, x_dot, 0.01, 0.02)
-    plant = make_loop_params(arm, QUIET, 0.01, PENDULUM)
-    reset(plant, block, PENDULUM, NOMINAL, start, lane)
+    block = Batch(make_loop_params(arm, QUIET, 0.01, PENDULUM))
+    block.reset(PENDULUM, NOMINAL, start, lane)
     controller, home = block.controller, arm.kinematics(arm.home_free)
-    now = arm.kinematics(controller.q[lane::BATCH_SIZE], controller.dq[lane::BATCH_SIZE])
+    now = arm.kinematics(controller.q[:, lane], controller.dq[:, lane])
     np.testing.assert_allclose(now.position - home.position, [x, 0.0, 0.0], atol=1e-11)
     np.testing.assert_allclose(now.rotation, home.rotation, atol=1e-11)
     np.testing.assert_allclose(now.twist, [x_dot, 0, 0, 0, 0, 0], atol=1e-11)
-    state = block.state[lane : 4 * BATCH_SIZE : BATCH_SIZE]
-    np.testing.assert_allclose(state, start, atol=1e-11)
+    np.testing.assert_allclose(block.true(lane), start, atol=1e-11)
 
 
 @ARMS
@@ -109,13 +104,14 @@ def test_a_run_obeys_kinematics_and_the_pendulum_equation(size):
 @pytest.mark.parametrize("row", range(4))
 def test_a_joint_beyond_any_of_its_limits_is_reported(row):
     plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM)
-    block = new_batch_state()
-    reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.5, 0.0, 0.0), 0)
+    block = Batch(plant)
+    block.reset(PENDULUM, NOMINAL, (0.0, 0.5, 0.0, 0.0))
     limits = plant.controller.limits.copy()
     limits[row] = {0: 3.0, 1: -3.0, 2: 1e-3, 3: 1e-3}[row]
     block.controller.u[0] = 2.0
-    step(plant._replace(controller=plant.controller._replace(limits=limits)), block, 1)
-    assert block.cause[0] == JOINT_LIMIT
+    block.plant = plant._replace(controller=plant.controller._replace(limits=limits))
+    block.step()
+    assert block.state.cause[0] == JOINT_LIMIT
 
 
 def test_a_singular_home_is_refused():
@@ -163,10 +159,10 @@ def test_a_step_behind_an_actuator_is_that_of_the_slow_loop(size, actuator, vari
     settings = resolve(overrides=[*overrides, FINE])
     pendulum = pendulum._replace(linearised=settings.plant.linearised)
     plant = make_loop_params(arm, settings, 0.01, pendulum, actuator)
-    block = new_batch_state()
+    block = Batch(plant)
     x, phi, phi_dot = 0.03, 0.015, 0.1
     lane = 5
-    reset(plant, block, pendulum, variation, (x, 0.0, phi, phi_dot), lane)
+    block.reset(pendulum, variation, (x, 0.0, phi, phi_dot), lane)
     slow = Loop(
         arm,
         settings,
@@ -177,73 +173,59 @@ def test_a_step_behind_an_actuator_is_that_of_the_slow_loop(size, actuator, vari
         delay=variation.delay,
         factor=variation.lag_factor,
     )
-    slow.begin(block.controller.q[lane::BATCH_SIZE], x, phi, phi_dot, variation.zero)
+    slow.begin(block.controller.q[:, lane], x, phi, phi_dot, variation.zero)
     sigma = np.repeat((1e-4, np.radians(0.02)), 3)
     rng = np.random.default_rng(0)
     for _ in range(250):
         # Each is balanced by what it sees itself, or a last bit would grow with the fall.
         push = 0.5 * rng.choice([-1, 0, 1])
         noise = rng.standard_normal(6)
-        block.controller.noise[lane::BATCH_SIZE] = noise
-        block.controller.u[lane] = (
-            np.clip(GAINS @ block.controller.observation[lane::BATCH_SIZE], -3.0, 3.0) + push
-        )
-        step(plant, block, lane + 1)
+        block.controller.noise[:, lane] = noise
+        block.controller.u[lane] = np.clip(GAINS @ block.observation(lane), -3.0, 3.0) + push
+        block.step(lane + 1)
         slow.step(np.clip(GAINS @ slow.seen, -3.0, 3.0) + push, sigma * noise)
         # Between two counts of 6e-12 rad nothing holds the two together.
-        np.testing.assert_allclose(block.controller.q[lane::BATCH_SIZE], slow.q, atol=1e-9)
-        np.testing.assert_allclose(block.q[lane::BATCH_SIZE], slow.joints.q, atol=1e-9)
-        np.testing.assert_allclose(
-            block.state[lane : 4 * BATCH_SIZE : BATCH_SIZE], slow.state, atol=1e-9
-        )
-        np.testing.assert_allclose(
-            block.controller.observation[lane::BATCH_SIZE], slow.seen, atol=2e-9
-        )
-        np.testing.assert_allclose(
-            block.controller.estimate[lane : 3 * BATCH_SIZE : BATCH_SIZE], slow.estimate, atol=2e-9
-        )
+        np.testing.assert_allclose(block.controller.q[:, lane], slow.q, atol=1e-9)
+        np.testing.assert_allclose(block.state.arm.q[:, lane], slow.joints.q, atol=1e-9)
+        np.testing.assert_allclose(block.true(lane), slow.state, atol=1e-9)
+        np.testing.assert_allclose(block.observation(lane), slow.seen, atol=2e-9)
+        np.testing.assert_allclose(block.estimate(lane)[:3], slow.estimate, atol=2e-9)
     assert abs(slow.state[2]) < np.radians(11)  # it stood for all of the 2.5 s
 
 
 def test_a_wrong_zero_does_not_decide_about_a_failure():
     # The policy sees a pendulum at 11.2 degrees; it leans by 10.5.
     plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM, KST)
-    block = new_batch_state()
+    block = Batch(plant)
     variation = NOMINAL._replace(zero=np.radians(0.7))
-    reset(plant, block, PENDULUM, variation, (0.0, 0.0, np.radians(10.5), 0.0), 0)
-    step(plant, block, 1)
-    assert block.controller.observation[2 * BATCH_SIZE] > np.radians(11)
-    assert block.cause[0] == TRUNCATED
+    block.reset(PENDULUM, variation, (0.0, 0.0, np.radians(10.5), 0.0))
+    block.step()
+    assert block.controller.observation.phi[0] > np.radians(11)
+    assert block.state.cause[0] == TRUNCATED
 
 
 def test_behind_an_actuator_a_pendulum_with_dry_friction_feels_the_pivot_as_it_moves():
     """Each tick again, millisecond by millisecond: the setpoints make the velocity a ripple."""
     arm, pendulum = iiwa(14), PENDULUM._replace(coulomb=1.0)
     plant = make_loop_params(arm, SETTINGS, 0.01, PENDULUM, KST)
-    block = new_batch_state()
-    reset(plant, block, pendulum, NOMINAL, (0.0, 0.0, 0.03, 0.0), 0)
+    block = Batch(plant)
+    block.reset(pendulum, NOMINAL, (0.0, 0.0, 0.03, 0.0))
     joints, rng = Joints(KST, 1.0, arm.home_free), np.random.default_rng(0)
     setpoints, v = [arm.home_free] * 2, 0.0
     for _ in range(150):
-        before = block.state[: 4 * BATCH_SIZE : BATCH_SIZE].copy()
-        block.controller.noise[:] = rng.standard_normal(6 * BATCH_SIZE)
-        block.controller.u[0] = np.clip(
-            GAINS @ block.controller.observation[::BATCH_SIZE], -2.0, 2.0
-        )
-        step(plant, block, 1)
+        before = block.true(0)
+        block.controller.noise[:] = rng.standard_normal((6, 16))
+        block.controller.u[0] = np.clip(GAINS @ block.observation(0), -2.0, 2.0)
+        block.step()
         # 10 ms after they were sent.
-        in_force, setpoints = (
-            setpoints,
-            block.controller.setpoints[::BATCH_SIZE].reshape(2, 6).copy(),
-        )
+        in_force, setpoints = setpoints, block.controller.setpoints[:, :, 0].copy()
         phi, phi_dot = before[2:]
         for ms in range(10):
             joints.millisecond(in_force[ms // 5])
             v_before, v = v, pivot_velocity(arm, arm.kinematics(joints.q, joints.dq))
             phi, phi_dot = pendulum_step(phi, phi_dot, (v - v_before) / 1e-3, 1e-3, pendulum)
-        found = block.state[2 * BATCH_SIZE : 4 * BATCH_SIZE : BATCH_SIZE]
-        assert found == pytest.approx((phi, phi_dot), abs=1e-9)
-    np.testing.assert_allclose(joints.q, block.q[::BATCH_SIZE], atol=1e-12)
+        assert block.true(0)[2:] == pytest.approx((phi, phi_dot), abs=1e-9)
+    np.testing.assert_allclose(joints.q, block.state.arm.q[:, 0], atol=1e-12)
 
 
 def test_a_policy_balances_behind_a_fast_lag_that_moves_in_steps():

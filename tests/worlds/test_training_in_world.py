@@ -1,24 +1,15 @@
 """Training in a world that Python steps: the compiled training, an episode at a time."""
 
-import numpy as np
 import pytest
 
 from equipoise import paper
 from equipoise.errors import InputError, SettingsError
-from equipoise.learning.choice import compile_learner
-from equipoise.learning.episodes import (
-    ENDED,
-    IN_USE,
-    STEPS,
-    new_training_loop,
-    new_training_state,
-    train_episodes,
-)
-from equipoise.learning.train import actuator_in, train, train_in_world, training_config
+from equipoise.learning import episodes
+from equipoise.learning.episodes import Training
+from equipoise.learning.train import actuator_in, train
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
-from equipoise.model.random import TRAINING_NOISE
 from equipoise.settings import resolve
 from equipoise.worlds import Setup
 from equipoise.worlds.ideal import PlantSimulation
@@ -37,24 +28,20 @@ FEW = [
 
 @pytest.mark.full
 @pytest.mark.parametrize("actuator", [IDEAL_ACTUATOR, shipped_actuator()])
-def test_an_episode_in_a_world_teaches_what_it_teaches_compiled(actuator):
-    settings = resolve()
-    config = training_config(settings, PENDULUM.parameters().k)._replace(episodes=1)
-    kernel, boxes = compile_learner(settings.learning), settings.boxes.count
+def test_an_episode_in_a_world_teaches_what_it_teaches_compiled(actuator, monkeypatch):
+    monkeypatch.setattr(
+        episodes, "simulate", lambda _, *setup, **key: PlantSimulation("model", *setup, **key)
+    )
+    settings = resolve(overrides=["learning.episodes=1"])
+    setup = Setup(PENDULUM, ARM, settings, actuator, paper.STEP)
     for seed in range(3):
-        states = [new_training_state(boxes, 2), new_training_state(boxes, 2)]
-        key = np.array((seed, 0))
-        setup = Setup(PENDULUM, ARM, settings, actuator, paper.STEP)
-        world = PlantSimulation("model", setup, seed=seed, stream=TRAINING_NOISE)
-        given = (world.params, world.pendulum, config, kernel)
-        compiled, stepped = (new_training_loop(*given, state, key) for state in states)
-        train_episodes(compiled, 1)
-        train_in_world(stepped, states[1], world.loop(), 1)
-        one, other = states
-        assert one.totals[STEPS] == other.totals[STEPS] > 0
-        assert other.totals[ENDED] == 1
-        assert other.totals[IN_USE] == 0
-        for ours, theirs in zip(one.tables, other.tables, strict=True):
+        compiled, stepped = (Training(setup, world, seed) for world in ("model", "own:Plant"))
+        compiled.run(1)
+        stepped.run(1)
+        assert compiled.totals.tolist() == stepped.totals.tolist()
+        assert compiled.totals.steps > 0
+        assert compiled.totals.running == 0
+        for ours, theirs in zip(compiled.tables, stepped.tables, strict=True):
             assert ours.tobytes() == theirs.tobytes()
 
 

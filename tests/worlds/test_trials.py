@@ -20,16 +20,13 @@ from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import resolve
 from equipoise.worlds.ideal import run_trials
 from equipoise.worlds.plant import (
-    X_DOT,
     DomainRandomization,
-    X,
+    FailureLimits,
     make_loop_params,
-    new_batch_state,
-    reset,
     scaled,
-    step,
 )
 from equipoise.worlds.trials import draw_trials
+from tests.batch import Batch
 from tests.worlds.recorded import on_the_plant, run_all
 
 ARM = iiwa(14)
@@ -52,8 +49,8 @@ def any_plant(request):
     return make_loop_params(ARM, SETTINGS, paper.STEP, PENDULUM, actuator)
 
 
-def drawn(count=100, seed=0, stream=TEST, spread=1.0, settings=SETTINGS):
-    return draw_trials(count, settings, seed, stream, spread)
+def drawn(count=100, seed=0, stream=TEST, settings=SETTINGS):
+    return draw_trials(count, settings, seed, stream)
 
 
 def outcome(trials):
@@ -68,7 +65,7 @@ def test_the_conditions_of_a_trial_do_not_depend_on_how_many_there_are():
     few, many = drawn(7), drawn(1000)
     for name in ("number", *CONDITIONS):
         assert getattr(few, name).tobytes() == getattr(many, name)[:7].tobytes()
-        later = draw_trials(63, SETTINGS, 0, TEST, 1.0, first=937)
+        later = draw_trials(63, SETTINGS, 0, TEST, first=937)
         assert getattr(later, name).tobytes() == getattr(many, name)[937:].tobytes()
 
 
@@ -77,25 +74,24 @@ def uniform_p(values, low, high):
     return stats.kstest((values - low) / (high - low), "uniform").pvalue
 
 
-@pytest.mark.parametrize("spread", [1.0, 2.0])
-def test_conditions_have_their_distributions(spread):
+def test_conditions_have_their_distributions():
     overrides = ["plant.delay_spread=0.003", "plant.lag_spread=0.3", "plant.zero_error=0.004"]
-    trials = drawn(5000, spread=spread, settings=resolve(overrides=overrides))
+    trials = drawn(5000, settings=resolve(overrides=overrides))
     assert not trials.start[:, :2].any()  # x = x_dot = 0
     phi, phi_dot = trials.start[:, 2:].T
     assert np.array_equal(np.sign(phi), np.sign(phi_dot))
     assert stats.binomtest(int(np.sum(phi > 0)), 5000).pvalue > 1e-5
     varied = DomainRandomization(*trials.variation.T)
-    inertia = stats.norm.cdf((varied.inertia_factor - 1.0) / (spread * 0.02))
-    friction = stats.norm.cdf((varied.friction_factor - 1.0) / (spread * 0.2))
+    inertia = stats.norm.cdf((varied.inertia_factor - 1.0) / 0.02)
+    friction = stats.norm.cdf((varied.friction_factor - 1.0) / 0.2)
     columns = (
         (np.abs(phi), radians(1.5), radians(2.5)),
         (np.abs(phi_dot), radians(8.0), radians(18.0)),
         (inertia, 0.0, 1.0),
         (friction, 0.0, 1.0),
-        (varied.delay, -0.003 * spread, 0.003 * spread),
-        (varied.lag_factor, 1.0 - 0.3 * spread, 1.0 + 0.3 * spread),
-        (varied.zero, -0.004 * spread, 0.004 * spread),
+        (varied.delay, -0.003, 0.003),
+        (varied.lag_factor, 1.0 - 0.3, 1.0 + 0.3),
+        (varied.zero, -0.004, 0.004),
     )
     for values, low, high in columns:
         assert uniform_p(values, low, high) > 1e-5
@@ -130,17 +126,17 @@ def test_factors_on_inertia_divide_everything_and_factors_on_friction_only_c():
 def test_a_trial_gives_the_same_bits_alone_as_in_company(any_plant):
     together = drawn(40)
     longest = 60
-    arguments = (any_plant, new_batch_state(), PolicyKernel(RANDOM), PENDULUM)
-    run_trials(*arguments, together, np.arange(40), longest, 5, TEST)
+    simulation = on_the_plant(any_plant, ARM, PENDULUM, seed=5)
+    world, policy = simulation.world_of(BATCH_SIZE), PolicyKernel(RANDOM)
+    run_trials(world, policy, together, np.arange(40), longest)
     alone = drawn(40)
     for i in range(40):
-        run_trials(*arguments, alone, np.array([i]), longest, 5, TEST)
+        run_trials(world, policy, alone, np.array([i]), longest)
     assert outcome(alone) == outcome(together)
-    for array in (*arguments[1].controller, *arguments[1][1:]):
-        array[:] = 7  # the states of a block before its trials do not matter
+    world.rows[:] = 7  # the states of a batch before its trials do not matter
     backwards = drawn(40)
     for rows in (np.arange(39, 2, -1), np.arange(3)):
-        run_trials(*arguments, backwards, rows, longest, 5, TEST)
+        run_trials(world, policy, backwards, rows, longest)
     assert outcome(backwards) == outcome(together)
 
 
@@ -159,11 +155,10 @@ def test_every_trial_is_run_once_and_told_of(plant, count):
 
 def placed(plant, phi=0.0, x=0.0, x_dot=0.0):
     """Return x, x_dot and cause of the end after a step of a pendulum on which nothing acts."""
-    block = new_batch_state()
-    reset(plant, block, PendulumParameters(0.0, 0.0, 0.0), NOMINAL, (x, x_dot, phi, 0.0), 0)
-    step(plant, block, 1)
-    reached = [abs(float(block.state[row * BATCH_SIZE])) for row in (X, X_DOT)]
-    return *reached, TRIAL_OUTCOMES[int(block.cause[0])]
+    block = Batch(plant)
+    block.reset(PendulumParameters(0.0, 0.0, 0.0), NOMINAL, (x, x_dot, phi, 0.0))
+    block.step()
+    return *map(abs, block.true(0)[:2].tolist()), TRIAL_OUTCOMES[int(block.state.cause[0])]
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
@@ -172,17 +167,17 @@ def test_a_limit_is_a_failure_and_what_is_just_within_is_not(plant, sign):
     assert placed(plant, phi=eleven)[2] == "angle"
     assert placed(plant, phi=nextafter(eleven, 0.0))[2] == "lasted"
     x, x_dot, outcome = placed(plant, x=sign * 0.1, x_dot=sign * 0.2)
-    assert (plant.x_limit, plant.speed_limit, outcome) == (0.22, inf, "lasted")
-    for limit, reached, failure in (("x_limit", x, "track"), ("speed_limit", x_dot, Outcome.SPEED)):
+    assert (plant.limits, outcome) == (FailureLimits(radians(11.0), 0.22, inf), "lasted")
+    for limit, reached, failure in (("x", x, "track"), ("speed", x_dot, Outcome.SPEED)):
         for least, expected in ((reached, failure), (nextafter(reached, inf), "lasted")):
-            strict = plant._replace(**{limit: least})
+            strict = plant._replace(limits=plant.limits._replace(**{limit: least}))
             assert placed(strict, x=sign * 0.1, x_dot=sign * 0.2)[2] == expected
 
 
 def test_an_angle_is_told_before_the_track_the_track_before_a_joint_and_that_before_a_speed(plant):
     limits = plant.controller.limits.copy()
     limits[0] += 10.0
-    slow = plant._replace(speed_limit=0.1)
+    slow = plant._replace(limits=plant.limits._replace(speed=0.1))
     strict = slow._replace(controller=plant.controller._replace(limits=limits))
     assert placed(strict, phi=0.3, x=0.23, x_dot=0.2)[2] == "angle"
     assert placed(strict, phi=float("nan"))[2] == "angle"

@@ -5,19 +5,21 @@ from math import pi, radians
 import numpy as np
 import pytest
 
+from equipoise.arrays import fields, new_records
 from equipoise.control.baselines import lqr_gains
-from equipoise.control.control_step import (
-    command,
-    new_controller_state,
-    observe,
-    start_controller,
+from equipoise.control.control_step import ControllerState
+from equipoise.control.controller import (
+    command_tick,
+    estimate_of,
+    observation_of,
+    observe_tick,
+    start,
 )
 from equipoise.control.grid import ANGLE, TRUNCATED
 from equipoise.control.policy import LINEAR, RANDOM, KernelPolicy, PolicyKernel, act
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.compiler import TWIST
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TEST
 from equipoise.model.worlds import CLEAN, TwinSettings, World
@@ -61,7 +63,7 @@ def twins(world=WORLD, seed=1, settings=None, actuator=ACTUATOR):
 
 def run(policy, trials=TRIALS, duration=2.0, workers=1, seed=1, world=WORLD):
     """Return steps, cause and sum of x^2 of some trials."""
-    drawn = draw_trials(len(trials), Settings(), 0, TEST, 1.0)
+    drawn = draw_trials(len(trials), Settings(), 0, TEST)
     for row, trial in enumerate(trials):
         drawn.number[row], drawn.start[row], drawn.variation[row] = trial
     run_all(twins(world, seed), policy, drawn, duration, workers)
@@ -104,38 +106,39 @@ def test_a_recorded_trial_is_the_loop_as_python_writes_it():
     outcome, rows = record(simulation, KernelPolicy(LQR), trial, 0.01 * steps)
     assert outcome[:2] == (steps, TRUNCATED)
 
-    controller, memory, sum_x2 = simulation.params, new_controller_state(), 0.0
+    controller, records, sum_x2 = simulation.params, new_records(ControllerState), 0.0
+    memory = fields(records, ControllerState)
     pendulum = PARAMETERS._replace(c=0.15 * trial.variation.friction_factor, coulomb=0.1)
     _, _, phi, phi_dot = trial.start
     twin = Twin(ARM, pendulum, WORLD, seed=3, index=1)
     twin.reset(phi=phi, phi_dot=phi_dot)
     counts, stamp = twin.encoder()
     shown = pi - counts * 2 * pi / 8192 - stamp * phi_dot
-    start_controller(controller, memory, 0.0, 0.0, shown, phi_dot, 0)
+    start(controller, records, 0.0, 0.0, shown, phi_dot)
     for row in range(steps):
-        observation = memory.observation[::BATCH_SIZE].copy()
+        observation = observation_of(memory)
         memory.u[0] = act(LQR, *observation, 0.0)
         measured, measured_at = twin.measured()
         assert rows.observation[row] == pytest.approx(observation, abs=1e-12)
         assert rows.u[row] == pytest.approx(memory.u[0], abs=1e-12)
-        assert rows.estimate[row] == pytest.approx(memory.estimate[::BATCH_SIZE])
+        assert rows.estimate[row] == pytest.approx(estimate_of(memory))
         assert rows.encoder[row] == pytest.approx(twin.encoder(), abs=1e-12)
         assert rows.measured[row] == pytest.approx([*measured, measured_at], abs=1e-12)
         assert rows.state[row] == pytest.approx(twin.truth(), abs=1e-12)
         assert rows.joints[row] == pytest.approx(twin.data.qpos[:7], abs=1e-12)
-        command(controller, memory, 1)
-        setpoints = memory.setpoints[::BATCH_SIZE]
-        assert rows.setpoints[row] == pytest.approx(setpoints, abs=1e-12)
-        assert rows.q[row] == pytest.approx(memory.q[::BATCH_SIZE], abs=1e-12)
-        assert rows.dq[row] == pytest.approx(memory.dq[::BATCH_SIZE], abs=1e-12)
+        command_tick(controller, records)
+        setpoints = memory.setpoints[:, :, 0]
+        assert rows.setpoints[row] == pytest.approx(setpoints.ravel(), abs=1e-12)
+        assert rows.q[row] == pytest.approx(memory.q[:, 0], abs=1e-12)
+        assert rows.dq[row] == pytest.approx(memory.dq[:, 0], abs=1e-12)
         x_dot = twin.truth().x_dot
-        for half in (setpoints[:6], setpoints[6:]):
+        for half in setpoints:
             twin.send(half)
             twin.advance(0.005)
         assert rows.tracked[row] == pytest.approx((twin.truth().x_dot - x_dot) / 0.01)
         memory.counts[0], counted = twin.encoder()
-        memory.measured[::BATCH_SIZE], measured_at = twin.measured()
-        observe(controller, memory, twin.now - counted, twin.now - measured_at, 1)
+        memory.measured[:, 0], measured_at = twin.measured()
+        observe_tick(controller, records, twin.now - counted, twin.now - measured_at)
         sum_x2 += twin.truth().x ** 2
     assert outcome[2] == pytest.approx(sum_x2, rel=1e-9)
 
@@ -167,14 +170,14 @@ def test_a_run_towards_the_end_of_the_track_is_stopped_in_time(away):
         memory, twin, x = loop.controller, loop._twin, loop.state()[0]
         assert max(abs(rows.state[:, 0]).max(), abs(x)) < TRACK_LIMIT
         # The verdict is that of the rule, and came as soon as it could.
-        q, dq = (ARM.with_held(block[::BATCH_SIZE]) for block in (memory.q, memory.dq))
+        q, dq = (ARM.with_held(block[:, 0]) for block in (memory.q, memory.dq))
         dq[ARM.held_joint - 1] = 0.0
-        speed, limits = abs(memory.reference[TWIST * BATCH_SIZE]), simulation.safety.limits
+        speed, limits = abs(memory.reference[TWIST, 0]), simulation.safety.limits
         slowing = ramp(q.tolist(), dq.tolist(), speed, limits)
         furthest, time = abs(x), 0.0
         while time < slowing.duration + 0.2:
             time += 0.005
-            twin.send(np.array(ARM.without_held(slowing.at(time))))
+            twin.send(np.array(ARM.without_held(slowing.at(time).q)))
             twin.advance(0.005)
             furthest = max(furthest, abs(twin.truth().x))
         assert abs(twin.truth().x_dot) < 0.02

@@ -22,9 +22,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from equipoise.arrays import Array
-from equipoise.jit import called, inlined, kernel
+from equipoise.jit import compilable, inlined
 from equipoise.model.arms.compiler import BIAS, JACOBIAN, POSITION, ROTATION, TWIST
-from equipoise.model.elementary import BATCH_SIZE, at, fma, put
+from equipoise.model.elementary import BATCH_SIZE, fma
 
 Point = tuple[float, float, float]
 Twist = tuple[float, float, float, float, float, float]
@@ -66,15 +66,15 @@ def pose_error(frame: Array, reference: Array, n: int) -> Twist:
     # The skew part of R_reference R^T, a sum over the columns of both.
     sx, sy, sz = 0.0, 0.0, 0.0
     for i in range(ROTATION, ROTATION + 3):
-        r0, r1, r2 = at(reference, i, n), at(reference, i + 3, n), at(reference, i + 6, n)
-        f0, f1, f2 = at(frame, i, n), at(frame, i + 3, n), at(frame, i + 6, n)
+        r0, r1, r2 = reference[i, n], reference[i + 3, n], reference[i + 6, n]
+        f0, f1, f2 = frame[i, n], frame[i + 3, n], frame[i + 6, n]
         sx = fma(r2, f1, fma(-r1, f2, sx))
         sy = fma(r0, f2, fma(-r2, f0, sy))
         sz = fma(r1, f0, fma(-r0, f1, sz))
     return (
-        at(reference, POSITION, n) - at(frame, POSITION, n),
-        at(reference, POSITION + 1, n) - at(frame, POSITION + 1, n),
-        at(reference, POSITION + 2, n) - at(frame, POSITION + 2, n),
+        reference[POSITION, n] - frame[POSITION, n],
+        reference[POSITION + 1, n] - frame[POSITION + 1, n],
+        reference[POSITION + 2, n] - frame[POSITION + 2, n],
         0.5 * sx,
         0.5 * sy,
         0.5 * sz,
@@ -90,39 +90,20 @@ def joint_acceleration(
     Args:
         frame: Record of the arm's kinematics.
         reference: Record of the reference, with its acceleration Gamma.
-        e: Pose error, with the paper's noise, a block of 6 rows; overwritten.
+        e: Pose error, with the paper's noise, 6 rows; overwritten.
         parameters: Gains and damping.
-        ddq: Joint accelerations [rad/s^2], a block of 6 rows.
+        ddq: Joint accelerations [rad/s^2], 6 rows.
         lanes: Number of lanes.
 
     Returns:
         The number of lanes with a damped inverse.
     """
-    if lanes == 1:
-        _right_hand_side(frame, reference, e, parameters, BATCH_SIZE)
-    else:
-        _right_hand_side(frame, reference, e, parameters, 1)
+    for i in range(6):
+        for n in range(BATCH_SIZE):
+            e_dot = reference[TWIST + i, n] - frame[TWIST + i, n]
+            wanted = reference[GAMMA + i, n] - frame[BIAS + i, n]
+            e[i, n] = fma(parameters.K_p, e[i, n], fma(parameters.K_d, e_dot, wanted))
     return solve(frame, e, parameters, ddq, lanes)
-
-
-@inlined
-def _right_hand_side(
-    frame: Array, reference: Array, e: Array, parameters: ClikParameters, step: int
-) -> None:
-    """Replace the pose error by the bracket of equation (3).
-
-    Args:
-        frame: Record of the arm's kinematics.
-        reference: Record of the reference.
-        e: Pose error, a block of 6 rows; overwritten.
-        parameters: Gains.
-        step: 1 for all lanes, `BATCH_SIZE` for the first one.
-    """
-    twist, gamma, bias = TWIST * BATCH_SIZE, GAMMA * BATCH_SIZE, BIAS * BATCH_SIZE
-    for i in range(0, 6 * BATCH_SIZE, step):
-        e_dot = reference[twist + i] - frame[twist + i]
-        wanted = reference[gamma + i] - frame[bias + i]
-        e[i] = fma(parameters.K_p, e[i], fma(parameters.K_d, e_dot, wanted))
 
 
 @inlined
@@ -135,8 +116,9 @@ def solve(frame: Array, rhs: Array, parameters: ClikParameters, y: Array, lanes:
             damped += _solve_damped(frame, rhs, parameters, y, n)
         return damped
     near_singular = 0
-    for n in range(lanes):
-        near_singular += 1 if _solve_at_wrist(frame, rhs, wrist, y, n) < w_0 else 0
+    for n in range(BATCH_SIZE):
+        w = _solve_at_wrist(frame, rhs, wrist, y, n)
+        near_singular += (w < w_0) & (n < lanes)
     if near_singular > 0:
         for n in range(lanes):
             if _solve_at_wrist(frame, rhs, wrist, y, n) < w_0:
@@ -154,9 +136,9 @@ def _solve_at_wrist(frame: Array, rhs: Array, wrist: Point, y: Array, n: int) ->
     # From the flange to the wrist centre, in base axes.
     r = ROTATION
     p = (
-        dot((at(frame, r, n), at(frame, r + 1, n), at(frame, r + 2, n)), wrist),
-        dot((at(frame, r + 3, n), at(frame, r + 4, n), at(frame, r + 5, n)), wrist),
-        dot((at(frame, r + 6, n), at(frame, r + 7, n), at(frame, r + 8, n)), wrist),
+        dot((frame[r, n], frame[r + 1, n], frame[r + 2, n]), wrist),
+        dot((frame[r + 3, n], frame[r + 4, n], frame[r + 5, n]), wrist),
+        dot((frame[r + 6, n], frame[r + 7, n], frame[r + 8, n]), wrist),
     )
     # B: axes of the first three joints, by columns; A: velocities that they give the wrist centre.
     b0, b1, b2 = (
@@ -168,8 +150,8 @@ def _solve_at_wrist(frame: Array, rhs: Array, wrist: Point, y: Array, n: int) ->
     a1 = _velocity_at(p, _axis(frame, JACOBIAN + 1, n), b1)
     a2 = _velocity_at(p, _axis(frame, JACOBIAN + 2, n), b2)
     # The right-hand side, moved in the same way.
-    g3, g4, g5 = at(rhs, 3, n), at(rhs, 4, n), at(rhs, 5, n)
-    g = _velocity_at(p, (at(rhs, 0, n), at(rhs, 1, n), at(rhs, 2, n)), (g3, g4, g5))
+    g3, g4, g5 = rhs[3, n], rhs[4, n], rhs[5, n]
+    g = _velocity_at(p, (rhs[0, n], rhs[1, n], rhs[2, n]), (g3, g4, g5))
     y0, y1, y2, det_a = _cramer(a0, a1, a2, g)
     first = y0, y1, y2
     g3 -= dot((b0[0], b1[0], b2[0]), first)
@@ -179,19 +161,19 @@ def _solve_at_wrist(frame: Array, rhs: Array, wrist: Point, y: Array, n: int) ->
     c0, c1 = _axis(frame, ANGULAR + 3, n), _axis(frame, ANGULAR + 4, n)
     c2 = _axis(frame, ANGULAR + 5, n)
     y3, y4, y5, det_c = _cramer(c0, c1, c2, (g3, g4, g5))
-    put(y, 0, n, y0)
-    put(y, 1, n, y1)
-    put(y, 2, n, y2)
-    put(y, 3, n, y3)
-    put(y, 4, n, y4)
-    put(y, 5, n, y5)
+    y[0, n] = y0
+    y[1, n] = y1
+    y[2, n] = y2
+    y[3, n] = y3
+    y[4, n] = y4
+    y[5, n] = y5
     return abs(det_a * det_c)
 
 
 @inlined
 def _axis(frame: Array, row: int, n: int) -> Point:
     """Return half a column of J in lane `n`, from its first row in the record."""
-    return at(frame, row, n), at(frame, row + 6, n), at(frame, row + 12, n)
+    return frame[row, n], frame[row + 6, n], frame[row + 12, n]
 
 
 @inlined
@@ -229,7 +211,7 @@ def dot(a: Point, b: Point) -> float:
     return fma(a[2], b[2], fma(a[1], b[1], a[0] * b[0]))
 
 
-@kernel
+@compilable
 def _solve_damped(frame: Array, rhs: Array, parameters: ClikParameters, y: Array, n: int) -> int:
     """Solve J J^T z = rhs, y = J^T z in lane `n`; return 1 if damped, else 0."""
     damped = 0
@@ -240,7 +222,7 @@ def _solve_damped(frame: Array, rhs: Array, parameters: ClikParameters, y: Array
         _cholesky(frame, (parameters.lambda_0 * (1.0 - w / parameters.w_0)) ** 2, L, n)
     z = np.empty(6)
     for i in range(6):
-        z[i] = at(rhs, i, n)
+        z[i] = rhs[i, n]
         for k in range(i):
             z[i] -= L[i, k] * z[k]
         z[i] /= L[i, i]
@@ -251,12 +233,12 @@ def _solve_damped(frame: Array, rhs: Array, parameters: ClikParameters, y: Array
     for j in range(6):
         sum_j = 0.0
         for i in range(6):
-            sum_j += at(frame, JACOBIAN + 6 * i + j, n) * z[i]
-        put(y, j, n, sum_j)
+            sum_j += frame[JACOBIAN + 6 * i + j, n] * z[i]
+        y[j, n] = sum_j
     return damped
 
 
-@called
+@compilable
 def _cholesky(frame: Array, damping: float, L: Array, n: int) -> float:
     """Factor J J^T + damping = L L^T and return the product of the diagonal of L.
 
@@ -268,7 +250,7 @@ def _cholesky(frame: Array, damping: float, L: Array, n: int) -> float:
         for j in range(i + 1):
             s = damping if i == j else 0.0
             for k in range(6):
-                s += at(frame, JACOBIAN + 6 * i + k, n) * at(frame, JACOBIAN + 6 * j + k, n)
+                s += frame[JACOBIAN + 6 * i + k, n] * frame[JACOBIAN + 6 * j + k, n]
             for k in range(j):
                 s -= L[i, k] * L[j, k]
             if i > j:
@@ -281,7 +263,7 @@ def _cholesky(frame: Array, damping: float, L: Array, n: int) -> float:
     return w
 
 
-@kernel
+@compilable
 def manipulability(frame: Array, n: int) -> float:
     """Return |det J| of lane `n` [m^3]."""
     return _cholesky(frame, 0.0, np.empty((6, 6)), n)

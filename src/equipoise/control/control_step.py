@@ -24,13 +24,15 @@ Training, evaluation and deployment run these kernels, on blocks of lanes
 (`equipoise.model.elementary`); a rig uses one lane.
 """
 
+from collections.abc import Sequence
 from math import floor, pi
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Final, NamedTuple, Protocol
 
+import numba
 import numpy as np
-import numpy.typing as npt
+from numba import types
 
-from equipoise.arrays import Array
+from equipoise.arrays import Array, IntArray, record_type
 from equipoise.control.clik import (
     GAMMA,
     REFERENCE_SIZE,
@@ -42,20 +44,22 @@ from equipoise.control.clik import (
 )
 from equipoise.control.estimator import Gains, observer_gains
 from equipoise.errors import ArmError, SettingsError
-from equipoise.jit import called, inlined, kernel
+from equipoise.jit import call, compilable, inlined, pointer
 from equipoise.model.actuator import (
     CYCLE,
     IDEAL,
+    ROWS,
     Actuator,
     ActuatorParameters,
-    DelayedSetpoint,
+    Servos,
     follow_setpoint,
     lag_share,
+    motion_of,
     steady_error,
 )
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
-from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST, KinematicsFunction
-from equipoise.model.elementary import BATCH_SIZE, at, put, zeros
+from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST
+from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters, runge_kutta
 from equipoise.settings import Settings
 
@@ -82,23 +86,30 @@ HISTORY_TICKS: Final = 12
 MIN_PREDICTION_STEP: Final = 1e-9
 """Duration below which a step of the prediction is skipped [s]."""
 
-PIVOT_V, FLANGE_X, TILT, MODEL_Q = range(4)
-"""First rows of the history, for each tick."""
-HISTORY_ROWS: Final = MODEL_Q + FREE_JOINTS
-"""Rows of the history, for each tick."""
-EST_PHI, EST_PHI_DOT, EST_BIAS, EST_PIVOT_V, EST_X = range(5)
-"""Rows of the estimate."""
-OBS_X, OBS_X_DOT, OBS_PHI, OBS_PHI_DOT = range(4)
-"""Rows of the observation."""
+LANES: Final = (BATCH_SIZE,)
+"""Shape of a field with one number for each lane."""
+
+
+class ControllerCode(NamedTuple):
+    """Addresses of compiled functions: each is compiled once, for all loops."""
+
+    kinematics: int
+    """Kinematics of the arm."""
+    motion: int
+    """The same without J and J_dot dq."""
+    follow_setpoint: int = 0
+    """`equipoise.model.actuator.follow_setpoint`."""
+    start_controller: int = 0
+    observe: int = 0
+    command: int = 0
+    advance_arm_model: int = 0
 
 
 class ControllerParams(NamedTuple):
     """Constants of the controller, from `make_controller_params`."""
 
-    kinematics: KinematicsFunction
-    """The arm's kinematics."""
-    motion: KinematicsFunction
-    """The same without J and J_dot dq."""
+    code: ControllerCode
+    """Compiled functions."""
     clik: ClikParameters
     """Gains and damping."""
     limits: Array
@@ -117,8 +128,6 @@ class ControllerParams(NamedTuple):
     """The model of the arm."""
     lags: Array
     """Time constant of each free joint [s], shape (6,)."""
-    share: Array
-    """`lag_share` of each, a block of 6 rows."""
     delay: float
     """d, from sending a setpoint to its effect [s]."""
     horizon: float
@@ -133,55 +142,114 @@ class ControllerParams(NamedTuple):
     """Share of the difference between measured and modelled q that is corrected per tick [-]."""
 
 
-class ControllerState(NamedTuple):
-    """State of the controllers of `BATCH_SIZE` lanes; each field is a block of rows."""
+class Motion(Protocol):
+    """Motion of the modelled arms at a tick."""
 
-    q: Array
-    """Commanded free joints [rad], 6 rows."""
-    dq: Array
-    """Their velocities [rad/s], 6 rows."""
-    ddq: Array
-    """Their accelerations over the last tick [rad/s^2], 6 rows."""
-    frame: Array
+    pivot_v: Annotated[Array, LANES]
+    """Velocity of the pivot along x [m/s]."""
+    x: Annotated[Array, LANES]
+    """Displacement of the flange from home [m]."""
+    tilt: Annotated[Array, LANES]
+    """Rotation of the flange about the spindle [rad]."""
+    q: Annotated[Array, ROWS]
+    """Joints [rad]."""
+
+
+class Estimate(Protocol):
+    """Estimate of the pendulum's observer at the tick."""
+
+    phi: Annotated[Array, LANES]
+    """Angle of the pendulum from upright [rad]."""
+    phi_dot: Annotated[Array, LANES]
+    """Its rate [rad/s]."""
+    bias: Annotated[Array, LANES]
+    """Encoder zero offset [rad]."""
+    pivot_v: Annotated[Array, LANES]
+    """Velocity of the pivot along x [m/s]."""
+    x: Annotated[Array, LANES]
+    """Displacement of the flange from home [m]."""
+
+
+class Observed(Protocol):
+    """States of flange and pendulum."""
+
+    x: Annotated[Array, LANES]
+    """Displacement of the flange from home [m]."""
+    x_dot: Annotated[Array, LANES]
+    """Its velocity [m/s]."""
+    phi: Annotated[Array, LANES]
+    """Angle of the pendulum from upright [rad]."""
+    phi_dot: Annotated[Array, LANES]
+    """Its rate [rad/s]."""
+
+
+class Placement(Protocol):
+    """Newton's iteration to a posture, in the first lane."""
+
+    q: Annotated[Array, ROWS]
+    """Joints [rad]."""
+    dq: Annotated[Array, ROWS]
+    """Their velocities [rad/s]."""
+    change: Annotated[Array, ROWS]
+    """Change of the joints in an iteration [rad]."""
+    e: Annotated[Array, ROWS]
+    """Pose error [m], [rad], or twist [m/s], [rad/s]."""
+    frame: Annotated[Array, (FRAME_SIZE, BATCH_SIZE)]
+    """Record of the kinematics."""
+    reference: Annotated[Array, (REFERENCE_SIZE, BATCH_SIZE)]
+    """Record of the reference."""
+
+
+class ControllerState(Protocol):
+    """State of the controllers of `BATCH_SIZE` lanes; kernels change it in place."""
+
+    q: Annotated[Array, ROWS]
+    """Commanded free joints [rad]."""
+    dq: Annotated[Array, ROWS]
+    """Their velocities [rad/s]."""
+    ddq: Annotated[Array, ROWS]
+    """Their accelerations over the last tick [rad/s^2]."""
+    frame: Annotated[Array, (FRAME_SIZE, BATCH_SIZE)]
     """Record of the kinematics at q, dq."""
-    reference: Array
+    reference: Annotated[Array, (REFERENCE_SIZE, BATCH_SIZE)]
     """Record of the flange's reference."""
-    e: Array
-    """Scratch for the pose error, 6 rows."""
-    noise: Array
-    """Disturbance of the pose error in the next command [m], [rad], 6 rows; zero on a rig."""
-    u: Array
-    """Acceleration for the next command [m/s^2], 1 row."""
-    setpoints: Array
-    """Joints to send at the tick and h / 2 later [rad], 12 rows."""
-    limit_exceeded: npt.NDArray[np.int64]
-    """Whether the last command left the limits of a joint, 1 row."""
-    damped: npt.NDArray[np.int64]
-    """Number of damped inverses near a singularity, in all lanes, shape (1,)."""
-    counts: Array
-    """Measurement: encoder counts, 1 row."""
-    measured: Array
-    """Measurement: free joints [rad], 6 rows."""
-    model_q: Array
-    """Modelled free joints at t + d [rad], 6 rows."""
-    model_dq: Array
-    """Their velocities [rad/s], 6 rows."""
-    model_frame: Array
-    """Position, rotation and twist of the flange there."""
-    offset: Array
-    """Measured minus modelled joints, slowly varying [rad], 6 rows."""
-    scratch: Array
-    """Scratch for joints and their velocities, 12 rows."""
-    history: Array
-    """Motion of the model at the last `HISTORY_TICKS` ticks: pivot velocity [m/s], flange x [m],
-    rotation of the flange about the spindle [rad], joints [rad]."""
-    newest: npt.NDArray[np.int64]
-    """Index of the newest of these ticks, shape (1,)."""
-    estimate: Array
-    """phi [rad], phi_dot [rad/s], bias of phi [rad], velocity of the pivot [m/s], flange x [m] at
-    the tick, 5 rows."""
-    observation: Array
-    """Observation of the policy: x [m], x_dot [m/s], phi [rad], phi_dot [rad/s], 4 rows."""
+    e: Annotated[Array, ROWS]
+    """Pose error, then the bracket of equation (3)."""
+    noise: Annotated[Array, ROWS]
+    """Disturbance of the pose error in the next command [m], [rad]; zero on a rig."""
+    u: Annotated[Array, LANES]
+    """Acceleration for the next command [m/s^2]."""
+    setpoints: Annotated[Array, (SETPOINTS_PER_TICK, *ROWS)]
+    """Joints to send at the tick and h / 2 later [rad]."""
+    limit_exceeded: Annotated[IntArray, LANES]
+    """Whether the last command left the limits of a joint."""
+    counts: Annotated[Array, LANES]
+    """Measurement: encoder counts."""
+    measured: Annotated[Array, ROWS]
+    """Measurement: free joints [rad]."""
+    model: Servos
+    """Modelled arm at t + d."""
+    model_frame: Annotated[Array, (FRAME_SIZE, BATCH_SIZE)]
+    """Position, rotation and twist of its flange."""
+    offset: Annotated[Array, ROWS]
+    """Measured minus modelled joints, slowly varying [rad]."""
+    corrected: Annotated[Array, ROWS]
+    """Modelled joints with that offset [rad]."""
+    history: Annotated[Sequence[Motion], (HISTORY_TICKS,)]
+    """Motion of the model at the last ticks."""
+    shown: Annotated[Array, LANES]
+    """Angle of the pendulum from upright that the counts show [rad]."""
+    estimate: Estimate
+    """Estimate of the observer."""
+    observation: Observed
+    """Observation of the policy."""
+    placement: Placement
+    """Iteration to the posture of a start."""
+    motion: Motion
+    """Motion at one time: a compiler vectorises large loops over fields at fixed places alone, and
+    those of `history` move."""
+    newest: Annotated[IntArray, LANES]
+    """Index of the newest tick of the history, equal in all lanes."""
 
 
 def make_controller_params(
@@ -210,9 +278,9 @@ def make_controller_params(
         SettingsError: The delay is longer than the history.
     """
     compiled = arm.compiled()
-    q, frame = np.zeros(FREE_JOINTS * BATCH_SIZE), np.zeros(FRAME_SIZE * BATCH_SIZE)
-    q[::BATCH_SIZE] = arm.home_free
-    compiled.kinematics(q, np.zeros(FREE_JOINTS * BATCH_SIZE), frame, 1)
+    q, dq, frame = np.zeros(ROWS), np.zeros(ROWS), np.zeros((FRAME_SIZE, BATCH_SIZE))
+    q[:, 0] = arm.home_free
+    kinematics(compiled.kinematics, q, dq, frame, 1)
     w = float(manipulability(frame, 0))
     if w < MIN_MANIPULABILITY:
         raise ArmError(
@@ -226,10 +294,8 @@ def make_controller_params(
         )
     wrist_x, wrist_y, wrist_z = (float(value) for value in compiled.wrist)
     own, clik = settings.controller, settings.clik
-    lags = np.array([lag.value for lag in actuator.lags])
-    return ControllerParams(
-        kinematics=compiled.kinematics,
-        motion=compiled.motion,
+    params = ControllerParams(
+        code=ControllerCode(compiled.kinematics, compiled.motion),
         clik=ClikParameters(
             clik.K_p, clik.K_d, SINGULAR_SHARE * w, DAMPING, (wrist_x, wrist_y, wrist_z)
         ),
@@ -237,19 +303,32 @@ def make_controller_params(
             [compiled.lower, compiled.upper, compiled.max_velocity, compiled.max_acceleration]
         ),
         home=arm.home_free,
-        home_reference=frame[: REFERENCE_SIZE * BATCH_SIZE : BATCH_SIZE].copy(),
+        home_reference=frame[:REFERENCE_SIZE, 0].copy(),
         pivot=arm.pivot,
         h=h,
         has_sensor=has_sensor,
         actuator=actuator.parameters,
-        lags=lags,
-        share=np.repeat([float(lag_share(lag)) for lag in lags.tolist()], BATCH_SIZE),
+        lags=np.array([lag.value for lag in actuator.lags]),
         delay=actuator.delay.value,
         horizon=horizon(arm, actuator, own.margin) if own.predict else 0.0,
         pendulum=pendulum,
         gains=observer_gains(pendulum, counts_per_rev, h, estimate_bias=own.estimate_bias),
         resolution=2.0 * pi / counts_per_rev,
         correction=CORRECTION,
+    )
+    return params._replace(code=_compiled(params))
+
+
+def _compiled(params: ControllerParams) -> ControllerCode:
+    number, whole = types.float64, types.int64
+    kinds = numba.typeof(params), numba.from_dtype(record_type(ControllerState))
+    arm = numba.from_dtype(record_type(Servos)), numba.typeof(params.actuator)
+    return params.code._replace(
+        follow_setpoint=pointer(follow_setpoint, *arm, whole, types.boolean, whole),
+        start_controller=pointer(start_controller, *kinds, number, number, number, number, whole),
+        observe=pointer(observe, *kinds, number, number, whole),
+        command=pointer(command, *kinds, whole),
+        advance_arm_model=pointer(advance_arm_model, *kinds, whole),
     )
 
 
@@ -275,31 +354,21 @@ def horizon(arm: Arm, actuator: Actuator, margin: float) -> float:
     return effect + float(part @ follows)
 
 
-def new_controller_state() -> ControllerState:
-    """Return the state of controllers before `start_controller`."""
-    rows = {
-        "frame": FRAME_SIZE,
-        "reference": REFERENCE_SIZE,
-        "u": 1,
-        "setpoints": 6 * SETPOINTS_PER_TICK,
-        "counts": 1,
-        "model_frame": FRAME_SIZE,
-        "scratch": 2 * FREE_JOINTS,
-        "history": HISTORY_TICKS * HISTORY_ROWS,
-        "estimate": 5,
-        "observation": 4,
-    }
-    whole = {"limit_exceeded": BATCH_SIZE, "damped": 1, "newest": 1}
-    blocks: dict[str, Any] = {
-        name: np.zeros(whole[name], np.int64)
-        if name in whole
-        else zeros(rows.get(name, FREE_JOINTS) * BATCH_SIZE)
-        for name in ControllerState._fields
-    }
-    return ControllerState(**blocks)
+@inlined
+def kinematics(function: int, q: Array, dq: Array, frame: Array, lanes: int) -> None:
+    """Write the records of the flanges of the first lanes.
+
+    Args:
+        function: Address of the arm's kinematics.
+        q: Free joints [rad], 6 rows.
+        dq: Their velocities [rad/s], 6 rows.
+        frame: Receives the records.
+        lanes: Number of lanes.
+    """
+    call(function, (q.ravel(), dq.ravel(), frame.ravel(), lanes))
 
 
-@kernel
+@compilable
 def place_command(
     controller: ControllerParams, state: ControllerState, x: float, x_dot: float, n: int
 ) -> None:
@@ -312,42 +381,38 @@ def place_command(
         x_dot: Its velocity [m/s].
         n: Lane.
     """
-    # Newton's method places the arm, in the first lane of separate blocks.
-    q, dq, dy = np.zeros(6 * BATCH_SIZE), np.zeros(6 * BATCH_SIZE), np.zeros(6 * BATCH_SIZE)
-    e, frame = np.zeros(6 * BATCH_SIZE), np.zeros(FRAME_SIZE * BATCH_SIZE)
-    reference = np.zeros(REFERENCE_SIZE * BATCH_SIZE)
+    start = state.placement
+    q, dq, e, frame, reference = start.q, start.dq, start.e, start.frame, start.reference
     for i in range(REFERENCE_SIZE):
-        put(reference, i, 0, controller.home_reference[i])
-        put(state.reference, i, n, controller.home_reference[i])
-    for i in range(6):
-        put(q, i, 0, controller.home[i])
-    put(reference, POSITION, 0, controller.home_reference[POSITION] + x)
+        reference[i, 0] = controller.home_reference[i]
+    reference[POSITION, 0] += x
+    for i in range(FREE_JOINTS):
+        q[i, 0], dq[i, 0] = controller.home[i], 0.0
     for _ in range(POSE_ITERATIONS):
-        controller.kinematics(q, dq, frame, 1)
+        kinematics(controller.code.kinematics, q, dq, frame, 1)
         error = pose_error(frame, reference, 0)
         largest = 0.0
         for i in range(6):
-            put(e, i, 0, error[i])
+            e[i, 0] = error[i]
             largest = max(largest, abs(error[i]))
         if largest < POSE_TOLERANCE:
             break
-        solve(frame, e, controller.clik, dy, 1)
-        q += dy
-    e[:] = 0.0
-    put(e, 0, 0, x_dot)
-    solve(frame, e, controller.clik, dq, 1)
-    controller.kinematics(q, dq, frame, 1)
+        solve(frame, e, controller.clik, start.change, 1)
+        for i in range(FREE_JOINTS):
+            q[i, 0] += start.change[i, 0]
     for i in range(6):
-        put(state.q, i, n, at(q, i, 0))
-        put(state.dq, i, n, at(dq, i, 0))
-        put(state.ddq, i, n, 0.0)
+        e[i, 0] = x_dot if i == 0 else 0.0
+    solve(frame, e, controller.clik, dq, 1)
+    kinematics(controller.code.kinematics, q, dq, frame, 1)
+    reference[TWIST, 0] = x_dot
+    for i in range(FREE_JOINTS):
+        state.q[i, n], state.dq[i, n], state.ddq[i, n] = q[i, 0], dq[i, 0], 0.0
     for i in range(FRAME_SIZE):
-        put(state.frame, i, n, at(frame, i, 0))
-    put(state.reference, POSITION, n, at(reference, POSITION, 0))
-    put(state.reference, TWIST, n, x_dot)
+        state.frame[i, n] = frame[i, 0]
+    for i in range(REFERENCE_SIZE):
+        state.reference[i, n] = reference[i, 0]
 
 
-@called
 def start_controller(
     controller: ControllerParams,
     state: ControllerState,
@@ -370,33 +435,30 @@ def start_controller(
     """
     place_command(controller, state, x, x_dot, n)
     state.limit_exceeded[n] = 0
-    h = controller.h
-    for i in range(6):
-        dq = at(state.dq, i, n)
-        q = at(state.q, i, n) - steady_error(dq, controller.lags[i], controller.actuator)
-        put(state.model_q, i, n, q)
-        put(state.model_dq, i, n, dq)
-        put(state.offset, i, n, 0.0)
+    h, model = controller.h, state.model
+    for i in range(FREE_JOINTS):
+        dq = state.dq[i, n]
+        q = state.q[i, n] - steady_error(dq, controller.lags[i], controller.actuator)
+        model.q[i, n], model.dq[i, n], state.offset[i, n] = q, dq, 0.0
+        model.fraction[i, n] = lag_share(controller.lags[i])
         for j in range(HISTORY_TICKS):
-            entry = _entry(state.newest[0], j)
-            put(state.history, entry + MODEL_Q + i, n, q - j * h * dq)
+            tick_before(state, j).q[i, n] = q - j * h * dq
     for j in range(HISTORY_TICKS):
-        entry = _entry(state.newest[0], j)
-        put(state.history, entry + PIVOT_V, n, x_dot)
-        put(state.history, entry + FLANGE_X, n, x - j * h * x_dot)
-        put(state.history, entry + TILT, n, 0.0)
-    for row, value in enumerate((phi, phi_dot, 0.0, x_dot, x)):
-        put(state.estimate, row, n, value)
+        motion = tick_before(state, j)
+        motion.pivot_v[n], motion.x[n], motion.tilt[n] = x_dot, x - j * h * x_dot, 0.0
+    estimate, observation = state.estimate, state.observation
+    estimate.phi[n], estimate.phi_dot[n], estimate.bias[n] = phi, phi_dot, 0.0
+    estimate.pivot_v[n], estimate.x[n] = x_dot, x
     # The arm moves steadily: over the horizon the pendulum falls by itself.
     phi, phi_dot = runge_kutta(phi, phi_dot, 0.0, controller.horizon, 0.0, controller.pendulum)
-    for row, value in enumerate((x, x_dot, phi, phi_dot)):
-        put(state.observation, row, n, value)
+    observation.x[n], observation.x_dot[n] = x, x_dot
+    observation.phi[n], observation.phi_dot[n] = phi, phi_dot
 
 
 @inlined
-def _entry(newest: int, j: int) -> int:
-    """Return the first row of the motion `j` ticks before the newest."""
-    return ((newest - j) % HISTORY_TICKS) * HISTORY_ROWS
+def tick_before(state: ControllerState, j: int) -> Motion:
+    """Return the motion of the model `j` ticks before the newest."""
+    return state.history[(state.newest[0] - j) % HISTORY_TICKS]
 
 
 @inlined
@@ -405,7 +467,6 @@ def _wrapped(angle: float) -> float:
     return angle - 2.0 * pi * floor((angle + pi) / (2.0 * pi))
 
 
-@inlined
 def observe(
     controller: ControllerParams,
     state: ControllerState,
@@ -415,6 +476,8 @@ def observe(
 ) -> None:
     """Compute the observations from the measurements in `state`, in the first lanes.
 
+    Formulas are computed in all lanes: the compiler knows their number, and fills whole registers.
+
     Args:
         controller: Constants.
         state: Reads `counts` and `measured`; changed in place.
@@ -422,84 +485,80 @@ def observe(
         reply_age: Age of the measured joints [s].
         lanes: Number of lanes.
     """
-    past, newest = state.history, state.newest[0]
-    estimate, obs = state.estimate, state.observation
-    measured, offset, counts, frame = state.measured, state.offset, state.counts, state.frame
-    h, delay, pendulum = controller.h, controller.delay, controller.pendulum
+    estimate, observation, offset = state.estimate, state.observation, state.offset
+    measured, counts, shown, frame = state.measured, state.counts, state.shown, state.frame
+    h, delay, pendulum, motion = controller.h, controller.delay, controller.pendulum, state.motion
     on_phi, on_phi_dot, on_bias = controller.gains
     resolution, correction = controller.resolution, controller.correction
 
     back = (delay + reply_age) / h
-    near, far, f = _entry(newest, int(back)), _entry(newest, int(back) + 1), back - int(back)
-    for i in range(6):
-        for n in range(lanes):
-            model = at(past, near + MODEL_Q + i, n)
-            model += f * (at(past, far + MODEL_Q + i, n) - model)
-            old = at(offset, i, n)
-            put(offset, i, n, old + correction * (at(measured, i, n) - model - old))
+    near, far = tick_before(state, int(back)), tick_before(state, int(back) + 1)
+    f = back - int(back)
+    for i in range(FREE_JOINTS):
+        for n in range(BATCH_SIZE):
+            motion.q[i, n] = near.q[i, n] + f * (far.q[i, n] - near.q[i, n])
+    for i in range(FREE_JOINTS):
+        for n in range(BATCH_SIZE):
+            offset[i, n] += correction * (measured[i, n] - motion.q[i, n] - offset[i, n])
 
     back = (delay + encoder_age) / h
-    near, far, f = _entry(newest, int(back)), _entry(newest, int(back) + 1), back - int(back)
-    for n in range(lanes):
-        tilt = at(past, near + TILT, n)
-        turned = at(past, far + TILT, n) - tilt
-        # Scratch for the angle in space that the encoder shows, until the estimate is made.
-        put(obs, OBS_PHI, n, pi - at(counts, 0, n) * resolution + tilt + f * turned)
+    near, far = tick_before(state, int(back)), tick_before(state, int(back) + 1)
+    f = back - int(back)
+    for n in range(BATCH_SIZE):
+        tilt = near.tilt[n]
+        shown[n] = pi - counts[n] * resolution + tilt + f * (far.tilt[n] - tilt)
+
     whole = int(delay / h)
-    near, far, f = _entry(newest, whole), _entry(newest, whole + 1), delay / h - whole
-    for n in range(lanes):
-        v = at(past, near + PIVOT_V, n)
-        v += f * (at(past, far + PIVOT_V, n) - v)
-        u = (v - at(estimate, EST_PIVOT_V, n)) / h
-        phi, phi_dot = runge_kutta(
-            at(estimate, EST_PHI, n), at(estimate, EST_PHI_DOT, n), u, h, 0.0, pendulum
-        )
-        bias = at(estimate, EST_BIAS, n)
-        surprise = _wrapped(at(obs, OBS_PHI, n) - bias - phi + encoder_age * phi_dot)
-        phi += on_phi * surprise
-        phi_dot += on_phi_dot * surprise
-        put(estimate, EST_PHI, n, phi)
-        put(estimate, EST_PHI_DOT, n, phi_dot)
-        put(estimate, EST_BIAS, n, bias + on_bias * surprise)
-        put(estimate, EST_PIVOT_V, n, v)
-        put(obs, OBS_PHI, n, phi)
-        put(obs, OBS_PHI_DOT, n, phi_dot)
-        put(obs, OBS_X_DOT, n, v)
-        x = at(past, near + FLANGE_X, n)
-        x += f * (at(past, far + FLANGE_X, n) - x)
-        put(estimate, EST_X, n, x)
-        put(obs, OBS_X, n, x)
+    near, far, f = tick_before(state, whole), tick_before(state, whole + 1), delay / h - whole
+    for n in range(BATCH_SIZE):
+        motion.pivot_v[n] = near.pivot_v[n] + f * (far.pivot_v[n] - near.pivot_v[n])
+    for n in range(BATCH_SIZE):
+        estimate.x[n] = near.x[n] + f * (far.x[n] - near.x[n])
+    for n in range(BATCH_SIZE):
+        pivot_v = motion.pivot_v[n]
+        u = (pivot_v - estimate.pivot_v[n]) / h
+        phi, phi_dot = runge_kutta(estimate.phi[n], estimate.phi_dot[n], u, h, 0.0, pendulum)
+        innovation = _wrapped(shown[n] - estimate.bias[n] - phi + encoder_age * phi_dot)
+        estimate.phi[n] = phi + on_phi * innovation
+        estimate.phi_dot[n] = phi_dot + on_phi_dot * innovation
+        estimate.bias[n] += on_bias * innovation
+        estimate.pivot_v[n] = pivot_v
+    for n in range(BATCH_SIZE):
+        observation.x[n], observation.x_dot[n] = estimate.x[n], estimate.pivot_v[n]
+        observation.phi[n], observation.phi_dot[n] = estimate.phi[n], estimate.phi_dot[n]
     if controller.horizon == 0.0:
         return
     part = delay - whole * h
     for j in range(whole, -1, -1):
         if part > MIN_PREDICTION_STEP:
-            to = _entry(newest, j)
-            for n in range(lanes):
-                _propagate(obs, at(past, to + PIVOT_V, n), part, pendulum, n)
+            then = tick_before(state, j)
+            for n in range(BATCH_SIZE):
+                motion.pivot_v[n] = then.pivot_v[n]
+            for n in range(BATCH_SIZE):
+                _propagate(observation, motion.pivot_v[n], part, pendulum, n)
         part = h
     part = controller.horizon - delay
     home_x = controller.home_reference[POSITION]
     if part > MIN_PREDICTION_STEP:
-        for n in range(lanes):
-            _propagate(obs, at(frame, TWIST, n), part, pendulum, n)
-    for n in range(lanes):
-        put(obs, OBS_X, n, at(frame, POSITION, n) - home_x)
-        put(obs, OBS_X_DOT, n, at(frame, TWIST, n))
+        for n in range(BATCH_SIZE):
+            _propagate(observation, frame[TWIST, n], part, pendulum, n)
+    for n in range(BATCH_SIZE):
+        observation.x[n] = frame[POSITION, n] - home_x
+        observation.x_dot[n] = frame[TWIST, n]
 
 
 @inlined
-def _propagate(obs: Array, v: float, time: float, pendulum: PendulumParameters, n: int) -> None:
-    """Propagate the predicted pendulum of lane `n` while the pivot velocity ramps to `v`."""
-    u = (v - at(obs, OBS_X_DOT, n)) / time
-    phi, phi_dot = at(obs, OBS_PHI, n), at(obs, OBS_PHI_DOT, n)
-    phi, phi_dot = runge_kutta(phi, phi_dot, u, time, 0.0, pendulum)
-    put(obs, OBS_PHI, n, phi)
-    put(obs, OBS_PHI_DOT, n, phi_dot)
-    put(obs, OBS_X_DOT, n, v)
+def _propagate(
+    predicted: Observed, pivot_v: float, time: float, pendulum: PendulumParameters, n: int
+) -> None:
+    """Propagate the predicted pendulum of lane `n` while the pivot velocity ramps to `pivot_v`."""
+    u = (pivot_v - predicted.x_dot[n]) / time
+    predicted.phi[n], predicted.phi_dot[n] = runge_kutta(
+        predicted.phi[n], predicted.phi_dot[n], u, time, 0.0, pendulum
+    )
+    predicted.x_dot[n] = pivot_v
 
 
-@inlined
 def command(controller: ControllerParams, state: ControllerState, lanes: int) -> None:
     """Compute the setpoints of the joints from u, in the first lanes.
 
@@ -513,61 +572,34 @@ def command(controller: ControllerParams, state: ControllerState, lanes: int) ->
     """
     q, dq, ddq, frame, reference = state.q, state.dq, state.ddq, state.frame, state.reference
     e, noise, u, setpoints = state.e, state.noise, state.u, state.setpoints
-    beyond, h, limits = state.limit_exceeded, controller.h, controller.limits
-    for n in range(lanes):
-        e0, e1, e2, e3, e4, e5 = pose_error(frame, reference, n)
-        put(e, 0, n, e0 + at(noise, 0, n))
-        put(e, 1, n, e1 + at(noise, 1, n))
-        put(e, 2, n, e2 + at(noise, 2, n))
-        put(e, 3, n, e3 + at(noise, 3, n))
-        put(e, 4, n, e4 + at(noise, 4, n))
-        put(e, 5, n, e5 + at(noise, 5, n))
-        put(reference, GAMMA, n, u[n])
-    state.damped[0] += joint_acceleration(frame, reference, e, controller.clik, ddq, lanes)
-    for n in range(lanes):
-        move = at(reference, TWIST, n) * h + 0.5 * u[n] * h * h
-        put(reference, POSITION, n, at(reference, POSITION, n) + move)
-        put(reference, TWIST, n, at(reference, TWIST, n) + u[n] * h)
-    if lanes == 1:
-        _advance_joints(q, dq, ddq, setpoints, h, BATCH_SIZE)
-    else:
-        _advance_joints(q, dq, ddq, setpoints, h, 1)
-    for n in range(lanes):
+    limit_exceeded, h, limits = state.limit_exceeded, controller.h, controller.limits
+    for n in range(BATCH_SIZE):
+        e[0, n], e[1, n], e[2, n], e[3, n], e[4, n], e[5, n] = pose_error(frame, reference, n)
+        reference[GAMMA, n] = u[n]
+    for i in range(6):
+        for n in range(BATCH_SIZE):
+            e[i, n] += noise[i, n]
+    joint_acceleration(frame, reference, e, controller.clik, ddq, lanes)
+    for n in range(BATCH_SIZE):
+        reference[POSITION, n] += reference[TWIST, n] * h + 0.5 * u[n] * h * h
+        reference[TWIST, n] += u[n] * h
+    for i in range(FREE_JOINTS):
+        for n in range(BATCH_SIZE):
+            setpoints[0, i, n] = q[i, n] + 0.5 * dq[i, n] * h + 0.125 * ddq[i, n] * h * h
+            setpoints[1, i, n] = q[i, n] + (dq[i, n] * h + 0.5 * ddq[i, n] * h * h)
+            q[i, n] = setpoints[1, i, n]
+            dq[i, n] += ddq[i, n] * h
+    for n in range(BATCH_SIZE):
         within = True
-        for i in range(6):
-            angle = at(q, i, n)
-            slow = (abs(at(dq, i, n)) <= limits[2, i]) & (abs(at(ddq, i, n)) <= limits[3, i])
-            within &= (limits[0, i] <= angle) & (angle <= limits[1, i]) & slow
-        beyond[n] = 0 if within else 1
-    controller.kinematics(q, dq, frame, lanes)
+        for i in range(FREE_JOINTS):
+            within &= (limits[0, i] <= q[i, n]) & (q[i, n] <= limits[1, i])
+            within &= (abs(dq[i, n]) <= limits[2, i]) & (abs(ddq[i, n]) <= limits[3, i])
+        limit_exceeded[n] = 0 if within else 1
+    kinematics(controller.code.kinematics, q, dq, frame, lanes)
     if controller.has_sensor:
-        advance_arm_model(controller, state, lanes)
+        call(controller.code.advance_arm_model, (controller, state, lanes))
 
 
-@inlined
-def _advance_joints(q: Array, dq: Array, ddq: Array, setpoints: Array, h: float, step: int) -> None:
-    """Advance the commanded joints by one tick, and write their setpoints.
-
-    Args:
-        q: Joints [rad], a block of 6 rows, changed in place.
-        dq: Their velocities [rad/s], a block of 6 rows, changed in place.
-        ddq: Their accelerations [rad/s^2], a block of 6 rows.
-        setpoints: Receives the joints in the middle and at the end of the tick [rad], 12 rows.
-        h: Length of the tick [s].
-        step: 1 to advance all lanes, `BATCH_SIZE` to advance the first one.
-    """
-    # Flat loops over adjacent numbers with few arrays: a compiler vectorises no loop over many.
-    count = FREE_JOINTS * BATCH_SIZE
-    for i in range(0, count, step):
-        a, v, angle = ddq[i], dq[i], q[i]
-        setpoints[i] = angle + 0.5 * v * h + 0.125 * a * h * h
-        setpoints[count + i] = angle + (v * h + 0.5 * a * h * h)
-    for i in range(0, count, step):
-        q[i] = setpoints[count + i]
-        dq[i] = dq[i] + ddq[i] * h
-
-
-@inlined
 def advance_arm_model(controller: ControllerParams, state: ControllerState, lanes: int) -> None:
     """Advance the model of the arm to the end of the tick, and record its motion.
 
@@ -576,31 +608,39 @@ def advance_arm_model(controller: ControllerParams, state: ControllerState, lane
         state: Changed in place.
         lanes: Number of lanes.
     """
-    scratch, past, frame = state.scratch, state.history, state.model_frame
-    q, dq, share = state.model_q, state.model_dq, controller.share
-    velocity = scratch[FREE_JOINTS * BATCH_SIZE :]
+    model, frame, corrected = state.model, state.model_frame, state.corrected
     cycles = round(controller.h / SETPOINTS_PER_TICK / CYCLE)
     for s in range(SETPOINTS_PER_TICK):
-        target = state.setpoints[6 * s * BATCH_SIZE : 6 * (s + 1) * BATCH_SIZE]
-        setpoint = DelayedSetpoint(target, target, share, False)
-        follow_setpoint(q, dq, setpoint, share, controller.actuator, cycles, scratch, lanes)
+        for i in range(FREE_JOINTS):
+            for n in range(BATCH_SIZE):
+                model.target[i, n] = state.setpoints[s, i, n]
+        call(controller.code.follow_setpoint, (model, controller.actuator, cycles, False, lanes))
+    newest = (state.newest[0] + 1) % HISTORY_TICKS
+    for n in range(BATCH_SIZE):
+        state.newest[n] = newest
+    motion = state.motion
+    for i in range(FREE_JOINTS):
+        for n in range(BATCH_SIZE):
+            corrected[i, n] = model.q[i, n] + state.offset[i, n]
+    velocity = motion_of(model, controller.actuator)
     if controller.actuator.kind == IDEAL:
-        # It jumps to each setpoint and then rests; the motion is that of the command.
-        for i in range(FREE_JOINTS * BATCH_SIZE):
-            velocity[i] = state.dq[i]
-    state.newest[0] = (state.newest[0] + 1) % HISTORY_TICKS
-    entry = _entry(state.newest[0], 0)
-    for i in range(6):
-        for n in range(lanes):
-            angle = at(q, i, n)
-            put(past, entry + MODEL_Q + i, n, angle)
-            put(scratch, i, n, angle + at(state.offset, i, n))
-    controller.motion(scratch, velocity, frame, lanes)
+        velocity = state.dq  # it jumps to each setpoint and then rests
+    kinematics(controller.code.motion, corrected, velocity, frame, lanes)
     home_x = controller.home_reference[POSITION]
-    for n in range(lanes):
-        put(past, entry + PIVOT_V, n, pivot_velocity(frame, controller.pivot, n))
-        put(past, entry + FLANGE_X, n, at(frame, POSITION, n) - home_x)
-        put(past, entry + TILT, n, -pose_error(frame, state.reference, n)[4])
+    for n in range(BATCH_SIZE):
+        motion.pivot_v[n] = pivot_velocity(frame, controller.pivot, n)
+        motion.x[n] = frame[POSITION, n] - home_x
+        motion.tilt[n] = -pose_error(frame, state.reference, n)[4]
+    now = tick_before(state, 0)
+    for n in range(BATCH_SIZE):
+        now.pivot_v[n] = motion.pivot_v[n]
+    for n in range(BATCH_SIZE):
+        now.x[n] = motion.x[n]
+    for n in range(BATCH_SIZE):
+        now.tilt[n] = motion.tilt[n]
+    for i in range(FREE_JOINTS):
+        for n in range(BATCH_SIZE):
+            now.q[i, n] = model.q[i, n]
 
 
 @inlined
@@ -614,24 +654,6 @@ def pivot_velocity(frame: Array, pivot: tuple[float, float, float], n: int) -> f
     """
     px, py, pz = pivot
     r = ROTATION
-    y = at(frame, r + 3, n) * px + at(frame, r + 4, n) * py + at(frame, r + 5, n) * pz
-    z = at(frame, r + 6, n) * px + at(frame, r + 7, n) * py + at(frame, r + 8, n) * pz
-    return at(frame, TWIST, n) + at(frame, TWIST + 4, n) * z - at(frame, TWIST + 5, n) * y
-
-
-@called
-def copy_controller_state(state: ControllerState, source: int, target: int) -> None:
-    """Copy the state of one lane to another, to close the gap of a finished one."""
-    commanded = state.q, state.dq, state.ddq, state.frame, state.reference, state.setpoints
-    modelled = state.model_q, state.model_dq, state.offset, state.history
-    observed = state.estimate, state.observation
-    for block in commanded + modelled + observed:
-        copy_rows(block, source, target)
-    state.limit_exceeded[target] = state.limit_exceeded[source]
-
-
-@called
-def copy_rows(block: Any, source: int, target: int) -> None:
-    """Copy one lane of a block to another, in all of its rows."""
-    for row in range(len(block) // BATCH_SIZE):
-        block[row * BATCH_SIZE + target] = block[row * BATCH_SIZE + source]
+    y = frame[r + 3, n] * px + frame[r + 4, n] * py + frame[r + 5, n] * pz
+    z = frame[r + 6, n] * px + frame[r + 7, n] * py + frame[r + 8, n] * pz
+    return frame[TWIST, n] + frame[TWIST + 4, n] * z - frame[TWIST + 5, n] * y

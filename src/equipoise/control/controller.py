@@ -6,29 +6,25 @@
 
 from collections.abc import Callable, Sequence
 from math import asin, ceil, sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from equipoise.arrays import Array
+from equipoise.arrays import Array, Records, fields, new_records
 from equipoise.control.clik import manipulability
 from equipoise.control.control_step import (
     HISTORY_TICKS,
-    SETPOINTS_PER_TICK,
     ControllerParams,
     ControllerState,
-    advance_arm_model,
-    command,
-    new_controller_state,
-    observe,
-    start_controller,
+    kinematics,
 )
-from equipoise.control.grid import box_indices, make_grid
+from equipoise.control.grid import box_index, make_grid
 from equipoise.control.policy import Policy
-from equipoise.jit import kernel, struct_ref
-from equipoise.model.arms.arm import FREE_JOINTS, Arm
-from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST, KinematicsFunction
-from equipoise.model.elementary import BATCH_SIZE, at
+from equipoise.jit import call, compilable, kernel
+from equipoise.model.actuator import ROWS
+from equipoise.model.arms.arm import Arm
+from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST
+from equipoise.model.elementary import BATCH_SIZE
 from equipoise.settings import BoxSettings
 
 
@@ -60,31 +56,44 @@ class StateEstimate(NamedTuple):
     """Displacement of the flange from home [m]."""
 
 
-ControllerHandle: Any = struct_ref("ControllerHandle", __name__, ("params", "state"))
-
-
 @kernel
-def new_controller_handle(params: ControllerParams, state: ControllerState) -> Any:
-    """Return a controller that kernels take by reference."""
-    return ControllerHandle(params, state)
-
-
-@kernel
-def observe_tick(controller: Any, encoder_age: float, reply_age: float) -> None:
+def observe_tick(
+    params: ControllerParams, states: Records, encoder_age: float, reply_age: float
+) -> None:
     """Compute the observation; see `control_step.observe`."""
-    observe(controller.params, controller.state, encoder_age, reply_age, 1)
+    call(params.code.observe, (params, states[0], encoder_age, reply_age, 1))
 
 
 @kernel
-def command_tick(controller: Any) -> None:
+def command_tick(params: ControllerParams, states: Records) -> None:
     """Compute the setpoints from u; see `control_step.command`."""
-    command(controller.params, controller.state, 1)
+    call(params.code.command, (params, states[0], 1))
 
 
 @kernel
-def hold_tick(controller: Any) -> None:
+def hold_tick(params: ControllerParams, states: Records) -> None:
     """Advance the model of the arm towards the last setpoints."""
-    advance_arm_model(controller.params, controller.state, 1)
+    call(params.code.advance_arm_model, (params, states[0], 1))
+
+
+@kernel
+def start(
+    params: ControllerParams, states: Records, x: float, x_dot: float, phi: float, phi_dot: float
+) -> None:
+    """Start the first lane; see `control_step.start_controller`."""
+    call(params.code.start_controller, (params, states[0], x, x_dot, phi, phi_dot, 0))
+
+
+def estimate_of(state: ControllerState) -> Array:
+    """Return the estimate in the first lane, the entries of `StateEstimate`, shape (5,)."""
+    e = state.estimate
+    return np.array([e.phi[0], e.phi_dot[0], e.bias[0], e.pivot_v[0], e.x[0]])
+
+
+def observation_of(state: ControllerState) -> Array:
+    """Return the observation in the first lane, the entries of `Observation`, shape (4,)."""
+    seen = state.observation
+    return np.array([seen.x[0], seen.x_dot[0], seen.phi[0], seen.phi_dot[0]])
 
 
 class Controller:
@@ -92,21 +101,14 @@ class Controller:
 
     def __init__(self, arm: Arm, controller: ControllerParams, boxes: BoxSettings) -> None:
         """Begin at home, at rest."""
-        self._arm, self._controller = arm, controller
-        self._state, self._boxes = new_controller_state(), make_grid(boxes, controller.pendulum.k)
-        # By whether there are counts and measured joints: without, the model is not corrected.
-        self._handles = {
-            (counts, joints): new_controller_handle(
-                controller._replace(
-                    gains=controller.gains if counts else (0.0, 0.0, 0.0),
-                    correction=controller.correction if joints else 0.0,
-                ),
-                self._state,
-            )
-            for counts in (False, True)
-            for joints in (False, True)
-        }
-        self._handle = self._handles[True, True]
+        self._arm, self._params = arm, controller
+        self._states, self._boxes = (
+            new_records(ControllerState),
+            make_grid(boxes, controller.pendulum.k),
+        )
+        self._state = fields(self._states, ControllerState)
+        # Without counts or measured joints nothing is corrected.
+        self._blind_params = controller._replace(gains=(0.0, 0.0, 0.0))
         self._free = list(arm.free)
         self._home_x = float(controller.home_reference[POSITION])
         # A tick in the past needs the motion from its delay, and the age of its sample, before it.
@@ -115,11 +117,11 @@ class Controller:
 
     def begin(self, phi: float, phi_dot: float) -> None:
         """Begin at home, at rest, with the measured pendulum [rad], [rad/s]."""
-        start_controller(self._controller, self._state, 0.0, 0.0, phi, phi_dot, 0)
+        start(self._params, self._states, 0.0, 0.0, phi, phi_dot)
         state = self._state
-        self._model = state.model_q.copy(), state.model_dq.copy()
+        self._model = state.model.q.copy(), state.model.dq.copy()
         # Estimate at the last tick with counts, and the number of ticks since.
-        self._confirmed, self._blind = state.estimate.copy(), 0
+        self._confirmed, self._blind = self._states["estimate"].copy(), 0
 
     def observe(
         self,
@@ -144,16 +146,16 @@ class Controller:
         """
         state, newest = self._state, int(self._state.newest[0])
         if q is not None:
-            state.measured[::BATCH_SIZE] = [q[joint] for joint in self._free]
+            state.measured[:, 0] = [q[joint] for joint in self._free]
         if 0 < self._blind <= self._kept:
-            state.estimate[:] = self._confirmed
+            self._states["estimate"] = self._confirmed
         else:
             self._blind = 0
         self._blind += 1
         for back in range(self._blind - 1, 0, -1):
-            state.newest[0] = (newest - back) % HISTORY_TICKS
-            self._observe(back, before(back * self._controller.h))
-        state.newest[0] = newest
+            state.newest[:] = (newest - back) % HISTORY_TICKS
+            self._observe(back, before(back * self._params.h))
+        state.newest[:] = newest
         sample = None if counts is None else (counts, encoder_age)
         self._observe(0, sample, None if q is None else reply_age)
 
@@ -167,13 +169,14 @@ class Controller:
             sample: Counts and their age [s].
             reply_age: Age of the measured joints [s].
         """
-        state, age = self._state, 0.0
+        params = self._blind_params if sample is None else self._params
+        counts, age = sample or (0.0, 0.0)
+        if reply_age is None:
+            params = params._replace(correction=0.0)
+        self._state.counts[0] = counts
+        observe_tick(params, self._states, age, reply_age or 0.0)
         if sample is not None:
-            state.counts[0], age = sample
-        handle = self._handles[sample is not None, reply_age is not None]
-        observe_tick(handle, age, 0.0 if reply_age is None else reply_age)
-        if sample is not None:
-            self._confirmed[:], self._blind = state.estimate, back
+            self._confirmed[:], self._blind = self._states["estimate"], back
 
     def rest(self, q: Sequence[float], missed: int, unsent: bool) -> None:
         """Begin anew from an arm that comes to rest at the last setpoint sent.
@@ -188,51 +191,50 @@ class Controller:
         """
         state = self._state
         held = [q[joint] for joint in self._free]
-        state.setpoints[::BATCH_SIZE] = held * SETPOINTS_PER_TICK
+        state.setpoints[:, :, 0] = held
         if unsent:  # the model has followed it over half a tick
-            state.model_q[:], state.model_dq[:] = self._model
-            state.newest[0] = (state.newest[0] - 1) % HISTORY_TICKS
+            state.model.q[:], state.model.dq[:] = self._model
+            state.newest[:] = (state.newest[0] - 1) % HISTORY_TICKS
             self.hold()
         for _ in range(missed):
             self._observe(0, None)
             self._blind += 1
             self.hold()
-        state.q[::BATCH_SIZE], state.dq[:], state.ddq[:] = held, 0.0, 0.0
-        self._controller.kinematics(state.q, state.dq, state.frame, 1)
-        state.reference[POSITION * BATCH_SIZE] = state.frame[POSITION * BATCH_SIZE]
-        state.reference[TWIST * BATCH_SIZE] = 0.0
+        state.q[:, 0], state.dq[:], state.ddq[:] = held, 0.0, 0.0
+        kinematics(self._params.code.kinematics, state.q, state.dq, state.frame, 1)
+        state.reference[POSITION, 0] = state.frame[POSITION, 0]
+        state.reference[TWIST, 0] = 0.0
 
     def hold(self) -> None:
         """Advance the model of the arm by a tick, towards the last setpoints."""
-        hold_tick(self._handle)
+        hold_tick(self._params, self._states)
 
     @property
     def observation(self) -> Observation:
         """Observation of the policy."""
-        return Observation(*self._state.observation[::BATCH_SIZE].tolist())
+        return Observation(*observation_of(self._state).tolist())
 
     @property
     def estimate(self) -> StateEstimate:
         """Estimate of the observer."""
-        return StateEstimate(*self._state.estimate[::BATCH_SIZE].tolist())
+        return StateEstimate(*estimate_of(self._state).tolist())
 
     def decide(self, policy: Policy) -> float:
         """Return the policy's u [m/s^2] for the observation."""
-        return policy.act(np.array(self.observation))
+        return policy.act(observation_of(self._state))
 
     @property
     def box(self) -> int:
         """Box of the observation."""
-        return int(box_indices(np.array([self.observation]), self._boxes)[0])
+        return box_index(*self.observation, self._boxes)
 
     def command(self, u: float) -> tuple[tuple[float, ...], ...]:
         """Accelerate the flange by u [m/s^2] over a tick, and return its setpoints [rad]."""
         state = self._state
-        self._model[0][:], self._model[1][:] = state.model_q, state.model_dq
+        self._model[0][:], self._model[1][:] = state.model.q, state.model.dq
         state.u[0] = u
-        command_tick(self._handle)
-        setpoints = state.setpoints.reshape(SETPOINTS_PER_TICK, -1)
-        return tuple(self._all_joints(self._arm.home, setpoint) for setpoint in setpoints)
+        command_tick(self._params, self._states)
+        return tuple(self._all_joints(self._arm.home, free) for free in state.setpoints)
 
     @property
     def limit_exceeded(self) -> bool:
@@ -252,17 +254,17 @@ class Controller:
     @property
     def x(self) -> float:
         """Commanded displacement of the flange at the end of the tick [m]."""
-        return float(self._state.frame[POSITION * BATCH_SIZE]) - self._home_x
+        return float(self._state.frame[POSITION, 0]) - self._home_x
 
     @property
     def x_dot(self) -> float:
         """Its velocity [m/s]."""
-        return float(self._state.frame[TWIST * BATCH_SIZE])
+        return float(self._state.frame[TWIST, 0])
 
     def _all_joints(self, held: Sequence[float], free: Array) -> tuple[float, ...]:
-        """Return `held` with the free joints of a block."""
+        """Return `held` with the free joints of the first lane."""
         joints = np.array(held, np.float64)
-        joints[self._free] = free[::BATCH_SIZE]
+        joints[self._free] = free[:, 0]
         return tuple(joints.tolist())
 
 
@@ -284,36 +286,38 @@ class FlangeKinematics:
 
     def __init__(self, arm: Arm, controller: ControllerParams) -> None:
         """Allocate the blocks of a pose."""
-        self._free, self._q = list(arm.free), np.zeros(FREE_JOINTS * BATCH_SIZE)
-        dq, frame = np.zeros(FREE_JOINTS * BATCH_SIZE), np.zeros(FRAME_SIZE * BATCH_SIZE)
-        self._parts = controller.kinematics, self._q, dq, frame, controller.home_reference
+        self._free, self._params = list(arm.free), controller
+        self._q, self._dq = np.zeros((2, *ROWS))
+        self._frame = np.zeros((FRAME_SIZE, BATCH_SIZE))
 
     def pose(self, q: Sequence[float]) -> FlangePose:
         """Return the pose of the flange at measured joints, all of them [rad]."""
-        self._q[::BATCH_SIZE] = [q[joint] for joint in self._free]
-        return FlangePose(*map(float, flange_pose(*self._parts)))
+        self._q[:, 0] = [q[joint] for joint in self._free]
+        return FlangePose(*_measured_pose(self._params, self._q, self._dq, self._frame))
 
 
 @kernel
-def flange_pose(
-    kinematics: KinematicsFunction, q: Array, dq: Array, frame: Array, home: Array
+def _measured_pose(
+    params: ControllerParams, q: Array, dq: Array, frame: Array
 ) -> tuple[float, float, float, float]:
-    """Return the entries of `FlangePose`, for the first lane of a block of joints.
+    kinematics(params.code.kinematics, q, dq, frame, 1)
+    return flange_pose(frame, params.home_reference)
+
+
+@compilable
+def flange_pose(frame: Array, home: Array) -> tuple[float, float, float, float]:
+    """Return the entries of `FlangePose`, for the record of the first lane.
 
     Args:
-        kinematics: Kinematics of the arm.
-        q: Free joints [rad], a block of 6 rows.
-        dq: Zero, a block of 6 rows.
-        frame: Scratch for the record.
+        frame: Record of the kinematics at the measured joints.
         home: Pose of the flange at home, shape (24,).
     """
-    kinematics(q, dq, frame, 1)
-    x = at(frame, POSITION, 0) - home[POSITION]
-    y = at(frame, POSITION + 1, 0) - home[POSITION + 1]
-    z = at(frame, POSITION + 2, 0) - home[POSITION + 2]
+    x = frame[POSITION, 0] - home[POSITION]
+    y = frame[POSITION + 1, 0] - home[POSITION + 1]
+    z = frame[POSITION + 2, 0] - home[POSITION + 2]
     trace = 0.0
     for i in range(9):
-        trace += at(frame, ROTATION + i, 0) * home[ROTATION + i]
+        trace += frame[ROTATION + i, 0] * home[ROTATION + i]
     # 1 - cos of the angle, from the trace of the rotation between them.
     away = min(max(0.5 * (3.0 - trace), 0.0), 2.0)
     return x, sqrt(y * y + z * z), 2.0 * asin(sqrt(0.5 * away)), abs(manipulability(frame, 0))

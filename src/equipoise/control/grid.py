@@ -10,15 +10,17 @@ the intervals of phi are half open.
 """
 
 from math import radians
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise import paper
+from equipoise.arrays import Array, IntArray
 from equipoise.jit import inlined, kernel
 from equipoise.settings import BoxSettings
 
+Box = TypeVar("Box", int, IntArray)
+"""Index of a box, or an array of them."""
 ACTIONS: Final = len(paper.ACTIONS)
 
 PHI_LIMIT: Final = radians(paper.PHI_LIMIT_DEG)
@@ -114,7 +116,7 @@ def box_index(x: float, x_dot: float, phi: float, phi_dot: float, boxes: Grid) -
 
 
 @kernel
-def box_indices(states: npt.NDArray[np.float64], boxes: Grid) -> npt.NDArray[Any]:
+def box_indices(states: Array, boxes: Grid) -> IntArray:
     """Return the boxes that hold some states.
 
     Args:
@@ -131,7 +133,7 @@ def box_indices(states: npt.NDArray[np.float64], boxes: Grid) -> npt.NDArray[Any
 
 
 @inlined
-def mirrored_box(box: int, count: int) -> int:
+def mirrored_box(box: Box, count: int) -> Box:
     """Return the box of the mirror image, of `count` boxes.
 
     Counting each axis from its other end counts all boxes from the other end.
@@ -139,8 +141,7 @@ def mirrored_box(box: int, count: int) -> int:
     return count - 1 - box
 
 
-@kernel
-def greedy_actions(Q: npt.NDArray[np.float64]) -> npt.NDArray[Any]:
+def greedy_actions(Q: Array) -> IntArray:
     """Return the index of the best action of each box, ties broken mirror-symmetrically.
 
     Of equal values the lowest action wins in a box of the lower half (phi < 0) and the highest in
@@ -152,14 +153,6 @@ def greedy_actions(Q: npt.NDArray[np.float64]) -> npt.NDArray[Any]:
     Returns:
         Indices of actions, shape (boxes,).
     """
-    best = np.zeros(Q.shape[0], np.int64)
-    last = Q.shape[1] - 1
-    for box in range(Q.shape[0]):
-        lower_half = box < mirrored_box(box, Q.shape[0])
-        action = 0 if lower_half else last
-        for i in range(last + 1):
-            candidate = i if lower_half else last - i
-            if Q[box, candidate] > Q[box, action]:
-                action = candidate
-        best[box] = action
-    return best
+    box = np.arange(len(Q))
+    lowest, highest = np.argmax(Q, axis=1), Q.shape[1] - 1 - np.argmax(Q[:, ::-1], axis=1)
+    return np.where(box < mirrored_box(box, len(Q)), lowest, highest)

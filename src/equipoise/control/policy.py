@@ -22,9 +22,9 @@ from equipoise import paper
 from equipoise.arrays import Array
 from equipoise.artefacts import DIGEST_PREFIX, Artefact, Count, Number, Seed, Share, Value
 from equipoise.control import grid
-from equipoise.control.grid import Grid, box_count, box_index
+from equipoise.control.grid import Grid, box_index
 from equipoise.errors import InputError
-from equipoise.jit import called, inlined, kernel, struct_ref
+from equipoise.jit import compilable
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
@@ -55,7 +55,7 @@ class PolicyKernel(NamedTuple):
     kind: int
     """TABLE, LINEAR (clipped to the range of the actions), SNAPPED (to an action) or RANDOM."""
     u_of_box: Array = np.zeros(0)
-    """Acceleration of each box [m/s^2], one table after the other; for TABLE."""
+    """Acceleration of each box [m/s^2]; for TABLE."""
     gains: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     """Gains of u = gains . (x, x_dot, phi, phi_dot); for LINEAR and SNAPPED."""
     actions: tuple[float, ...] = paper.ACTIONS
@@ -64,18 +64,14 @@ class PolicyKernel(NamedTuple):
     """Edges of the boxes."""
 
 
-@inlined
-def table_action(
-    policy: PolicyKernel, table: int, x: float, x_dot: float, phi: float, phi_dot: float
-) -> float:
-    """Return the acceleration [m/s^2] of one of the tables of a policy of kind TABLE."""
-    box = box_index(x, x_dot, phi, phi_dot, policy.boxes)
-    return policy.u_of_box[box_count(policy.boxes) * table + box]
-
-
-@called
+@compilable
 def act(
-    policy: PolicyKernel, x: float, x_dot: float, phi: float, phi_dot: float, chance: float
+    policy: PolicyKernel,
+    x: float,
+    x_dot: float,
+    phi: float,
+    phi_dot: float,
+    chance: float,
 ) -> float:
     """Return the acceleration that a policy commands.
 
@@ -91,7 +87,7 @@ def act(
         Acceleration u of the flange along x [m/s^2].
     """
     if policy.kind == TABLE:
-        return table_action(policy, 0, x, x_dot, phi, phi_dot)
+        return policy.u_of_box[box_index(x, x_dot, phi, phi_dot, policy.boxes)]
     actions = policy.actions
     if policy.kind == RANDOM:
         return actions[int(chance * len(actions))]
@@ -107,31 +103,13 @@ def act(
 
 
 def table_kernel(u_of_box: Array, boxes: Grid) -> PolicyKernel:
-    """Return the kernel of m tables.
+    """Return the kernel of a table.
 
     Args:
-        u_of_box: Acceleration of each box [m/s^2], one table after the other;
-            copied.
+        u_of_box: Acceleration of each box [m/s^2]; copied.
         boxes: The boxes.
     """
     return PolicyKernel(TABLE, np.array(u_of_box), boxes=boxes)
-
-
-PolicyHandle: Any = struct_ref("PolicyHandle", __name__, ("kernel",))
-
-
-@kernel
-def new_policy_handle(kernel: PolicyKernel) -> Any:
-    """Return a policy that kernels take by reference."""
-    return PolicyHandle(kernel)
-
-
-@kernel
-def act_by_reference(
-    policy: Any, x: float, x_dot: float, phi: float, phi_dot: float, chance: float
-) -> float:
-    """Return the acceleration that a policy commands; see `act`."""
-    return act(policy.kernel, x, x_dot, phi, phi_dot, chance)
 
 
 class KernelPolicy:
@@ -139,12 +117,7 @@ class KernelPolicy:
 
     def __init__(self, kernel: PolicyKernel) -> None:
         """Wrap `kernel`."""
-        self.kernel, self._handle = kernel, new_policy_handle(kernel)
-        self._tick = 0
-
-    def __reduce__(self) -> tuple[type["KernelPolicy"], tuple[PolicyKernel]]:
-        """Make it anew in another process: a reference cannot go there."""
-        return KernelPolicy, (self.kernel,)
+        self.kernel, self._tick = kernel, 0
 
     @property
     def digest(self) -> str:
@@ -164,7 +137,7 @@ class KernelPolicy:
             chance = uniform(philox(0, self._tick, 0, 0, DEPLOYMENT)[0], 0.0, 1.0)
             self._tick += 1
         x, x_dot, phi, phi_dot = observation.tolist()
-        return float(act_by_reference(self._handle, x, x_dot, phi, phi_dot, chance))
+        return float(act(self.kernel, x, x_dot, phi, phi_dot, chance))
 
 
 class LearningPoint(Value):

@@ -8,34 +8,28 @@ Numba compiles a guest's functions, in each process anew. Code that Numba cannot
 rejected: in plain Python a training would take hours.
 """
 
-import functools
 import inspect
-import re
-import sys
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Final
 
 import numba
 
+from equipoise.artefacts import shortened
+from equipoise.control.controller import Observation
 from equipoise.errors import InputError, SettingsError
-from equipoise.jit import compilable, disabled, function_pointer
+from equipoise.jit import inlined
 from equipoise.learning.learner import (
     Learner,
-    LearnerKernel,
-    learn_signature,
-    learn_with,
-    reward_signature,
-    rewards_of,
-    rewards_signature,
-    update_signature,
+    Transition,
+    UpdateParams,
+    new_tables,
+    q_learning,
 )
-from equipoise.learning.q_learning import learner as q_learning
 from equipoise.learning.rewards import REWARDS
 from equipoise.settings import LearningSettings
-from equipoise.user_code import format_error, guest_code, load_object, source_digest
+from equipoise.user_code import guest_code, load_object, source_digest
 
-LEARNERS: Final[Mapping[str, Learner]] = {"q_learning": q_learning}
+LEARNERS: Final[Mapping[str, Learner]] = {"q_learning": Learner(q_learning)}
 """Learners of the project by name, for `equipoise train --learner NAME`."""
 
 
@@ -85,60 +79,30 @@ def load_learner(settings: LearningSettings) -> Learner:
     return learner
 
 
-def compile_learner(settings: LearningSettings) -> LearnerKernel:
-    """Return the learner and the reward that settings name, compiled for the episode loop.
+def compile_functions(settings: LearningSettings) -> tuple[Any, Any, bool]:
+    """Return update and reward that settings name, callable in kernels.
+
+    Returns:
+        Update, reward, and whether both are the project's, so that their code can be cached.
 
     Raises:
-        InputError: A guest's function has another type or cannot be compiled.
+        InputError: A user's function has another type or cannot be compiled.
         SettingsError: The name is unknown.
     """
-    learner = load_learner(settings)
-    reward = _load(settings.reward, "reward", REWARDS)
+    learner, reward = load_learner(settings), _load(settings.reward, "reward", REWARDS)
     if not callable(reward):
         raise InputError(
             f"{settings.reward} is of type {type(reward).__name__}, expected a function "
             "reward(state, u, next_state, failed); give one"
         )
-    guest, guest_reward = ":" in settings.learner, ":" in settings.reward
-    if guest or guest_reward:
-        _raised.clear()
-        sys.unraisablehook = _keep
-    with guest_code(settings.learner):
-        learn = learn_with(_callable(learner.update, update_signature()))
-        learn = function_pointer(learn, learn_signature(), cached=not guest)
-    with guest_code(settings.reward):
-        written = rewards_of(_callable(getattr(reward, "py_func", reward), reward_signature()))
-        rewards = function_pointer(written, rewards_signature(), cached=not guest_reward)
-    return LearnerKernel(learn=learn, rewards=rewards)
-
-
-def raise_guest_error(settings: LearningSettings) -> None:
-    """Raise the first error of a guest's compiled functions, if there was one.
-
-    A function that Numba compiled as a pointer cannot raise it: Numba passes it to Python's hook
-    for such errors, which would print it.
-
-    Raises:
-        InputError: A function raised an error.
-    """
-    if _raised:
-        raise InputError(
-            f"the learner {settings.learner} or the reward {settings.reward} raised "
-            f"{_raised.pop()}; correct it"
-        )
-
-
-_raised: list[str] = []
-_print_unraisable: Final = sys.unraisablehook
-_NUMBA_PLACE: Final = re.compile(r"\.? Raised from | for '\$")
-"""Begin of Numba's own statement of the place, at the end of a reason."""
-
-
-def _keep(unraisable: "sys.UnraisableHookArgs") -> None:
-    if "numba" not in str(unraisable.object):
-        _print_unraisable(unraisable)
-    elif not _raised and unraisable.exc_value is not None:
-        _raised.append(format_error(unraisable.exc_value))
+    state = Observation(0.0, 0.0, 0.0, 0.0)
+    transition = Transition(0, 0, 0.0, 0, False, False, 0.0, 0.0, 0)
+    params = UpdateParams(0.0, 0.0, 0.0, 0.0, False)
+    kinds = map(numba.typeof, (new_tables(1, learner.tables), transition, params))
+    update = _compiled(learner.update, tuple(kinds))
+    result, kinds = numba.float64, map(numba.typeof, (state, 0.0, state, False))
+    reward = _compiled(getattr(reward, "py_func", reward), result(*kinds))
+    return update, reward, ":" not in settings.learner + settings.reward
 
 
 def _load(name: str, option: str, known: Mapping[str, Any]) -> Any:
@@ -151,24 +115,24 @@ def _load(name: str, option: str, known: Mapping[str, Any]) -> Any:
     return known[name]
 
 
-@functools.cache
-def _callable(function: Any, signature: Any) -> Any:
-    """Return a function that kernels can call; a guest's has its indices checked.
+def _compiled(function: Any, signature: Any) -> Any:
+    """Return a function that kernels can call; a user's has its indices checked.
+
+    Args:
+        function: A function of the project or of a user.
+        signature: Numba's types of its arguments, and of its result if that matters.
 
     Raises:
-        InputError: Numba cannot compile a guest's function for its signature.
+        InputError: Numba cannot compile a user's function for these arguments.
     """
-    if disabled() or function.__module__.startswith("equipoise."):
-        return compilable(function)
+    if function.__module__.startswith("equipoise."):
+        return inlined(function)
     try:
         return numba.njit(signature, error_model="numpy", boundscheck=True)(function)
     except Exception as error:  # Numba's, and a TypeError for a wrong number of arguments
-        file, line = function.__code__.co_filename, function.__code__.co_firstlineno
-        lines = [text.strip() for text in str(error).splitlines()]
-        reason = next(text for text in lines if text and not text.startswith("Failed in"))
-        places = re.findall(rf'{re.escape(Path(file).name)}(?:", line |:| \()(\d+)', str(error))
+        code, reason = function.__code__, " ".join(str(error).split())
         raise InputError(
-            f"{function.__name__} cannot be compiled: {_NUMBA_PLACE.split(reason)[0].rstrip(':.')} "
-            f"({file}, line {[line, *places][-1]}); write it with numbers, tuples, the module math "
-            "and NumPy's arrays, and mark functions that it calls with numba.njit"
+            f"{function.__name__} cannot be compiled ({code.co_filename}, line "
+            f"{code.co_firstlineno}): {shortened(reason, 600)}; write it with numbers, tuples, the "
+            "module math and NumPy's arrays, and mark functions that it calls with numba.njit"
         ) from None

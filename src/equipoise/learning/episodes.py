@@ -1,42 +1,38 @@
 """Episode loop of the training: it acts, collects rewards, and lets a learner update its table.
 
-One compiled loop runs whole episodes, `BATCH_SIZE` of them at once, that share one table: in each
-step every lane acts by the current table, then the updates follow one after the other. An episode
-that reaches the time limit ends without a failure.
+One loop runs whole episodes, `BATCH_SIZE` of them at once on the compiled plant, that share one
+table: in each step every lane acts by the current table, then the updates follow one after the
+other. An episode that reaches the time limit ends without a failure. In any other world, the same
+loop runs in Python, an episode after the other, as the paper trained in V-REP.
 
-With `hold_action` an action lasts until the state leaves its box, n steps, and is updated then:
-rewards are discounted to its first step, and the value of the next box by gamma^n. The
-observation of a table does not change within a box, so a greedy policy holds its action anyway.
-
-The learning rule is in `equipoise.learning.q_learning`, the rewards in
-`equipoise.learning.rewards`.
+The learning rule is in `equipoise.learning.learner`, the rewards in `equipoise.learning.rewards`.
 """
 
-from typing import Any, Final, NamedTuple
+import functools
+from collections.abc import Callable
+from math import inf
+from typing import Annotated, Any, NamedTuple, Protocol
 
+import numba
 import numpy as np
-import numpy.typing as npt
 
-from equipoise.arrays import Array, IntArray
-from equipoise.control.grid import TRUNCATED, Grid
-from equipoise.jit import called, inlined, kernel, struct_ref
+from equipoise import paper
+from equipoise.arrays import Array, IntArray, Records, fields, new_records, rows_of
+from equipoise.control.control_step import LANES, Observed
+from equipoise.control.controller import Observation
+from equipoise.control.grid import TRUNCATED, Grid, make_grid
+from equipoise.control.policy import LearningPoint
+from equipoise.errors import InputError
+from equipoise.jit import call, compilable, inlined, kernel
+from equipoise.learning.choice import compile_functions, load_learner
 from equipoise.learning.learner import (
-    CONTINUES,
-    DECIDED,
-    FAILED,
-    TIMED_OUT,
-    UNDECIDED,
-    Decisions,
-    LearnerKernel,
-    Results,
     Tables,
+    Transition,
     UpdateParams,
     epsilon_greedy,
-    new_decisions,
-    new_results,
     new_tables,
 )
-from equipoise.model.elementary import BATCH_SIZE, zeros
+from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import (
     TRAINING_ACTION,
@@ -48,6 +44,11 @@ from equipoise.model.random import (
     philox,
     uniform,
 )
+from equipoise.model.worlds import MODEL
+from equipoise.settings import Settings
+from equipoise.user_code import guest_code
+from equipoise.worlds import ClosedLoop, Setup, Trial, predicted, simulate
+from equipoise.worlds.ideal import PlantSimulation
 from equipoise.worlds.plant import (
     BatchState,
     DomainRandomization,
@@ -55,17 +56,7 @@ from equipoise.worlds.plant import (
     box_of,
     copy_lane,
     draw_noise,
-    new_batch_state,
-    reset,
-    step,
 )
-
-# Entries of `TrainingState.totals`.
-BEGUN: Final = 0
-ENDED: Final = 1
-IN_USE: Final = 2
-STEPS: Final = 3
-ENDED_STEPS: Final = 4
 
 
 class TrainingConfig(NamedTuple):
@@ -74,10 +65,8 @@ class TrainingConfig(NamedTuple):
     episodes: int
     max_steps: int
     """Number of steps after which an episode ends without a failure."""
-    gamma: float
     epsilon_initial: float
     epsilon_until: float
-    hold_action: bool
     update: UpdateParams
     """Constants of an update."""
     start: tuple[float, float, float, float]
@@ -91,6 +80,83 @@ class TrainingConfig(NamedTuple):
     """Accelerations [m/s^2], shape (8,)."""
     boxes: Grid
     """Grid of the tables."""
+    seed: int
+    """Master seed."""
+
+
+class Plant(NamedTuple):
+    """The compiled plant of a training."""
+
+    params: LoopParams
+    """Constants of the closed loop."""
+    pendulum: PendulumParameters
+    """Nominal pendulum; each episode varies it."""
+
+
+class Episodes(Protocol):
+    """Episodes that run side by side."""
+
+    batch: BatchState
+    """States of their closed loops."""
+    before: Observed
+    """Observations before the step."""
+    box: Annotated[IntArray, LANES]
+    """Box of the observation."""
+    box_next: Annotated[IntArray, LANES]
+    """Box after the step."""
+    action: Annotated[IntArray, LANES]
+    """Index of the action."""
+    epsilon: Annotated[Array, LANES]
+    """Probability of a random action in the episode."""
+    chance: Annotated[Array, LANES]
+    """Uniform random number in [0, 1) of the step, for the learner."""
+    place: Annotated[IntArray, LANES]
+    """Index among the running episodes, constant over an episode."""
+    episode: Annotated[IntArray, LANES]
+    """Number of the episode."""
+    tick: Annotated[IntArray, LANES]
+    """Number of steps of the episode."""
+
+
+class Totals(Protocol):
+    """Progress of a training."""
+
+    begun: int
+    """Episodes begun."""
+    ended: int
+    """Episodes ended."""
+    running: int
+    """Episodes that run."""
+    steps: int
+    """Steps of all episodes."""
+    ended_steps: int
+    """Steps of the ended episodes."""
+
+
+class TrainingState(NamedTuple):
+    """State of a training, changed in place."""
+
+    tables: Tables
+    """Tables that the learner changes."""
+    episodes: Records
+    """`Episodes`."""
+    lanes: IntArray
+    """Bits of the episodes as rows of lanes, from `rows_of`."""
+    totals: Records
+    """`Totals`."""
+
+
+def new_training_state(boxes: int, tables: int = 0) -> TrainingState:
+    """Return the initial state of a training, with tables of zeros.
+
+    Args:
+        boxes: Number of boxes of a table.
+        tables: Number of tables of the learner's own.
+    """
+    episodes = new_records(Episodes)
+    episodes["place"] = np.arange(BATCH_SIZE)
+    lanes = rows_of(episodes, BATCH_SIZE)
+    return TrainingState(new_tables(boxes, tables), episodes, lanes, new_records(Totals))
 
 
 @inlined
@@ -102,78 +168,15 @@ def exploration(episode: int, config: TrainingConfig) -> float:
     return config.epsilon_initial * max(0.0, 1.0 - done)
 
 
-class TrainingState(NamedTuple):
-    """State of a training: the tables and the running episodes."""
-
-    tables: Tables
-    """Tables that the learner changes."""
-    batch: BatchState
-    """States of the running episodes."""
-    episode: npt.NDArray[np.int64]
-    """Number of the episode of each lane, shape (BATCH_SIZE,)."""
-    tick: npt.NDArray[np.int64]
-    """Current step of each episode, shape (BATCH_SIZE,)."""
-    decisions: Decisions
-    """Current decision of each episode."""
-    before: Array
-    """Observation before the step; a block of 4 rows."""
-    totals: npt.NDArray[np.int64]
-    """Episodes begun, episodes ended, lanes in use, steps, steps of ended episodes; shape (5,)."""
-
-
-def new_training_state(boxes: int, tables: int = 0) -> TrainingState:
-    """Return the initial state of a training, with tables of zeros.
-
-    Args:
-        boxes: Number of boxes of a table.
-        tables: Number of tables of the learner's own.
-    """
-    return TrainingState(
-        tables=new_tables(boxes, tables),
-        batch=new_batch_state(),
-        episode=np.zeros(BATCH_SIZE, np.int64),
-        tick=np.zeros(BATCH_SIZE, np.int64),
-        decisions=new_decisions(),
-        before=zeros(4 * BATCH_SIZE),
-        totals=np.zeros(5, np.int64),
-    )
-
-
-TrainingLoop: Any = struct_ref(
-    "TrainingLoop", __name__, ("plant", "pendulum", "config", "learner", "training", "key")
-)
-
-
-@kernel
-def new_training_loop(
-    plant: LoopParams,
-    pendulum: PendulumParameters,
-    config: TrainingConfig,
-    learner: LearnerKernel,
-    training: TrainingState,
-    key: IntArray,
-) -> Any:
-    """Return a training that `train_episodes` takes by reference.
-
-    Args:
-        plant: Constants of the closed loop.
-        pendulum: Nominal pendulum; each episode varies it.
-        config: Constants of the training.
-        learner: Compiled learner and reward.
-        training: State; changed in place.
-        key: Master seed, and number of the learner: each has its own random numbers; shape (2,).
-    """
-    return TrainingLoop(plant, pendulum, config, learner, training, key)
-
-
 @inlined
 def draw_episode(
-    config: TrainingConfig, seed: int, episode: int, number: int
+    config: TrainingConfig, episode: int
 ) -> tuple[DomainRandomization, tuple[float, float, float, float]]:
     """Return the variation of the plant of an episode, and its start in SI units."""
-    w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_EPISODE)
+    seed = config.seed
+    w0, w1, w2, w3 = philox(seed, 0, episode, 0, TRAINING_EPISODE)
     inertia_noise, friction_noise = normal_pair(w0, w1)
-    w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_ACTUATOR)
+    w0, w1, w2, w3 = philox(seed, 0, episode, 0, TRAINING_ACTUATOR)
     variation = DomainRandomization(
         1.0 + config.inertia_sigma * inertia_noise,
         1.0 + config.friction_sigma * friction_noise,
@@ -181,7 +184,7 @@ def draw_episode(
         uniform(w1, 1.0 - config.lag_spread, 1.0 + config.lag_spread),
         uniform(w2, -config.zero_error, config.zero_error),
     )
-    w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_START)
+    w0, w1, w2, w3 = philox(seed, 0, episode, 0, TRAINING_START)
     x, x_dot, phi, phi_dot = config.start
     start = (
         uniform(w0, -x, x),
@@ -192,172 +195,232 @@ def draw_episode(
     return variation, start
 
 
-@called
-def begin_episode(
-    plant: LoopParams,
-    pendulum: PendulumParameters,
-    config: TrainingConfig,
-    training: TrainingState,
-    seed: int,
-    number: int,
-    n: int,
+@compilable
+def release_on_plant(
+    plant: Plant, config: TrainingConfig, batch: BatchState, episode: int, n: int
 ) -> None:
-    """Begin the next episode in lane `n`: draw its pendulum, actuator and start."""
-    episode = training.totals[BEGUN]
-    variation, start = draw_episode(config, seed, episode, number)
-    reset(plant, training.batch, pendulum, variation, start, n)
-    training.episode[n], training.tick[n] = episode, 0
-    decisions = training.decisions
-    decisions.action[n], decisions.gained[n], decisions.discount[n] = UNDECIDED, 0.0, 1.0
-    decisions.epsilon[n] = exploration(episode, config)
-    decisions.box[n] = box_of(training.batch.controller.observation, config.boxes, n)
-    training.totals[BEGUN] += 1
+    """Release the pendulum of an episode on the compiled plant, in lane `n`."""
+    variation, start = draw_episode(config, episode)
+    call(plant.params.reset, (plant.params, batch, plant.pendulum, variation, start, n))
 
 
 @inlined
-def decide(config: TrainingConfig, training: TrainingState, key: IntArray, lanes: int) -> None:
-    """Choose the actions of undecided episodes, and write the accelerations of all."""
-    Q, decisions, controller = training.tables.Q, training.decisions, training.batch.controller
-    box, action, epsilon = decisions.box, decisions.action, decisions.epsilon
-    tick, episode, u, actions = training.tick, training.episode, controller.u, config.actions
-    for n in range(lanes):
-        if action[n] == UNDECIDED:
-            w0, w1, w2, _ = philox(key[0], tick[n], episode[n], key[1], TRAINING_ACTION)
-            explore, choice = uniform(w0, 0.0, 1.0), uniform(w1, 0.0, 1.0)
-            action[n] = epsilon_greedy(Q, box[n], epsilon[n], explore, choice)
-            decisions.chance[n] = uniform(w2, 0.0, 1.0)
-        u[n] = actions[action[n]]
-    before, observation = training.before, controller.observation
-    for i in range(before.size):
-        before[i] = observation[i]
+def step_on_plant(plant: Plant, config: TrainingConfig, running: Episodes, lanes: int) -> None:
+    """Advance the episodes of the first lanes on the compiled plant."""
+    noise, tick, episode = running.batch.controller.noise, running.tick, running.episode
+    draw_noise(noise, config.seed, tick, episode, 0, TRAINING_NOISE, lanes)
+    call(plant.params.step, (plant.params, running.batch, lanes))
+
+
+def release_in_world(
+    loop: ClosedLoop, config: TrainingConfig, batch: BatchState, episode: int, n: int
+) -> None:
+    """Release the pendulum of an episode in any world."""
+    variation, start = draw_episode(config, episode)
+    loop.reset(Trial(episode, start, variation))
+    seen = batch.controller.observation
+    seen.x[n], seen.x_dot[n], seen.phi[n], seen.phi_dot[n] = predicted(loop)
+
+
+def step_in_world(loop: ClosedLoop, config: TrainingConfig, running: Episodes, lanes: int) -> None:
+    """Advance the episode of the only lane in any world."""
+    batch = running.batch
+    seen = batch.controller.observation
+    batch.cause[0] = loop.step(float(batch.controller.u[0]))
+    seen.x[0], seen.x_dot[0], seen.phi[0], seen.phi_dot[0] = predicted(loop)
 
 
 @inlined
-def learn(
-    config: TrainingConfig,
-    learner: LearnerKernel,
-    training: TrainingState,
-    results: Results,
-    lanes: int,
-) -> None:
-    """Learn from a step: rewards, boxes and outcomes, then the updates of complete decisions."""
-    block, decisions, tick = training.batch, training.decisions, training.tick
-    box, gained, discount = decisions.box, decisions.gained, decisions.discount
-    reward, box_next, outcome = results
-    seen, u, cause = block.controller.observation, block.controller.u, block.cause
-    learner.rewards(training.before, u, seen, cause, reward, lanes)
-    for n in range(lanes):
-        box_next[n] = box_of(seen, config.boxes, n)
-    for n in range(lanes):
-        gained[n] += discount[n] * reward[n]
-        discount[n] *= config.gamma
-        tick[n] += 1
-    for n in range(lanes):
-        held = config.hold_action & (box_next[n] == box[n])
-        going = CONTINUES if held else DECIDED
-        going = TIMED_OUT if tick[n] >= config.max_steps else going
-        outcome[n] = FAILED if cause[n] != TRUNCATED else going
-    learner.learn(training.tables, decisions, results, config.update, lanes)
+def observed(state: Observed, n: int) -> Observation:
+    """Return the observation of lane `n`."""
+    return Observation(state.x[n], state.x_dot[n], state.phi[n], state.phi_dot[n])
 
 
-@kernel
-def train_episodes(loop: Any, until: int) -> None:
-    """Train until a number of episodes have ended.
-
-    Must equal `tests/reference/learning.py`.
+def episode_loop(
+    update: Callable[..., None],
+    reward: Callable[..., float],
+    release: Callable[..., None],
+    advance: Callable[..., None],
+) -> Callable[..., None]:
+    """Return the episode loop of a learner, a reward and a world.
 
     Args:
-        loop: The training, from `new_training_loop`; the next call continues from its state.
-        until: Number of ended episodes at which to stop, at most `config.episodes`.
+        update: `Learner.update`.
+        reward: A reward of `equipoise.learning.rewards`.
+        release: Releases the pendulum of an episode, as `release_on_plant`.
+        advance: Advances the running episodes, as `step_on_plant`.
     """
-    plant, pendulum, config, learner = loop.plant, loop.pendulum, loop.config, loop.learner
-    training, key = loop.training, loop.key
-    block, episode, tick = training.batch, training.episode, training.tick
-    box, action, chance, gained, discount, epsilon, place = training.decisions
-    totals, noise = training.totals, block.controller.noise
-    seed, number = key[0], key[1]
-    # New arrays, so that the compiler knows that nothing else points to them.
-    results = new_results()
-    outcome = results.outcome
-    lanes = totals[IN_USE]
-    while lanes < BATCH_SIZE and totals[BEGUN] < config.episodes:
-        begin_episode(plant, pendulum, config, training, seed, number, lanes)
-        lanes += 1
-    while totals[ENDED] < until and lanes > 0:
-        decide(config, training, key, lanes)
-        draw_noise(noise, seed, tick, episode, number, TRAINING_NOISE, lanes)
-        step(plant, block, lanes)
-        totals[STEPS] += lanes
-        learn(config, learner, training, results, lanes)
-        for n in range(lanes - 1, -1, -1):
-            if outcome[n] < TIMED_OUT:
-                continue
-            totals[ENDED] += 1
-            totals[ENDED_STEPS] += tick[n]
-            if totals[BEGUN] < config.episodes:
-                begin_episode(plant, pendulum, config, training, seed, number, n)
-            else:
-                lanes -= 1
-                copy_lane(block, lanes, n)
-                episode[n], place[n], tick[n] = episode[lanes], place[lanes], tick[lanes]
-                box[n], action[n], discount[n] = box[lanes], action[lanes], discount[lanes]
-                gained[n], chance[n], epsilon[n] = gained[lanes], chance[lanes], epsilon[lanes]
-    totals[IN_USE] = lanes
+
+    def train_episodes(
+        world: Any, config: TrainingConfig, training: TrainingState, until: int, batch_size: int
+    ) -> None:
+        """Train until a number of episodes have ended.
+
+        Must equal `tests/reference/learning.py`.
+
+        Args:
+            world: Plant or closed loop.
+            config: Constants of the training.
+            training: State; the next call continues from it.
+            until: Number of ended episodes at which to stop, at most `config.episodes`.
+            batch_size: Number of episodes that run side by side.
+        """
+        tables, running, totals = training.tables, training.episodes[0], training.totals[0]
+        batch, before, seen = running.batch, running.before, running.batch.controller.observation
+        box, action, tick, u = running.box, running.action, running.tick, batch.controller.u
+        seed, episode, epsilon, chance = (
+            config.seed,
+            running.episode,
+            running.epsilon,
+            running.chance,
+        )
+        lanes = totals.running
+
+        def begin(n: int) -> None:
+            release(world, config, batch, totals.begun, n)
+            box[n] = box_of(seen, config.boxes, n)
+            epsilon[n] = exploration(totals.begun, config)
+            episode[n], tick[n] = totals.begun, 0
+            totals.begun += 1
+
+        while lanes < batch_size and totals.begun < config.episodes:
+            begin(lanes)
+            lanes += 1
+        while totals.ended < until and lanes > 0:
+            for n in range(lanes):
+                w0, w1, w2, _ = philox(seed, tick[n], episode[n], 0, TRAINING_ACTION)
+                explore, choice = uniform(w0, 0.0, 1.0), uniform(w1, 0.0, 1.0)
+                action[n] = epsilon_greedy(tables.Q, box[n], epsilon[n], explore, choice)
+                u[n], chance[n] = config.actions[action[n]], uniform(w2, 0.0, 1.0)
+            for n in range(BATCH_SIZE):
+                before.x[n], before.x_dot[n] = seen.x[n], seen.x_dot[n]
+                before.phi[n], before.phi_dot[n] = seen.phi[n], seen.phi_dot[n]
+            advance(world, config, running, lanes)
+            totals.steps += lanes
+            for n in range(BATCH_SIZE):
+                running.box_next[n] = box_of(seen, config.boxes, n)
+                tick[n] += 1
+            for n in range(lanes - 1, -1, -1):
+                failed = batch.cause[n] != TRUNCATED
+                ended = failed or tick[n] >= config.max_steps
+                r = reward(observed(before, n), u[n], observed(seen, n), failed)
+                s, s_next, lane = box[n], running.box_next[n], running.place[n]
+                transition = Transition(
+                    s, action[n], r, s_next, failed, ended, epsilon[n], chance[n], lane
+                )
+                update(tables, transition, config.update)
+                box[n] = s_next
+                if not ended:
+                    continue
+                totals.ended += 1
+                totals.ended_steps += tick[n]
+                if totals.begun < config.episodes:
+                    begin(n)
+                else:
+                    lanes -= 1
+                    copy_lane(training.lanes, lanes, n)
+        totals.running = lanes
+
+    return train_episodes
 
 
-@kernel
-def begin_in_world(loop: Any) -> tuple[int, DomainRandomization, tuple[float, float, float, float]]:
-    """Begin the next episode of a training whose episodes run in another world, one at a time.
+class Training:
+    """Episodes of one learner in a world."""
+
+    def __init__(self, setup: Setup, world: str, seed: int) -> None:
+        """Begin with tables of zeros.
+
+        Args:
+            setup: Pendulum, arm and controller; resolved settings.
+            world: `model`, the compiled plant, or any other world.
+            seed: Master seed.
+
+        Raises:
+            InputError: A user's function has another type or cannot be compiled.
+            SettingsError: The world does not exist.
+        """
+        self._settings = setup.settings
+        learner = load_learner(setup.settings.learning)
+        update, reward, cached = compile_functions(setup.settings.learning)
+        self._config = training_config(setup.settings, setup.pendulum.parameters().k, seed)
+        self._state = new_training_state(setup.settings.boxes.count, learner.tables)
+        self.tables = self._state.tables
+        """The tables."""
+        self.totals = fields(self._state.totals, Totals)
+        """Progress."""
+        if world == MODEL:
+            plant = PlantSimulation(MODEL, setup, seed=seed, stream=TRAINING_NOISE)
+            # The boxes do not resolve speeds below the limit; selection finds tables that keep it.
+            params = plant.params._replace(limits=plant.params.limits._replace(speed=inf))
+            self._world: Any = Plant(params, plant.pendulum)
+            self._train = compiled_loop(update, reward, cached)
+        else:
+            self._world = simulate(world, setup, seed=seed, stream=TRAINING_NOISE).loop()
+            self._train = episode_loop(update, reward, release_in_world, step_in_world)
+        self._batch_size = BATCH_SIZE if world == MODEL else 1
+
+    def run(self, until: int) -> LearningPoint:
+        """Train until a number of episodes have ended, and return the point of the curve.
+
+        Raises:
+            InputError: A user's function raised an error, or a value is not finite.
+        """
+        totals, learning = self.totals, self._settings.learning
+        ended, ended_steps = int(totals.ended), int(totals.ended_steps)
+        with guest_code(f"the learner {learning.learner} or the reward {learning.reward}"):
+            self._train(self._world, self._config, self._state, until, self._batch_size)
+        if not np.isfinite(self.tables.Q).all():
+            raise InputError(
+                f"the table holds a value that is not finite after {totals.ended} episodes with "
+                f"the learner {learning.learner} and the reward {learning.reward}; bound the "
+                "reward, or lower the learning rate"
+            )
+        duration = paper.STEP * (totals.ended_steps - ended_steps) / (totals.ended - ended)
+        return LearningPoint(
+            episodes=int(totals.ended), steps=int(totals.steps), duration=float(duration)
+        )
+
+
+@functools.cache
+def compiled_loop(update: Any, reward: Any, cached: bool) -> Callable[..., None]:
+    """Return the compiled episode loop on the plant; code of a user is not cached on disk."""
+    loop = episode_loop(update, reward, release_on_plant, step_on_plant)
+    return kernel(loop) if cached else numba.njit(nogil=True, error_model="numpy")(loop)
+
+
+def training_config(settings: Settings, k: float, seed: int) -> TrainingConfig:
+    """Return the configuration of the episode loop.
 
     Args:
-        loop: The training, from `new_training_loop`.
-
-    Returns:
-        Number of the episode, variation of its plant, and its start in SI units.
+        settings: Resolved settings.
+        k: Coupling of the pendulum to the pivot's acceleration [1/m].
+        seed: Master seed.
     """
-    config, training, seed, number = loop.config, loop.training, loop.key[0], loop.key[1]
-    episode = training.totals[BEGUN]
-    begin_episode(loop.plant, loop.pendulum, config, training, seed, number, 0)
-    variation, start = draw_episode(config, seed, episode, number)
-    return episode, variation, start
-
-
-@kernel
-def decide_in_world(loop: Any, observation: Array) -> float:
-    """Return the acceleration for an observation in the world [m/s^2].
-
-    Args:
-        loop: The training; its first lane keeps the decision.
-        observation: x, x_dot, phi, phi_dot as predicted, shape (4,).
-    """
-    config, training = loop.config, loop.training
-    controller = training.batch.controller
-    for i in range(4):
-        controller.observation[i * BATCH_SIZE] = observation[i]
-    if training.tick[0] == 0:
-        training.decisions.box[0] = box_of(controller.observation, config.boxes, 0)
-    decide(config, training, loop.key, 1)
-    return controller.u[0]
-
-
-@kernel
-def learn_in_world(loop: Any, observation: Array, cause: int) -> bool:
-    """Learn from a step in the world; return whether the episode goes on.
-
-    Args:
-        loop: The training; its first lane has the decision.
-        observation: x, x_dot, phi, phi_dot after the step, as predicted, shape (4,).
-        cause: Cause of the failure in the step, `TRUNCATED` without one.
-    """
-    training = loop.training
-    for i in range(4):
-        training.batch.controller.observation[i * BATCH_SIZE] = observation[i]
-    training.batch.cause[0] = cause
-    training.totals[STEPS] += 1
-    results = new_results()
-    learn(loop.config, loop.learner, training, results, 1)
-    if results.outcome[0] < TIMED_OUT:
-        return True
-    training.totals[ENDED] += 1
-    training.totals[ENDED_STEPS] += training.tick[0]
-    return False
+    learning, plant = settings.learning, settings.plant
+    return TrainingConfig(
+        episodes=learning.episodes,
+        max_steps=round(learning.episode_duration / paper.STEP),
+        epsilon_initial=learning.epsilon_initial,
+        epsilon_until=learning.epsilon_until,
+        update=UpdateParams(
+            gamma=learning.gamma,
+            alpha_initial=learning.alpha_initial,
+            alpha_decay=learning.alpha_decay,
+            alpha_minimum=learning.alpha_minimum,
+            mirrored=learning.mirrored,
+        ),
+        start=(
+            learning.start_x,
+            learning.start_x_dot,
+            learning.start_phi,
+            learning.start_phi_dot,
+        ),
+        inertia_sigma=plant.inertia_sigma,
+        friction_sigma=plant.friction_sigma,
+        delay_spread=plant.delay_spread,
+        lag_spread=plant.lag_spread,
+        zero_error=plant.zero_error,
+        actions=np.array(paper.ACTIONS),
+        boxes=make_grid(settings.boxes, k),
+        seed=seed,
+    )

@@ -6,8 +6,7 @@ policies of the running average of the later tables; the best one in common tria
 workers. `train_to_target` trains one seed after the other until a policy meets a target.
 """
 
-from math import inf
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import numpy as np
 from pydantic import Field
@@ -16,7 +15,6 @@ from equipoise import paper
 from equipoise.arguments import Workers, checked
 from equipoise.arrays import Array
 from equipoise.artefacts import Seed, Share, StrPath
-from equipoise.control.grid import make_grid
 from equipoise.control.policy import (
     LearningPoint,
     TabularPolicy,
@@ -24,39 +22,17 @@ from equipoise.control.policy import (
 )
 from equipoise.errors import InputError
 from equipoise.executors import Show, counted
-from equipoise.learning.choice import (
-    compile_learner,
-    load_learner,
-    raise_guest_error,
-    with_digests,
-)
-from equipoise.learning.episodes import (
-    ENDED,
-    ENDED_STEPS,
-    STEPS,
-    TrainingConfig,
-    TrainingState,
-    begin_in_world,
-    decide_in_world,
-    learn_in_world,
-    new_training_loop,
-    new_training_state,
-    train_episodes,
-)
-from equipoise.learning.learner import UpdateParams
+from equipoise.learning.choice import with_digests
+from equipoise.learning.episodes import Training
 from equipoise.learning.select import check_target, measure_survival, score_tables
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, read_actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.resolve import read_arm
 from equipoise.model.pendulum import Pendulum, read_pendulum
-from equipoise.model.random import TRAINING_NOISE
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.settings import Settings
-from equipoise.worlds import ClosedLoop, Setup, simulate, world_class
-from equipoise.worlds.ideal import PlantSimulation
-from equipoise.worlds.interface import predicted
+from equipoise.worlds import Setup, world_class
 from equipoise.worlds.reachability import check_releases
-from equipoise.worlds.trials import Trial
 
 ATTEMPTS: Final = 6
 """Maximum number of trainings of `train_to_target` by default."""
@@ -107,12 +83,12 @@ def train(
     settings = settings.model_copy(update={"learning": with_digests(settings.learning)})
     rule, episodes = settings.selection, settings.learning.episodes
     setup = Setup(pendulum, arm, settings, response, paper.STEP)
-    training = _Training(setup, world, seed)
+    training = Training(setup, world, seed)
     Q = training.tables.Q
     average, candidates = np.zeros_like(Q), list[tuple[int, Array]]()
     every = rule.every or max(1, episodes // 50)  # points of a curve without candidates
     curve: list[LearningPoint] = []
-    while (ended := training.totals[ENDED]) < episodes:
+    while (ended := int(training.totals.ended)) < episodes:
         point = training.run(min(ended + every, episodes))
         curve.append(point)
         average += max(rule.averaging, 1.0 / len(curve)) * (Q - average)
@@ -138,8 +114,8 @@ def train(
         actuator=response,
         settings=settings,
         seed=seed,
-        episodes=training.totals[ENDED],
-        steps=training.totals[STEPS],
+        episodes=int(training.totals.ended),
+        steps=int(training.totals.steps),
         learning_curve=tuple(curve),
         checkpoints=tuple(results[i] for i in order),
     )
@@ -272,111 +248,3 @@ def actuator_in(world: str, settings: Settings, given: Actuator | StrPath | None
     if kinematic and actuator != IDEAL_ACTUATOR:
         raise InputError(f"the arm of the world {world} has no delay; leave out the actuator")
     return actuator
-
-
-class _Training:
-    """Episodes of one training."""
-
-    def __init__(self, setup: Setup, world: str, seed: int) -> None:
-        settings = setup.settings
-        self._learning = settings.learning
-        plant = PlantSimulation(MODEL, setup, seed=seed, stream=TRAINING_NOISE)
-        config = training_config(settings, setup.pendulum.parameters().k)
-        kernel = compile_learner(settings.learning)
-        state = new_training_state(settings.boxes.count, load_learner(settings.learning).tables)
-        self.tables, self._state = state.tables, state
-        # The boxes do not resolve speeds below the limit; selection finds tables that respect it.
-        params, key = plant.params._replace(speed_limit=inf), np.array((seed, 0))
-        self._loop: Any = new_training_loop(params, plant.pendulum, config, kernel, state, key)
-        self._elsewhere: ClosedLoop | None = None
-        if world != MODEL:
-            simulation = simulate(world, setup, seed=seed, stream=TRAINING_NOISE)
-            self._elsewhere = simulation.loop()
-
-    @property
-    def totals(self) -> list[int]:
-        """`TrainingState.totals`."""
-        return self._state.totals.tolist()
-
-    def run(self, until: int) -> LearningPoint:
-        """Train until a number of episodes have ended, and return the point of the curve.
-
-        Raises:
-            InputError: A guest's function raised an error, or a value is not finite.
-        """
-        before = self.totals
-        if self._elsewhere is None:
-            train_episodes(self._loop, until)
-        else:
-            train_in_world(self._loop, self._state, self._elsewhere, until)
-        raise_guest_error(self._learning)
-        totals = self.totals
-        if not np.isfinite(self.tables.Q).all():
-            raise InputError(
-                f"the table holds a value that is not finite after {totals[ENDED]} episodes with "
-                f"the learner {self._learning.learner} and the reward {self._learning.reward}; "
-                "bound the reward, or lower the learning rate"
-            )
-        steps, ended = totals[ENDED_STEPS] - before[ENDED_STEPS], totals[ENDED] - before[ENDED]
-        return LearningPoint(
-            episodes=totals[ENDED], steps=totals[STEPS], duration=paper.STEP * steps / ended
-        )
-
-
-def train_in_world(training: Any, state: TrainingState, loop: ClosedLoop, until: int) -> None:
-    """Train in any simulated world, an episode after the other, as the paper trained in V-REP.
-
-    The rule of learning, its random numbers and the conditions of the episodes are those of the
-    compiled training; the steps are those of the world.
-
-    Args:
-        training: The training, from `new_training_loop`; the next call continues from its state.
-        state: Its state; no episode runs between two calls.
-        loop: Closed loop of the world.
-        until: Number of ended episodes at which to stop.
-    """
-    while state.totals[ENDED] < until:
-        number, variation, start = begin_in_world(training)
-        loop.reset(Trial(number, start, variation))
-        goes_on = True
-        while goes_on:
-            u = decide_in_world(training, predicted(loop))
-            cause = loop.step(u)
-            goes_on = learn_in_world(training, predicted(loop), cause)
-
-
-def training_config(settings: Settings, k: float) -> TrainingConfig:
-    """Return the configuration of the episode loop.
-
-    Args:
-        settings: Resolved settings.
-        k: Coupling of the pendulum to the pivot's acceleration [1/m].
-    """
-    learning, plant = settings.learning, settings.plant
-    return TrainingConfig(
-        episodes=learning.episodes,
-        max_steps=round(learning.episode_duration / paper.STEP),
-        gamma=learning.gamma,
-        epsilon_initial=learning.epsilon_initial,
-        epsilon_until=learning.epsilon_until,
-        hold_action=False,
-        update=UpdateParams(
-            alpha_initial=learning.alpha_initial,
-            alpha_decay=learning.alpha_decay,
-            alpha_minimum=learning.alpha_minimum,
-            mirrored=learning.mirrored,
-        ),
-        start=(
-            learning.start_x,
-            learning.start_x_dot,
-            learning.start_phi,
-            learning.start_phi_dot,
-        ),
-        inertia_sigma=plant.inertia_sigma,
-        friction_sigma=plant.friction_sigma,
-        delay_spread=plant.delay_spread,
-        lag_spread=plant.lag_spread,
-        zero_error=plant.zero_error,
-        actions=np.array(paper.ACTIONS),
-        boxes=make_grid(settings.boxes, k),
-    )

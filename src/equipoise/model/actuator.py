@@ -20,13 +20,13 @@ The training plant, the controller's observer and the identification use the ker
 
 import functools
 from math import exp, inf, log, log1p, sqrt
-from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self
+from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Protocol, Self
 
 from pydantic import Field, model_validator
 
 from equipoise.arrays import Array
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, StrPath, Value
-from equipoise.jit import PACKAGE, called, inlined, kernel
+from equipoise.jit import PACKAGE, compilable, inlined, kernel
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import BATCH_SIZE, fma
 
@@ -54,6 +54,8 @@ FUSED_CYCLES: Final = 5
 """Number of servo cycles that lanes advance in registers: a setpoint of 5 ms."""
 NEAR: Final = 0.2
 """Error below which the law is a short series [widths]: 10 mrad, the steady error at 2.7 rad/s."""
+ROWS: Final = (FREE_JOINTS, BATCH_SIZE)
+"""Shape of a field with a row for each free joint."""
 TYPICAL_SPEED: Final = 0.1
 """Default joint speed of `response_time` [rad/s]: balancing moves the joints at 0.05 to 0.3
 rad/s."""
@@ -121,14 +123,14 @@ def shaped_step(e: float, amplitude: float, width: float) -> float:
 
 @inlined
 def _shaped_velocity(
-    e: float, dq: float, share: float, far: bool, actuator: ActuatorParameters
+    e: float, dq: float, fraction: float, far: bool, actuator: ActuatorParameters
 ) -> float:
     """Return the velocity of a joint after a servo cycle of the shaping law [rad/s].
 
     Args:
         e: Setpoint minus position at the beginning [rad].
         dq: Velocity then [rad/s].
-        share: Gain of the lag per cycle.
+        fraction: Gain of the lag per cycle.
         far: Whether the error may exceed NEAR widths; if not, the law is a short series.
         actuator: Constants.
     """
@@ -137,156 +139,148 @@ def _shaped_velocity(
     change = fma(square, _near_gain(abs(square), rate, width), -dq)
     if far and abs(e) > NEAR * width:
         change = shaped_step(e, rate, width) - dq
-    return fma(change, share, dq)
+    return fma(change, fraction, dq)
+
+
+class Servos(Protocol):
+    """Servos of the free joints of `BATCH_SIZE` arms; kernels change them in place."""
+
+    q: Annotated[Array, ROWS]
+    """Joint positions [rad]."""
+    dq: Annotated[Array, ROWS]
+    """Joint velocities [rad/s]."""
+    velocity: Annotated[Array, ROWS]
+    """Mean velocity of the motion under the last setpoint [rad/s]; unused behind `KST`."""
+    fraction: Annotated[Array, ROWS]
+    """Gain of the lag per cycle, from `lag_share`."""
+    before: Annotated[Array, ROWS]
+    """Setpoints in force in the cycles before `turn` [rad]."""
+    target: Annotated[Array, ROWS]
+    """Setpoints in force in the others [rad]."""
+    turn: Annotated[Array, ROWS]
+    """Number of the first cycle with `target`; zero without a delay."""
+    q_before: Annotated[Array, ROWS]
+    """Joint positions before the last setpoint [rad]."""
+    q_ahead: Annotated[Array, ROWS]
+    """Joint positions after some cycles [rad], until `q` takes them over."""
+    dq_ahead: Annotated[Array, ROWS]
+    """Joint velocities then [rad/s]."""
 
 
 @inlined
-def follow(
-    q: Array, dq: Array, target: Array, share: Array, actuator: ActuatorParameters, lanes: int
-) -> None:
-    """Advance the free joints of the first lanes by one servo cycle towards their targets.
+def follow(arm: Servos, actuator: ActuatorParameters, cycle: int, lanes: int) -> None:
+    """Advance the joints of the first lanes by one servo cycle towards their setpoints.
 
     Args:
-        q: Joint positions [rad], a block of 6 rows, changed in place.
-        dq: Joint velocities [rad/s], a block of 6 rows, changed in place.
-        target: Active setpoints [rad], a block of 6 rows.
-        share: Gain of the lag per cycle, from `lag_share`, a block of 6 rows.
+        arm: Changed in place.
         actuator: Constants.
+        cycle: Number of the cycle since the setpoints were sent.
         lanes: Number of lanes.
     """
-    # Flat loops over adjacent numbers: the lanes that are not in use are computed as well.
-    count, stride = (FREE_JOINTS, BATCH_SIZE) if lanes == 1 else (FREE_JOINTS * BATCH_SIZE, 1)
-    if actuator.kind == KST:
-        for i in range(0, count * stride, stride):
-            dq[i] = _shaped_velocity(target[i] - q[i], dq[i], share[i], True, actuator)
-            q[i] = fma(CYCLE, dq[i], q[i])
-        return
-    for i in range(0, count * stride, stride):
-        e = target[i] - q[i]
-        if actuator.kind == UNSHAPED:
-            dq[i] = fma(e / actuator.cycle - dq[i], share[i], dq[i])
-            q[i] = fma(CYCLE, dq[i], q[i])
-        elif actuator.kind == LAG:
-            dq[i] = e * share[i] / CYCLE
-            q[i] += e * share[i]
-        else:
-            dq[i] = e / CYCLE
-            q[i] = target[i]
+    q, dq, fraction = arm.q, arm.dq, arm.fraction
+    before, target, turn = arm.before, arm.target, arm.turn
+    for i in range(FREE_JOINTS):
+        for n in range(lanes):
+            # Both are loaded: a compiler vectorises no loop in which a condition decides what is.
+            old, new = before[i, n], target[i, n]
+            setpoint = old if cycle < turn[i, n] else new
+            e = setpoint - q[i, n]
+            if actuator.kind == KST:
+                dq[i, n] = _shaped_velocity(e, dq[i, n], fraction[i, n], True, actuator)
+                q[i, n] = fma(CYCLE, dq[i, n], q[i, n])
+            elif actuator.kind == UNSHAPED:
+                dq[i, n] = fma(e / actuator.cycle - dq[i, n], fraction[i, n], dq[i, n])
+                q[i, n] = fma(CYCLE, dq[i, n], q[i, n])
+            elif actuator.kind == LAG:
+                dq[i, n] = e * fraction[i, n] / CYCLE
+                q[i, n] += e * fraction[i, n]
+            else:
+                dq[i, n] = e / CYCLE
+                q[i, n] = setpoint
 
 
-class DelayedSetpoint(NamedTuple):
-    """A setpoint that takes effect in one of the servo cycles until the next one."""
-
-    before: Array
-    """Setpoints in force in the first cycles [rad], a block of 6 rows."""
-    target: Array
-    """Setpoints in force in the others [rad], a block of 6 rows."""
-    turn: Array
-    """Number of the first cycle with `target`, a block of 6 rows."""
-    delayed: bool
-    """Whether `before` and `turn` are used; otherwise `target` is always in force."""
-
-
-@inlined
 def follow_setpoint(
-    q: Array,
-    dq: Array,
-    setpoint: DelayedSetpoint,
-    share: Array,
-    actuator: ActuatorParameters,
-    cycles: int,
-    scratch: Array,
-    lanes: int,
+    arm: Servos, actuator: ActuatorParameters, cycles: int, delayed: bool, lanes: int
 ) -> None:
-    """Advance the free joints of the first lanes by the servo cycles of one setpoint.
+    """Advance the joints of the first lanes by the servo cycles of one setpoint.
 
     Args:
-        q: Joint positions [rad], a block of 6 rows, changed in place.
-        dq: Joint velocities [rad/s], a block of 6 rows, changed in place.
-        setpoint: The setpoint.
-        share: Gain of the lag per cycle, from `lag_share`, a block of 6 rows.
+        arm: Changed in place.
         actuator: Constants.
         cycles: Number of cycles.
-        scratch: A block of 12 rows. The last 6 receive the velocity of the motion [rad/s]: behind
-            `KST` that at its end, otherwise its mean, since a fast servo moves in steps.
+        delayed: Whether the setpoint takes effect after the first cycles; else `turn` is zero.
         lanes: Number of lanes.
     """
-    velocity = scratch[FREE_JOINTS * BATCH_SIZE :]
-    if actuator.kind != KST:
-        for i in range(FREE_JOINTS * BATCH_SIZE):
-            velocity[i] = q[i]
+    q, velocity, q_before = arm.q, arm.velocity, arm.q_before
     cycle = 0
-    if actuator.kind == KST and lanes > 1:
-        while cycle + FUSED_CYCLES <= cycles:
-            _follow_fused(q, dq, setpoint, share, actuator, cycle, scratch)
-            cycle += FUSED_CYCLES
-    while cycle < cycles:
-        aim = setpoint.target
-        if setpoint.delayed:
-            aim = scratch
-            aim_at(cycle, setpoint, aim)
-        follow(q, dq, aim, share, actuator, lanes)
-        cycle += 1
-    for i in range(FREE_JOINTS * BATCH_SIZE):
-        mean = (q[i] - velocity[i]) * (1.0 / (cycles * CYCLE))
-        velocity[i] = dq[i] if actuator.kind == KST else mean
+    if actuator.kind == KST:
+        while cycle < cycles:
+            fused = lanes > 1 and cycle + FUSED_CYCLES <= cycles
+            if fused and delayed:
+                fused = _follow_fused(arm, actuator, cycle, True, lanes)
+            elif fused:
+                fused = _follow_fused(arm, actuator, cycle, False, lanes)
+            if not fused:
+                follow(arm, actuator, cycle, lanes)
+            cycle += FUSED_CYCLES if fused else 1
+        return
+    for i in range(FREE_JOINTS):
+        for n in range(BATCH_SIZE):
+            q_before[i, n] = q[i, n]
+    for cycle in range(cycles):
+        follow(arm, actuator, cycle, lanes)
+    for i in range(FREE_JOINTS):
+        for n in range(BATCH_SIZE):
+            velocity[i, n] = (q[i, n] - q_before[i, n]) * (1.0 / (cycles * CYCLE))
 
 
 @inlined
-def aim_at(cycle: int, setpoint: DelayedSetpoint, aim: Array) -> None:
-    """Write the setpoints in force in a cycle to `aim`, a block of 6 rows."""
-    before, target, turn = setpoint.before, setpoint.target, setpoint.turn
-    for i in range(FREE_JOINTS * BATCH_SIZE):
-        old, new = before[i], target[i]
-        aim[i] = old if cycle < turn[i] else new
+def motion_of(arm: Servos, actuator: ActuatorParameters) -> Array:
+    """Return the joint velocities of the motion under the last setpoint [rad/s], 6 rows.
+
+    Behind `KST` those at its end; otherwise their means, since a fast servo moves in steps.
+    """
+    return arm.dq if actuator.kind == KST else arm.velocity
 
 
 @inlined
 def _follow_fused(
-    q: Array,
-    dq: Array,
-    setpoint: DelayedSetpoint,
-    share: Array,
-    actuator: ActuatorParameters,
-    first: int,
-    scratch: Array,
-) -> None:
-    """Advance the free joints of all lanes by `FUSED_CYCLES` cycles of the shaping law."""
-    before, target, turn, delayed = setpoint
-    count, limit = FREE_JOINTS * BATCH_SIZE, NEAR * actuator.width
-    # Joints are almost always near their setpoints: for them the law is a short series. Both loops
-    # give equal bits where it holds.
-    far = 0
+    arm: Servos, actuator: ActuatorParameters, first: int, delayed: bool, lanes: int
+) -> bool:
+    """Advance all lanes by `FUSED_CYCLES` cycles of the shaping law, and return True.
+
+    Joints are almost always near their setpoints: for them the law is a short series. Where one of
+    the first lanes is not, nothing changes. Both ways give equal bits where the series holds.
+    """
+    q, dq, q_ahead, dq_ahead, fraction = arm.q, arm.dq, arm.q_ahead, arm.dq_ahead, arm.fraction
+    before, target, turn = arm.before, arm.target, arm.turn
+    limit, half = NEAR * actuator.width, FREE_JOINTS // 2
+    far = False
     # Two joints at a time: while one number waits for its last cycle, the other continues.
-    half = count // 2
     for i in range(half):
-        angle, speed, other_angle, other_speed = q[i], dq[i], q[half + i], dq[half + i]
-        old, new, change, gain = before[i], target[i], turn[i], share[i]
-        other_old, other_new = before[half + i], target[half + i]
-        other_change, other_gain = turn[half + i], share[half + i]
-        for cycle in range(FUSED_CYCLES):
-            e = (old if delayed and first + cycle < change else new) - angle
-            other_e = other_old if delayed and first + cycle < other_change else other_new
-            other_e -= other_angle
-            far |= (abs(e) > limit) | (abs(other_e) > limit)
-            speed = _shaped_velocity(e, speed, gain, False, actuator)
-            other_speed = _shaped_velocity(other_e, other_speed, other_gain, False, actuator)
-            angle = fma(CYCLE, speed, angle)
-            other_angle = fma(CYCLE, other_speed, other_angle)
-        scratch[i], scratch[count + i] = angle, speed
-        scratch[half + i], scratch[count + half + i] = other_angle, other_speed
+        j = half + i
+        for n in range(BATCH_SIZE):
+            q_i, dq_i, q_j, dq_j = q[i, n], dq[i, n], q[j, n], dq[j, n]
+            old_i, new_i, turn_i, gain_i = before[i, n], target[i, n], turn[i, n], fraction[i, n]
+            old_j, new_j, turn_j, gain_j = before[j, n], target[j, n], turn[j, n], fraction[j, n]
+            away = False
+            for cycle in range(FUSED_CYCLES):
+                e_i = (old_i if delayed and first + cycle < turn_i else new_i) - q_i
+                e_j = (old_j if delayed and first + cycle < turn_j else new_j) - q_j
+                away |= (abs(e_i) > limit) | (abs(e_j) > limit)
+                dq_i = _shaped_velocity(e_i, dq_i, gain_i, False, actuator)
+                dq_j = _shaped_velocity(e_j, dq_j, gain_j, False, actuator)
+                q_i = fma(CYCLE, dq_i, q_i)
+                q_j = fma(CYCLE, dq_j, q_j)
+            far |= away & (n < lanes)
+            q_ahead[i, n], dq_ahead[i, n] = q_i, dq_i
+            q_ahead[j, n], dq_ahead[j, n] = q_j, dq_j
     if far:
-        for i in range(count):
-            scratch[i], scratch[count + i] = q[i], dq[i]
-        for cycle in range(FUSED_CYCLES):
-            for i in range(count):
-                angle, speed = scratch[i], scratch[count + i]
-                old, new = before[i], target[i]
-                aim = old if delayed and first + cycle < turn[i] else new
-                speed = _shaped_velocity(aim - angle, speed, share[i], True, actuator)
-                scratch[i], scratch[count + i] = fma(CYCLE, speed, angle), speed
-    for i in range(count):
-        q[i], dq[i] = scratch[i], scratch[count + i]
+        return False
+    for i in range(FREE_JOINTS):
+        for n in range(BATCH_SIZE):
+            q[i, n], dq[i, n] = q_ahead[i, n], dq_ahead[i, n]
+    return True
 
 
 @inlined
@@ -372,7 +366,7 @@ def track(
         predicted[j] = q + (now - reply_time[j]) / CYCLE * (before - q)
 
 
-@called
+@compilable
 def steady_error(dq: float, lag: float, actuator: ActuatorParameters) -> float:
     """Return setpoint minus position of a joint that moves at a constant velocity [rad].
 
@@ -412,7 +406,7 @@ def speed_of_peak(peak: float, period: float) -> float:
     return k * e**2 / (1.0 + k * e * period)
 
 
-@called
+@compilable
 def lag_share(lag: float) -> float:
     """Return the share of a change that a first-order lag follows within one servo cycle.
 

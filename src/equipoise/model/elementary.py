@@ -2,25 +2,22 @@
 
 A processor computes several numbers with one instruction if straight-line code runs over adjacent
 numbers. Therefore kernels advance a *block* of `BATCH_SIZE` independent states (episodes, trials)
-together: row i of a block holds `BATCH_SIZE` adjacent numbers, entry (i, n) lies at
-i * BATCH_SIZE + n, and each formula is the body of a loop over n. A call into a mathematics library
-prevents vectorisation; the polynomials below do not. They also give identical bits in every lane of
-a block, independent of the other lanes.
+together: a field of a record (`equipoise.arrays`) has shape (rows, BATCH_SIZE), and each formula is
+the body of a loop over the lane n. A call into a mathematics library prevents vectorisation; the
+polynomials below do not. They also give identical bits in every lane of a block, independent of the
+other lanes.
 """
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numba import types
 
-from equipoise.arrays import Array
-from equipoise.jit import disabled, fma, inlined
+from equipoise.jit import fma, inlined
+
+__all__ = ["BATCH_SIZE", "fma", "log", "sincos"]
 
 BATCH_SIZE: Final = 16
 """Number of states in a block: fills the widest registers and hides the latency of a division."""
-
-CACHE_LINE: Final = 64
-"""Size of a cache line [bytes], and of the widest registers."""
 
 TWO_OVER_PI: Final = 0.6366197723675814
 ROUNDING: Final = 1.5 * 2.0**52
@@ -36,66 +33,6 @@ ROOT_HALF_BITS: Final = 0x3FE6A09E667F3BCD
 # log 2 in two parts; an exponent times the first is exact.
 LOG_2_1: Final = 6.93147180369123816490e-01
 LOG_2_2: Final = 1.90821492927058770002e-10
-
-
-def zeros(count: int) -> Array:
-    """Return an array of zeros that begins on a cache line.
-
-    A wide register that is loaded from elsewhere or stored there touches two lines.
-    """
-    size = np.dtype(np.float64).itemsize * count
-    room = np.zeros(size + CACHE_LINE, np.uint8)
-    first = -room.ctypes.data % CACHE_LINE
-    return room[first : first + size].view(np.float64)
-
-
-def at(block: Array, row: int, n: int) -> float:
-    """Return the entry of a block in a row, in lane `n`."""
-    return block[row * BATCH_SIZE + n]
-
-
-def put(block: Array, row: int, n: int, value: float) -> None:
-    """Write the entry of a block in a row, in lane `n`."""
-    block[row * BATCH_SIZE + n] = value
-
-
-def _teach_numba_blocks() -> None:
-    """Compile `at` and `put` to one load and one store, for an index that is not negative.
-
-    Numba counts a negative index from the end of an array. Where a compiler cannot exclude one, it
-    reads the lanes of a row one by one.
-    """
-    from numba.core.typing.templates import signature
-    from numba.extending import lower_builtin, type_callable
-
-    index = types.intp
-
-    @type_callable(at)
-    def type_of_at(context: Any) -> Any:
-        return lambda block, row, n: signature(block.dtype, block, index, index)
-
-    @type_callable(put)
-    def type_of_put(context: Any) -> Any:
-        return lambda block, row, n, value: signature(types.none, block, index, index, block.dtype)
-
-    def address(context: Any, builder: Any, kind: Any, block: Any, row: Any, n: Any) -> Any:
-        first = builder.mul(row, row.type(BATCH_SIZE))
-        data = context.make_array(kind)(context, builder, block).data
-        return builder.gep(data, [builder.add(first, n)], inbounds=True)
-
-    @lower_builtin(at, types.Array, index, index)
-    def code_of_at(context: Any, builder: Any, called: Any, values: Any) -> Any:
-        return builder.load(address(context, builder, called.args[0], *values))
-
-    @lower_builtin(put, types.Array, index, index, types.Any)
-    def code_of_put(context: Any, builder: Any, called: Any, values: Any) -> Any:
-        *place, value = values
-        builder.store(value, address(context, builder, called.args[0], *place))
-        return context.get_dummy_value()
-
-
-if not disabled():
-    _teach_numba_blocks()
 
 
 @inlined

@@ -11,13 +11,13 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.jit import kernel
+from equipoise.jit import compilable
 
 Numbers = TypeVar("Numbers", float, npt.NDArray[np.float64])
 """A number or an array."""
 
 
-@kernel
+@compilable
 def counts_from_theta(theta: Numbers, counts_per_rev: float, sign: float) -> Numbers:
     """Return the encoder counts at an angle.
 
@@ -37,7 +37,7 @@ def counts_from_theta(theta: Numbers, counts_per_rev: float, sign: float) -> Num
     return counts
 
 
-@kernel
+@compilable
 def theta_from_counts(counts: Numbers, counts_per_rev: float, sign: float) -> Numbers:
     """Return the angle in the middle of a count's step [rad].
 

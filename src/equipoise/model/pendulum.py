@@ -20,7 +20,7 @@ from pydantic import Field, model_validator
 from equipoise.arguments import checked
 from equipoise.arrays import Array
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, StrPath, Value
-from equipoise.jit import PACKAGE, called, inlined, kernel
+from equipoise.jit import PACKAGE, compilable, inlined, kernel
 from equipoise.model.elementary import fma, sincos
 from equipoise.settings import GRAVITY, Friction, IdentificationSettings
 
@@ -96,7 +96,7 @@ def runge_kutta(
     )
 
 
-@called
+@compilable
 def _step_with_dry_friction(
     phi: float, phi_dot: float, u: float, h: float, pendulum: PendulumParameters
 ) -> tuple[float, float]:
@@ -129,7 +129,7 @@ def _step_with_dry_friction(
     return phi, phi_dot
 
 
-@called
+@compilable
 def step(
     phi: float, phi_dot: float, u: float, h: float, pendulum: PendulumParameters
 ) -> tuple[float, float]:

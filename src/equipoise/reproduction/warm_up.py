@@ -7,17 +7,17 @@ long as the sources of the package are equal (`equipoise.jit`).
 
 import multiprocessing
 import time
-from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from pathlib import Path
-from queue import Empty
-from typing import Any, Final
+from typing import Final
 
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import OutsideError
 from equipoise.executors import Show
 from equipoise.identification.swing import identify
-from equipoise.jit import disabled, kernel_folder, watching_compilation
+from equipoise.jit import DISABLED, kernel_folder
 from equipoise.learning.train import train_to_target
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.worlds import IDEAL, MODEL
@@ -61,20 +61,8 @@ def run_a_little() -> None:
     simulate_run(policy, world=TWIN, duration=SECONDS)
 
 
-JOBS: Final[dict[str, Callable[[], None]]] = {"train": train_a_little, "run": run_a_little}
-"""Jobs by name; they share few kernels."""
-KERNELS: Final = {
-    **{"plant.step": 3.4, "trial.run_trial": 1.9, "ideal.run_trials": 1.7},
-    **{"episodes.train_episodes": 1.6, "trial.new_twin_handle": 1.4},
-    **{"trial.advance_trial": 1.1, "episodes.new_training_loop": 1.0},
-}
-"""Compilation of the large kernels [s]."""
-OTHER: Final = 0.12
-"""Compilation of any other function, in the mean [s]."""
-FUNCTIONS: Final = 261
-"""Number of all functions."""
-IMPORT: Final = 2.0
-"""Time from the start of the processes to the first function [s]."""
+JOBS: Final = (train_a_little, run_a_little)
+"""Jobs of the processes; they share few kernels."""
 
 
 def _marker() -> Path:
@@ -83,12 +71,7 @@ def _marker() -> Path:
 
 def is_warm() -> bool:
     """Return whether the kernels of these sources were compiled by `warm_up`."""
-    return disabled() or _marker().exists()
-
-
-def _process(name: str, compiled: Any) -> None:
-    with watching_compilation(compiled.put):
-        JOBS[name]()
+    return DISABLED or _marker().exists()
 
 
 def warm_up(workers: int, show: Show = lambda *_: None) -> None:
@@ -96,38 +79,22 @@ def warm_up(workers: int, show: Show = lambda *_: None) -> None:
 
     Args:
         workers: Maximum number of processes.
-        show: Called with the progress, which is linear in time.
+        show: Called with the progress.
 
     Raises:
         OutsideError: A process ended early.
     """
-    context, begin = multiprocessing.get_context("spawn"), time.monotonic()
-    compiled: Any = context.Queue()
-    waiting, running, left = list(JOBS), dict[str, Any](), dict(KERNELS)
-    done, last = len(JOBS) * IMPORT, begin + IMPORT
-    total = done + sum(KERNELS.values()) + (FUNCTIONS - len(KERNELS)) * OTHER
+    begin, context = time.monotonic(), multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context) as pool:
+        jobs = [pool.submit(job) for job in JOBS]
+        while not all(job.done() for job in jobs):
+            wait(jobs, timeout=REFRESH)
+            show("compile", None, f"once on this machine: {time.monotonic() - begin:.0f} s")
     try:
-        while waiting or running:
-            while waiting and len(running) < workers:
-                name = waiting.pop(0)
-                running[name] = context.Process(target=_process, args=(name, compiled))
-                running[name].start()
-            with suppress(Empty):
-                name = compiled.get(timeout=REFRESH)
-                done, last = done + left.pop(name, OTHER), time.monotonic()
-            for name, process in list(running.items()):
-                if process.exitcode:
-                    raise OutsideError(f"the compilation of {name!r} ended: {process.exitcode}")
-                if process.exitcode == 0:
-                    running.pop(name)
-            now = time.monotonic()
-            # While a large kernel compiles, nothing is reported: go on at the same rate.
-            rate = done / max(last - begin, 1.0)
-            ahead = min(rate * (now - last), max(left.values(), default=OTHER))
-            show("compile", min((done + ahead) / total, 0.99), "once on this machine")
-    finally:
-        for process in running.values():
-            process.terminate()
+        for job in jobs:
+            job.result()
+    except BrokenProcessPool:
+        raise OutsideError("a process of the compilation ended early; repeat the command") from None
     with suppress(OSError):  # a cache that cannot be written
         _marker().touch()
     show("compile", 1.0, "once on this machine")

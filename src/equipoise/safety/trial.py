@@ -6,27 +6,23 @@ and cables do not apply to a trial; external torques are left out, since nothing
 """
 
 from math import inf
-from typing import Final, NamedTuple
-
-import numpy as np
-import numpy.typing as npt
+from typing import Annotated, Final, NamedTuple, Protocol
 
 from equipoise import paper
-from equipoise.arrays import Array
+from equipoise.arrays import Array, Records, new_records
 from equipoise.control.control_step import (
-    EST_PHI,
-    EST_PIVOT_V,
     SETPOINTS_PER_TICK,
     ControllerParams,
     ControllerState,
     horizon,
+    kinematics,
 )
 from equipoise.control.controller import flange_pose
-from equipoise.jit import called, inlined
-from equipoise.model.actuator import Actuator
+from equipoise.jit import compilable, inlined
+from equipoise.model.actuator import ROWS, Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.arms.compiler import FRAME_SIZE
-from equipoise.model.elementary import BATCH_SIZE, at
+from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.worlds import TwinSettings
 from equipoise.safety import rules
 from equipoise.safety.rules import NO_VIOLATION, Limits, SafetyParams
@@ -35,25 +31,32 @@ SETPOINT_HISTORY: Final = 64
 """Number of setpoints in memory: 0.32 s, more than delay and age of a reply together."""
 
 
+class MonitorState(Protocol):
+    """State of the safety rules in a trial; kernels change it in place."""
+
+    sent: Annotated[Array, (SETPOINT_HISTORY,)]
+    """Times of the last setpoints [s], each at its number modulo `SETPOINT_HISTORY`."""
+    setpoints: Annotated[Array, (SETPOINT_HISTORY, FREE_JOINTS)]
+    """Their free joints [rad]."""
+    error_time: float
+    """Duration of a following error beyond its limit [s]."""
+    number: int
+    """Number of setpoints sent."""
+    still: Annotated[Array, ROWS]
+    """Velocities of zero."""
+    frame: Annotated[Array, (FRAME_SIZE, BATCH_SIZE)]
+    """Record of the measured flange."""
+
+
 class TrialSafetyMonitor(NamedTuple):
-    """Safety rules with their state in a trial, which kernels change in place."""
+    """Safety rules with their state in a trial, for kernels."""
 
     active: bool
     """Whether any rule applies."""
     params: SafetyParams
     """Safety limits; those of joints and torques for the free joints alone."""
-    sent: Array
-    """Times of the last setpoints [s], each at its number modulo `SETPOINT_HISTORY`."""
-    setpoints: Array
-    """Their free joints [rad], shape (SETPOINT_HISTORY, 6)."""
-    number: npt.NDArray[np.int64]
-    """Number of setpoints sent, shape (1,)."""
-    error_time: Array
-    """Duration of a following error beyond its limit [s], shape (1,)."""
-    still: Array
-    """Velocities of zero, a block of 6 rows."""
-    frame: Array
-    """Scratch for the record of the measured flange."""
+    states: Records
+    """`MonitorState`."""
 
 
 def trial_safety(
@@ -91,22 +94,20 @@ def new_trial_monitor(arm: Arm, params: SafetyParams | None) -> TrialSafetyMonit
     rules = params or SafetyParams(Limits(none, none, none, none), none, 0.0, 0.0, 0.0, 0.0, 0.0)
     limits = Limits(*(arm.without_held(row) for row in rules.limits))
     rules = rules._replace(limits=limits, torque=arm.without_held(rules.torque))
-    size, number, error_time = SETPOINT_HISTORY, np.zeros(1, np.int64), np.zeros(1)
-    sent, setpoints = np.zeros(size), np.zeros((size, FREE_JOINTS))
-    still, frame = np.zeros(FREE_JOINTS * BATCH_SIZE), np.zeros(FRAME_SIZE * BATCH_SIZE)
-    return TrialSafetyMonitor(active, rules, sent, setpoints, number, error_time, still, frame)
+    return TrialSafetyMonitor(active, rules, new_records(MonitorState))
 
 
-@called
+@compilable
 def reset_trial_monitor(monitor: TrialSafetyMonitor, q: Array) -> None:
     """Begin with an arm that rests at the free joints `q` [rad], shape (6,)."""
+    state = monitor.states[0]
     # Rules need the last two setpoints; earlier ones do not matter.
     for row in range(2):
-        monitor.sent[row] = -inf
+        state.sent[row] = -inf
         for i in range(FREE_JOINTS):
-            monitor.setpoints[row, i] = q[i]
-    monitor.number[0] = 2
-    monitor.error_time[0] = 0.0
+            state.setpoints[row, i] = q[i]
+    state.number = 2
+    state.error_time = 0.0
 
 
 @inlined
@@ -120,16 +121,17 @@ def setpoint_violation(monitor: TrialSafetyMonitor, q: Array, now: float) -> int
         q: The free joints [rad], shape (6,).
         now: The time [s].
     """
-    params, setpoints, count = monitor.params, monitor.setpoints, monitor.number[0]
+    params, state = monitor.params, monitor.states[0]
+    setpoints, count = state.setpoints, state.number
     last = setpoints[(count - 1) % SETPOINT_HISTORY]
     before = setpoints[(count - 2) % SETPOINT_HISTORY]
     dt = params.h / SETPOINTS_PER_TICK
     code, _, _, _ = rules.broken_setpoint(params.limits, q, last, before, dt)
     if code == NO_VIOLATION:
-        monitor.sent[count % SETPOINT_HISTORY] = now
+        state.sent[count % SETPOINT_HISTORY] = now
         for i in range(FREE_JOINTS):
             setpoints[count % SETPOINT_HISTORY, i] = q[i]
-        monitor.number[0] = count + 1
+        state.number = count + 1
     return code
 
 
@@ -137,7 +139,7 @@ def setpoint_violation(monitor: TrialSafetyMonitor, q: Array, now: float) -> int
 def trial_violation(
     monitor: TrialSafetyMonitor,
     controller: ControllerParams,
-    state: ControllerState,
+    measurements: ControllerState,
     q: Array,
     measured_at: float,
 ) -> int:
@@ -146,21 +148,21 @@ def trial_violation(
     Args:
         monitor: Changed in place.
         controller: Constants.
-        state: Measured joints and the estimate, of the first lane.
+        measurements: Measured joints and the estimate, of the first lane.
         q: The measured free joints once more [rad], shape (6,).
         measured_at: Time of their measurement [s].
     """
-    params, error_time = monitor.params, monitor.error_time
+    params, state = monitor.params, monitor.states[0]
     since = measured_at - params.reaction
-    expected = monitor.setpoints[rules.newest_before(monitor.sent, monitor.number[0], since)]
+    expected = state.setpoints[rules.newest_before(state.sent, state.number, since)]
     error, _ = rules.largest_difference(q, expected)
-    error_time[0] = rules.next_error_time(error_time[0], error, params.h)
-    if rules.error_time_exceeded(error_time[0]):
+    state.error_time = rules.next_error_time(state.error_time, error, params.h)
+    if rules.error_time_exceeded(state.error_time):
         return rules.FOLLOWING_CODE
-    kinematics, home = controller.kinematics, controller.home_reference
-    x, drift, tilt, w = flange_pose(kinematics, state.measured, monitor.still, monitor.frame, home)
-    x_dot = at(state.estimate, EST_PIVOT_V, 0)
+    kinematics(controller.code.kinematics, measurements.measured, state.still, state.frame, 1)
+    x, drift, tilt, w = flange_pose(state.frame, controller.home_reference)
+    x_dot, phi = measurements.estimate.pivot_v[0], measurements.estimate.phi[0]
     code, _, _ = rules.broken_flange(params, x, x_dot, drift, tilt, w)
-    if code == NO_VIOLATION and rules.has_fallen(at(state.estimate, EST_PHI, 0)):
+    if code == NO_VIOLATION and rules.has_fallen(phi):
         return rules.ANGLE_CODE
     return code

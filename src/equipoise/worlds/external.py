@@ -11,26 +11,13 @@ from math import floor, inf, pi
 import numpy as np
 
 from equipoise import paper
-from equipoise.arrays import Array
-from equipoise.control.control_step import (
-    SETPOINTS_PER_TICK,
-    make_controller_params,
-    new_controller_state,
-    start_controller,
-)
-from equipoise.control.controller import command_tick, new_controller_handle, observe_tick
-from equipoise.control.grid import (
-    ANGLE,
-    JOINT_LIMIT,
-    PHI_LIMIT,
-    TRACK,
-    TRUNCATED,
-)
-from equipoise.model.arms.arm import FREE_JOINTS
-from equipoise.model.elementary import BATCH_SIZE
+from equipoise.arrays import Array, fields, new_records
+from equipoise.control.control_step import ControllerState, make_controller_params
+from equipoise.control.controller import command_tick, observe_tick, start
+from equipoise.control.grid import PHI_LIMIT
 from equipoise.user_code import guest_code
 from equipoise.worlds.interface import ClosedLoop, Simulation
-from equipoise.worlds.plant import SPEED_LIMIT_CAUSE, draw_noise, scaled
+from equipoise.worlds.plant import FailureLimits, draw_noise, failure, scaled
 from equipoise.worlds.trials import Trial
 
 
@@ -59,10 +46,11 @@ class ExternalLoop(ClosedLoop):
             counts_per_rev=plant.counts_per_rev,
             has_sensor=setup.actuator.kind != "ideal",
         )
-        self.controller = new_controller_state()
-        self._handle = new_controller_handle(self.params, self.controller)
+        self._controllers = new_records(ControllerState)
+        self.controller = fields(self._controllers, ControllerState)
         self._sigmas = np.repeat([plant.position_error_sigma, plant.orientation_error_sigma], 3)
-        self._fastest = inf if plant.max_speed is None else plant.max_speed
+        max_speed = inf if plant.max_speed is None else plant.max_speed
+        self._limits = FailureLimits(PHI_LIMIT, paper.X_LIMIT, max_speed)
         self._state, self._tick = np.zeros(4), 0
 
     @abstractmethod
@@ -97,9 +85,9 @@ class ExternalLoop(ClosedLoop):
         self.pendulum = scaled(nominal, own.inertia_factor, own.friction_factor)
         self.zero = own.zero if self.params.has_sensor else None
         shown = phi + (self.zero or 0.0)
-        start_controller(self.params, self.controller, x, x_dot, shown, phi_dot, 0)
+        start(self.params, self._controllers, x, x_dot, shown, phi_dot)
         with guest_code(f"the world {self.simulation.world}"):
-            self.release(self.controller.q[::BATCH_SIZE].copy(), trial.start)
+            self.release(self.controller.q[:, 0].copy(), trial.start)
             self._observe()
 
     def step(self, u: float) -> int:
@@ -108,38 +96,33 @@ class ExternalLoop(ClosedLoop):
         if not self.params.has_sensor:
             tick, number = np.array([self._tick]), np.array([self.trial.number])
             draw_noise(controller.noise, simulation.seed, tick, number, 0, simulation.stream, 1)
-            controller.noise[::BATCH_SIZE] *= self._sigmas
+            controller.noise[:, 0] *= self._sigmas
         controller.u[0] = u
-        command_tick(self._handle)
+        command_tick(self.params, self._controllers)
         with guest_code(f"the world {simulation.world}"):
-            for q in controller.setpoints[::BATCH_SIZE].reshape(SETPOINTS_PER_TICK, FREE_JOINTS):
+            for q in controller.setpoints[:, :, 0]:
                 self.send(q)
             self._tick += 1
             self.now = self._tick * self.params.h
             self._observe()
         if self.params.has_sensor:
-            observe_tick(self._handle, 0.0, 0.0)
+            observe_tick(self.params, self._controllers, 0.0, 0.0)
         x, x_dot, phi, _ = self._state.tolist()
         self.tracked = (x_dot - before) / self.params.h
-        # Written so that NaN is a failure.
-        if not abs(phi) < PHI_LIMIT:
-            return ANGLE
-        if not abs(x) < paper.X_LIMIT:
-            return TRACK
-        if controller.limit_exceeded[0]:
-            return JOINT_LIMIT
-        return TRUNCATED if abs(x_dot) < self._fastest else SPEED_LIMIT_CAUSE
+        exceeded = bool(controller.limit_exceeded[0])
+        return failure(x, x_dot, phi, exceeded, self._limits)
 
     def _observe(self) -> None:
         """Read the state and the measurements; without an encoder the state is the observation."""
         self._state[:] = self.read()
         controller = self.controller
         if not self.params.has_sensor:
-            controller.observation[::BATCH_SIZE] = self._state
+            seen = controller.observation
+            seen.x[0], seen.x_dot[0], seen.phi[0], seen.phi_dot[0] = self._state
             return
         theta = pi - (self.angle() + (self.zero or 0.0))
         controller.counts[0] = floor(theta / self.params.resolution + 0.5)
-        controller.measured[::BATCH_SIZE] = self.joints()[list(self.simulation.setup.arm.free)]
+        controller.measured[:, 0] = self.joints()[list(self.simulation.setup.arm.free)]
 
     def state(self) -> Array:
         """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""

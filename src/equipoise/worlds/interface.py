@@ -16,12 +16,12 @@ import numpy as np
 
 from equipoise.arrays import Array
 from equipoise.control.control_step import ControllerParams, ControllerState
+from equipoise.control.controller import estimate_of, observation_of
 from equipoise.control.grid import TRUNCATED
 from equipoise.control.policy import KernelPolicy, Policy, PolicyKernel, TaskPolicy
 from equipoise.executors import completed
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
-from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.settings import Settings
@@ -86,7 +86,7 @@ class ClosedLoop(ABC):
         """Return the newest measurements, those of this tick; `None` without an encoder."""
         if not self.params.has_sensor:
             return None
-        q = self.controller.measured[::BATCH_SIZE].copy()
+        q = self.controller.measured[:, 0].copy()
         return Measurement(float(self.controller.counts[0]), self.now, q, self.now)
 
 
@@ -103,8 +103,6 @@ class Setup(NamedTuple):
     """The controller's model of the arm's response."""
     h: float
     """Time between ticks [s]."""
-    spread: float = 1.0
-    """Factor on the variation of the plants [-]."""
 
 
 class Simulation(ABC):
@@ -145,8 +143,7 @@ class Simulation(ABC):
 
     def draw(self, count: int, first: int = 0) -> Trials:
         """Draw the conditions of `count` trials from number `first` on."""
-        settings, spread = self.setup.settings, self.setup.spread
-        return draw_trials(count, settings, self.seed, self.stream, spread, first)
+        return draw_trials(count, self.setup.settings, self.seed, self.stream, first)
 
     def run_piece(
         self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
@@ -193,7 +190,7 @@ class Simulation(ABC):
 
 def predicted(loop: ClosedLoop) -> Array:
     """Return x, x_dot, phi, phi_dot at which u takes effect: the observation, shape (4,)."""
-    return loop.controller.observation[::BATCH_SIZE].copy()
+    return observation_of(loop.controller)
 
 
 def run_trial(
@@ -278,7 +275,7 @@ class Recorder:
         estimate = np.array((*pendulum, 0.0, x_dot, x))
         encoder, joints = (nan, nan), np.full(7, nan)
         if measured is not None:
-            estimate = loop.controller.estimate[::BATCH_SIZE].copy()
+            estimate = estimate_of(loop.controller)
             encoder = measured.counts, measured.counted_at
             joints = np.append(measured.q, measured.measured_at)
         self._before = predicted(loop), u, estimate, state, loop.joints(), encoder, joints
@@ -286,7 +283,7 @@ class Recorder:
     def after(self, loop: ClosedLoop) -> None:
         """Record the commands and the tracked acceleration of a tick."""
         c = loop.controller
-        commands = (block[::BATCH_SIZE].copy() for block in (c.setpoints, c.q, c.dq))
+        commands = (rows[..., 0].ravel() for rows in (c.setpoints, c.q, c.dq))
         self._rows.append((*self._before, *commands, loop.tracked))
 
     @property

@@ -16,29 +16,23 @@ policies all call the `step` below.
 """
 
 from math import floor, inf, pi
-from typing import Final, NamedTuple
+from typing import Annotated, Final, NamedTuple, Protocol
 
-import numpy as np
+import numba
+from numba import types
 
 from equipoise import paper
-from equipoise.arrays import Array, IntArray
+from equipoise.arrays import Array, IntArray, record_type
 from equipoise.control.clik import pose_error
 from equipoise.control.control_step import (
-    OBS_PHI,
-    OBS_PHI_DOT,
-    OBS_X,
-    OBS_X_DOT,
+    LANES,
     SETPOINTS_PER_TICK,
     ControllerParams,
     ControllerState,
-    command,
-    copy_controller_state,
-    copy_rows,
+    Observed,
+    kinematics,
     make_controller_params,
-    new_controller_state,
-    observe,
     pivot_velocity,
-    start_controller,
 )
 from equipoise.control.grid import (
     ANGLE,
@@ -50,21 +44,21 @@ from equipoise.control.grid import (
     Grid,
     box_index,
 )
-from equipoise.jit import called, inlined
+from equipoise.jit import call, compilable, inlined, pointer
 from equipoise.model.actuator import (
     CYCLE,
     IDEAL_ACTUATOR,
+    ROWS,
     Actuator,
-    DelayedSetpoint,
-    aim_at,
+    Servos,
     follow,
-    follow_setpoint,
     lag_share,
+    motion_of,
     steady_error,
 )
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, TWIST
-from equipoise.model.elementary import BATCH_SIZE, at, put, sincos, zeros
+from equipoise.model.elementary import BATCH_SIZE, sincos
 from equipoise.model.pendulum import PendulumParameters, runge_kutta
 from equipoise.model.pendulum import step as pendulum_step
 from equipoise.model.random import normal_radius, philox, turn, uniform
@@ -75,13 +69,21 @@ MIN_INERTIA_FACTOR: Final = 0.1
 """Smallest factor on the moment of inertia that noise may give [-]."""
 SETPOINT_HISTORY: Final = 32
 """Number of setpoints that may be in flight to the arm."""
+
+
 SPEED_LIMIT_CAUSE: Final = SAFETY_STOP + SPEED_CODE
 """Cause of failure where the task limits the flange's speed: that of the guard of a rig."""
 
-# Rows of the block of states.
-X, X_DOT, PHI, PHI_DOT = range(4)
-TRACKED: Final = 4
-"""Row of the tracked acceleration u' of the last step."""
+
+class FailureLimits(NamedTuple):
+    """Limits whose violation ends an episode."""
+
+    phi: float
+    """Angle |phi| [rad]."""
+    x: float
+    """Displacement |x| [m]."""
+    speed: float
+    """Speed |x_dot| [m/s]; inf without a limit."""
 
 
 class LoopParams(NamedTuple):
@@ -89,18 +91,18 @@ class LoopParams(NamedTuple):
 
     controller: ControllerParams
     """Controller: u to setpoints, measurements to observations."""
-    phi_limit: float
-    """Failure angle |phi| [rad]."""
-    x_limit: float
-    """Failure displacement |x| [m]."""
-    speed_limit: float
-    """Failure speed |x_dot| [m/s]; inf without a limit."""
+    limits: FailureLimits
+    """Limits whose violation ends an episode."""
     position_noise: float
     """Standard deviation of the noise on the position part of e [m]."""
     orientation_noise: float
     """Standard deviation of the noise on the orientation part of e [rad]."""
     linearised: bool
     """Whether the pendulum is that of equation (7)."""
+    reset: int = 0
+    """Address of the compiled `reset`."""
+    step: int = 0
+    """Address of the compiled `step`."""
 
 
 class DomainRandomization(NamedTuple):
@@ -118,40 +120,48 @@ class DomainRandomization(NamedTuple):
     """Encoder zero error, added to phi [rad]."""
 
 
-class BatchState(NamedTuple):
-    """States of `BATCH_SIZE` closed loops, changed in place by a step; each field is a block."""
+class Pendula(Protocol):
+    """Numbers of `PendulumParameters`."""
+
+    w2: Annotated[Array, LANES]
+    k: Annotated[Array, LANES]
+    c: Annotated[Array, LANES]
+    coulomb: Annotated[Array, LANES]
+    drag: Annotated[Array, LANES]
+
+
+class BatchState(Protocol):
+    """States of `BATCH_SIZE` closed loops; kernels change them in place."""
 
     controller: ControllerState
     """States of the controllers."""
-    pendula: Array
-    """Numbers of `PendulumParameters`, 5 rows."""
-    state: Array
-    """x, x_dot, phi, phi_dot, and u' of the last step, in SI units, 5 rows."""
-    cause: IntArray
-    """Cause of failure in the last step, 1 row."""
-    q: Array
-    """Free joints of the arm [rad], 6 rows. An ideal actuator leaves this and the following fields
-    unused: its joints are the commanded ones."""
-    dq: Array
-    """Their velocities [rad/s], 6 rows."""
-    frame: Array
-    """Kinematics at those joints: position, orientation and twist of the flange."""
-    share: Array
-    """Share of its lag that a joint makes up per servo cycle [-], 6 rows."""
-    target: Array
-    """Setpoints in force at the end of a tick [rad], 6 rows."""
-    before: Array
-    """Those in force before them, 6 rows."""
-    setpoints: Array
-    """Last `SETPOINT_HISTORY` setpoints [rad], 6 rows each."""
-    newest: IntArray
-    """Index of the newest setpoint, shape (1,)."""
-    delay: IntArray
-    """IntArray setpoints of the transport delay, 1 row."""
-    turn: Array
-    """Its other servo cycles, 6 equal rows."""
-    zero: Array
-    """Encoder zero error, added to phi [rad], 1 row."""
+    pendula: Pendula
+    """Parameters of the pendulums."""
+    state: Observed
+    """True states."""
+    pivot_v: Annotated[Array, LANES]
+    """Velocity of the pivot along x before the step [m/s]."""
+    u_tracked: Annotated[Array, LANES]
+    """Tracked acceleration u' of the last step [m/s^2]."""
+    cycle_pivot_v: Annotated[Array, LANES]
+    """Velocity of the pivot along x before a servo cycle [m/s]; with dry friction."""
+    cycle_u: Annotated[Array, LANES]
+    """Tracked acceleration of a servo cycle [m/s^2]; with dry friction."""
+    cause: Annotated[IntArray, LANES]
+    """Cause of failure in the last step."""
+    arm: Servos
+    """Arms. An ideal actuator leaves this and the following fields unused: its joints are the
+    commanded ones."""
+    frame: Annotated[Array, (FRAME_SIZE, BATCH_SIZE)]
+    """Kinematics at their joints: position, orientation and twist of the flange."""
+    setpoints: Annotated[Array, (SETPOINT_HISTORY, *ROWS)]
+    """Last setpoints [rad]."""
+    delay: Annotated[IntArray, LANES]
+    """Whole setpoints of the transport delay."""
+    zero: Annotated[Array, LANES]
+    """Encoder zero error, added to phi [rad]."""
+    newest: Annotated[IntArray, LANES]
+    """Index of the newest setpoint, equal in all lanes."""
 
 
 def make_loop_params(
@@ -175,7 +185,7 @@ def make_loop_params(
         SettingsError: The delay exceeds the controller's history.
     """
     max_speed = settings.plant.max_speed
-    return LoopParams(
+    plant = LoopParams(
         controller=make_controller_params(
             arm,
             settings,
@@ -185,44 +195,23 @@ def make_loop_params(
             counts_per_rev=settings.plant.counts_per_rev,
             has_sensor=actuator.kind != "ideal",
         ),
-        phi_limit=PHI_LIMIT,
-        x_limit=paper.X_LIMIT,
-        speed_limit=inf if max_speed is None else max_speed,
+        limits=FailureLimits(PHI_LIMIT, paper.X_LIMIT, inf if max_speed is None else max_speed),
         position_noise=settings.plant.position_error_sigma,
         orientation_noise=settings.plant.orientation_error_sigma,
         linearised=settings.plant.linearised,
     )
-
-
-def new_batch_state() -> BatchState:
-    """Return a block for `reset`."""
-
-    def rows(count: int) -> Array:
-        return zeros(count * BATCH_SIZE)
-
-    return BatchState(
-        controller=new_controller_state(),
-        pendula=rows(5),
-        state=rows(5),
-        cause=np.zeros(BATCH_SIZE, np.int64),
-        q=rows(6),
-        dq=rows(6),
-        frame=rows(FRAME_SIZE),
-        share=rows(6),
-        target=rows(6),
-        before=rows(6),
-        setpoints=rows(6 * SETPOINT_HISTORY),
-        newest=np.zeros(1, np.int64),
-        delay=np.zeros(BATCH_SIZE, np.int64),
-        turn=rows(6),
-        zero=rows(1),
+    kinds = numba.typeof(plant), numba.from_dtype(record_type(BatchState))
+    variation = numba.typeof(DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0))
+    start, lane = types.UniTuple(types.float64, 4), types.int64
+    return plant._replace(
+        reset=pointer(reset, *kinds, numba.typeof(pendulum), variation, start, lane),
+        step=pointer(step, *kinds, lane),
     )
 
 
-@called
 def reset(
     plant: LoopParams,
-    block: BatchState,
+    batch: BatchState,
     pendulum: PendulumParameters,
     variation: DomainRandomization,
     start: tuple[float, float, float, float],
@@ -232,221 +221,223 @@ def reset(
 
     Args:
         plant: Constants.
-        block: Changed in place.
+        batch: Changed in place.
         pendulum: Nominal pendulum.
         variation: Deviation of this lane until its next reset.
         start: Displacement of the flange from home along base x [m], its velocity [m/s], angle of
             the pendulum from upright [rad] and its angular velocity [rad/s].
         n: Lane.
     """
-    controller, memory = plant.controller, block.controller
+    controller, memory, state, arm = plant.controller, batch.controller, batch.state, batch.arm
     x, x_dot, phi, phi_dot = start
     zero = variation.zero if controller.has_sensor else 0.0
-    start_controller(controller, memory, x, x_dot, phi + zero, phi_dot, n)
-    own = scaled(pendulum, variation.inertia_factor, variation.friction_factor)
-    put(block.pendula, 0, n, own.w2)
-    put(block.pendula, 1, n, own.k)
-    put(block.pendula, 2, n, own.c)
-    put(block.pendula, 3, n, own.coulomb)
-    put(block.pendula, 4, n, own.drag)
-    put(block.state, X, n, at(memory.frame, POSITION, n) - controller.home_reference[POSITION])
-    put(block.state, X_DOT, n, at(memory.frame, TWIST, n))
-    put(block.state, PHI, n, phi)
-    put(block.state, PHI_DOT, n, phi_dot)
-    put(block.state, TRACKED, n, 0.0)
-    block.cause[n] = TRUNCATED
+    begun = controller, memory, x, x_dot, phi + zero, phi_dot, n
+    call(controller.code.start_controller, begun)
+    own, pendula = (
+        scaled(pendulum, variation.inertia_factor, variation.friction_factor),
+        batch.pendula,
+    )
+    pendula.w2[n], pendula.k[n], pendula.c[n] = own.w2, own.k, own.c
+    pendula.coulomb[n], pendula.drag[n] = own.coulomb, own.drag
+    state.x[n] = memory.frame[POSITION, n] - controller.home_reference[POSITION]
+    state.x_dot[n] = memory.frame[TWIST, n]
+    state.phi[n], state.phi_dot[n], batch.u_tracked[n] = phi, phi_dot, 0.0
+    batch.cause[n] = TRUNCATED
     if not controller.has_sensor:
         return
     delay = max(controller.delay + variation.delay, 0.0)
-    put(block.zero, 0, n, zero)
+    batch.zero[n] = zero
     apart = controller.h / SETPOINTS_PER_TICK
     cycles, delayed = round(apart / CYCLE), round(delay / CYCLE)
-    block.delay[n] = delayed // cycles
+    batch.delay[n] = delayed // cycles
     for i in range(FREE_JOINTS):
-        dq, lag = at(memory.dq, i, n), controller.lags[i] * variation.lag_factor
-        first = at(memory.q, i, n)
+        q, dq = memory.q[i, n], memory.dq[i, n]
+        lag = controller.lags[i] * variation.lag_factor
         behind = dq * delay + steady_error(dq, lag, controller.actuator)
-        put(block.q, i, n, first - behind)
-        put(block.dq, i, n, dq)
-        put(block.share, i, n, lag_share(lag))
+        arm.q[i, n], arm.dq[i, n], arm.fraction[i, n] = q - behind, dq, lag_share(lag)
         for j in range(SETPOINT_HISTORY):
-            row = 6 * ((block.newest[0] - j) % SETPOINT_HISTORY)
-            put(block.setpoints, row + i, n, first - j * apart * dq)
-        put(block.turn, i, n, float(delayed % cycles))
-        put(block.target, i, n, first - block.delay[n] * apart * dq)
+            batch.setpoints[(batch.newest[0] - j) % SETPOINT_HISTORY, i, n] = q - j * apart * dq
+        arm.turn[i, n] = float(delayed % cycles)
+        arm.target[i, n] = q - batch.delay[n] * apart * dq
     for i in range(FRAME_SIZE):
-        put(block.frame, i, n, at(memory.frame, i, n))
+        batch.frame[i, n] = memory.frame[i, n]
 
 
-@called
-def step(plant: LoopParams, block: BatchState, lanes: int) -> None:
+def step(plant: LoopParams, batch: BatchState, lanes: int) -> None:
     """Advance controller, arm and pendulum of the first lanes by one time step.
 
     Reads u and standard normal numbers of the controller's state, and updates everything else in
-    the block. `cause` becomes each lane's cause of failure, or `TRUNCATED`.
+    the batch. `cause` becomes each lane's cause of failure, or `TRUNCATED`.
 
     Args:
         plant: Constants.
-        block: Changed in place.
+        batch: Changed in place.
         lanes: Number of lanes.
     """
-    controller, memory, state, cause = plant.controller, block.controller, block.state, block.cause
+    controller, memory, state, cause = plant.controller, batch.controller, batch.state, batch.cause
     noise, h, home_x = memory.noise, controller.h, controller.home_reference[POSITION]
     for i in range(6):
         sigma = plant.position_noise if i < 3 else plant.orientation_noise
-        for n in range(lanes):
-            put(noise, i, n, sigma * at(noise, i, n))
-    frame = memory.frame
-    if controller.has_sensor:
-        frame = block.frame
-    for n in range(lanes):
-        # TRACKED holds minus the pivot velocity before the step, until u' replaces it.
-        put(state, TRACKED, n, -pivot_velocity(frame, controller.pivot, n))
-    command(controller, memory, lanes)
+        for n in range(BATCH_SIZE):
+            noise[i, n] *= sigma
+    frame = batch.frame if controller.has_sensor else memory.frame
+    for n in range(BATCH_SIZE):
+        batch.pivot_v[n] = pivot_velocity(frame, controller.pivot, n)
+    call(controller.code.command, (controller, memory, lanes))
     dry = False
     for n in range(lanes):
-        dry = dry or at(block.pendula, 3, n) > 0.0
-    if controller.has_sensor:
-        move_arms(controller, block, plant.linearised, dry, lanes)
-    for n in range(lanes):
+        dry = dry or batch.pendula.coulomb[n] > 0.0
+    # Dry friction depends on the sign of the rate, which the vibration of a pivot behind an
+    # actuator changes within a step: there such pendulums advance cycle by cycle.
+    by_cycles = controller.has_sensor and dry
+    if by_cycles:
+        move_arms_and_pendula(controller, batch, plant.linearised, lanes)
+    elif controller.has_sensor:
+        move_arms(controller, batch, lanes)
+    for n in range(BATCH_SIZE):
         v = pivot_velocity(frame, controller.pivot, n)
-        put(state, TRACKED, n, (v + at(state, TRACKED, n)) / h)
-        put(state, X, n, at(frame, POSITION, n) - home_x)
-        put(state, X_DOT, n, at(frame, TWIST, n))
-    if not (controller.has_sensor and dry):
-        advance_pendula(state, block.pendula, h, plant.linearised, lanes)
-    for n in range(lanes):
-        slow = abs(at(state, X_DOT, n)) < plant.speed_limit
-        within = (
-            JOINT_LIMIT if memory.limit_exceeded[n] else (TRUNCATED if slow else SPEED_LIMIT_CAUSE)
-        )
-        on_track = abs(at(state, X, n)) < plant.x_limit
-        upright = abs(at(state, PHI, n)) < plant.phi_limit
-        cause[n] = (within if on_track else TRACK) if upright else ANGLE
+        batch.u_tracked[n] = (v - batch.pivot_v[n]) / h
+        state.x[n] = frame[POSITION, n] - home_x
+        state.x_dot[n] = frame[TWIST, n]
+    if not by_cycles:
+        advance_pendula(batch, batch.u_tracked, h, plant.linearised, dry, lanes)
+    for n in range(BATCH_SIZE):
+        exceeded = memory.limit_exceeded[n] != 0
+        cause[n] = failure(state.x[n], state.x_dot[n], state.phi[n], exceeded, plant.limits)
     if controller.has_sensor:
-        measure(controller, block, lanes)
-        observe(controller, memory, 0.0, 0.0, lanes)
+        measure(controller, batch, lanes)
+        call(controller.code.observe, (controller, memory, 0.0, 0.0, lanes))
     else:
-        for i in range(4):
-            for n in range(lanes):
-                put(memory.observation, i, n, at(state, i, n))
+        seen = memory.observation
+        for n in range(BATCH_SIZE):
+            seen.x[n], seen.x_dot[n] = state.x[n], state.x_dot[n]
+            seen.phi[n], seen.phi_dot[n] = state.phi[n], state.phi_dot[n]
 
 
 @inlined
-def move_arms(
-    controller: ControllerParams, block: BatchState, linearised: bool, dry: bool, lanes: int
-) -> None:
-    """Send the setpoints of the tick, and move the arms of the first lanes by one tick.
+def failure(x: float, x_dot: float, phi: float, limit_exceeded: bool, limits: FailureLimits) -> int:
+    """Return the cause of the failure of a state, `TRUNCATED` without one; NaN is a failure.
 
-    Dry friction depends on the sign of the rate, which the pivot's vibration within a tick changes:
-    pendulums with dry friction advance here, cycle by cycle.
+    Args:
+        x: Displacement of the flange [m].
+        x_dot: Its velocity [m/s].
+        phi: Angle of the pendulum from upright [rad].
+        limit_exceeded: Whether the last command exceeded a limit of a joint.
+        limits: The limits.
+    """
+    within = TRUNCATED if abs(x_dot) < limits.speed else SPEED_LIMIT_CAUSE
+    within = JOINT_LIMIT if limit_exceeded else within
+    on_track = within if abs(x) < limits.x else TRACK
+    return on_track if abs(phi) < limits.phi else ANGLE
+
+
+@inlined
+def move_arms(controller: ControllerParams, batch: BatchState, lanes: int) -> None:
+    """Send the setpoints of the tick, and move the arms of the first lanes by one tick."""
+    arm, cycles = batch.arm, round(controller.h / SETPOINTS_PER_TICK / CYCLE)
+    for s in range(SETPOINTS_PER_TICK):
+        _send(batch, s, lanes)
+        call(controller.code.follow_setpoint, (arm, controller.actuator, cycles, True, lanes))
+    velocity = motion_of(arm, controller.actuator)
+    kinematics(controller.code.motion, arm.q, velocity, batch.frame, lanes)
+
+
+@inlined
+def move_arms_and_pendula(
+    controller: ControllerParams, batch: BatchState, linearised: bool, lanes: int
+) -> None:
+    """Move arms and pendulums of the first lanes by one tick, cycle by cycle.
 
     Args:
         controller: Constants.
-        block: Changed in place.
+        batch: Changed in place.
+        linearised: Whether the pendulums are those of equation (7).
+        lanes: Number of lanes.
+    """
+    arm, frame, cycles = batch.arm, batch.frame, round(controller.h / SETPOINTS_PER_TICK / CYCLE)
+    for s in range(SETPOINTS_PER_TICK):
+        _send(batch, s, lanes)
+        for cycle in range(cycles):
+            for n in range(BATCH_SIZE):
+                batch.cycle_pivot_v[n] = pivot_velocity(frame, controller.pivot, n)
+            follow(arm, controller.actuator, cycle, lanes)
+            kinematics(controller.code.motion, arm.q, arm.dq, frame, lanes)
+            for n in range(BATCH_SIZE):
+                v = pivot_velocity(frame, controller.pivot, n)
+                batch.cycle_u[n] = (v - batch.cycle_pivot_v[n]) * (1.0 / CYCLE)
+            advance_pendula(batch, batch.cycle_u, CYCLE, linearised, True, lanes)
+
+
+@inlined
+def _send(batch: BatchState, s: int, lanes: int) -> None:
+    """Send setpoint `s` of the tick, and take the next one that comes into force in each lane."""
+    before, target, delay = batch.arm.before, batch.arm.target, batch.delay
+    newest = (batch.newest[0] + 1) % SETPOINT_HISTORY
+    for n in range(BATCH_SIZE):
+        batch.newest[n] = newest
+    sent = batch.setpoints[newest]
+    for i in range(FREE_JOINTS):
+        for n in range(BATCH_SIZE):
+            sent[i, n] = batch.controller.setpoints[s, i, n]
+    for i in range(FREE_JOINTS):
+        for n in range(BATCH_SIZE):
+            before[i, n] = target[i, n]
+    least, most = delay[0], delay[0]
+    for n in range(lanes):
+        least, most = min(least, delay[n]), max(most, delay[n])
+    # The delays of all lanes span few setpoints: whole rows are read for each of them.
+    for age in range(least, most + 1):
+        old = batch.setpoints[(newest - age) % SETPOINT_HISTORY]
+        for i in range(FREE_JOINTS):
+            for n in range(BATCH_SIZE):
+                now, then = target[i, n], old[i, n]
+                target[i, n] = then if delay[n] == age else now
+
+
+@inlined
+def measure(controller: ControllerParams, batch: BatchState, lanes: int) -> None:
+    """Write encoder counts and measured joints to the controllers of the first lanes."""
+    memory, state, frame = batch.controller, batch.state, batch.frame
+    for n in range(BATCH_SIZE):
+        tilt = -pose_error(frame, memory.reference, n)[4]
+        theta = pi - (state.phi[n] - tilt + batch.zero[n])
+        memory.counts[n] = floor(theta * (1.0 / controller.resolution) + 0.5)
+    for i in range(FREE_JOINTS):
+        for n in range(BATCH_SIZE):
+            memory.measured[i, n] = batch.arm.q[i, n]
+
+
+@inlined
+def advance_pendula(
+    batch: BatchState, u: Array, h: float, linearised: bool, dry: bool, lanes: int
+) -> None:
+    """Advance the pendulums of the first lanes by one time step.
+
+    Args:
+        batch: Changed in place.
+        u: Tracked acceleration of each lane [m/s^2].
+        h: Length of the step [s].
         linearised: Whether the pendulums are those of equation (7).
         dry: Whether any pendulum has dry friction.
         lanes: Number of lanes.
     """
-    q, dq, share, actuator = block.q, block.dq, block.share, controller.actuator
-    setpoint = DelayedSetpoint(block.before, block.target, block.turn, True)
-    state, frame, scratch = block.state, block.frame, block.controller.scratch
-    cycles = round(controller.h / SETPOINTS_PER_TICK / CYCLE)
-    if not dry:
-        for s in range(SETPOINTS_PER_TICK):
-            _send(block, s, lanes)
-            follow_setpoint(q, dq, setpoint, share, actuator, cycles, scratch, lanes)
-        controller.motion(q, scratch[FREE_JOINTS * BATCH_SIZE :], frame, lanes)
-        return
-    for n in range(lanes):
-        put(scratch, FREE_JOINTS, n, at(state, TRACKED, n))
-    for s in range(SETPOINTS_PER_TICK):
-        _send(block, s, lanes)
-        for cycle in range(cycles):
-            aim_at(cycle, setpoint, scratch)
-            follow(q, dq, scratch, share, actuator, lanes)
-            for n in range(lanes):
-                put(state, TRACKED, n, -pivot_velocity(frame, controller.pivot, n))
-            controller.motion(q, dq, frame, lanes)
-            for n in range(lanes):
-                v = pivot_velocity(frame, controller.pivot, n)
-                put(state, TRACKED, n, (v + at(state, TRACKED, n)) * (1.0 / CYCLE))
-            advance_pendula(state, block.pendula, CYCLE, linearised, lanes)
-    for n in range(lanes):
-        put(state, TRACKED, n, at(scratch, FREE_JOINTS, n))
-
-
-@inlined
-def _send(block: BatchState, s: int, lanes: int) -> None:
-    """Send setpoint `s` of the tick, and take the next one that comes into force in each lane."""
-    sent, setpoints, delay = block.setpoints, block.controller.setpoints, block.delay
-    before, target = block.before, block.target
-    block.newest[0] = (block.newest[0] + 1) % SETPOINT_HISTORY
-    row = FREE_JOINTS * block.newest[0]
-    for i in range(FREE_JOINTS):
-        for n in range(lanes):
-            put(sent, row + i, n, at(setpoints, FREE_JOINTS * s + i, n))
-    least, most = delay[0], delay[0]
-    for n in range(lanes):
-        least, most = min(least, delay[n]), max(most, delay[n])
-    for k in range(FREE_JOINTS * BATCH_SIZE):
-        before[k] = target[k]
-    # The delays of all lanes span few setpoints: whole rows are read for each of them.
-    for age in range(least, most + 1):
-        row = FREE_JOINTS * ((block.newest[0] - age) % SETPOINT_HISTORY)
-        for i in range(FREE_JOINTS):
-            for n in range(lanes):
-                old = at(target, i, n)
-                put(target, i, n, at(sent, row + i, n) if delay[n] == age else old)
-
-
-@inlined
-def measure(controller: ControllerParams, block: BatchState, lanes: int) -> None:
-    """Write encoder counts and measured joints to the controllers of the first lanes."""
-    memory, state, frame, zero = block.controller, block.state, block.frame, block.zero
-    for n in range(lanes):
-        tilt = -pose_error(frame, memory.reference, n)[4]
-        theta = pi - (at(state, PHI, n) - tilt + at(zero, 0, n))
-        put(memory.counts, 0, n, floor(theta * (1.0 / controller.resolution) + 0.5))
-    measured, q = memory.measured, block.q
-    for i in range(FREE_JOINTS * BATCH_SIZE):
-        measured[i] = q[i]
-
-
-@inlined
-def advance_pendula(state: Array, pendula: Array, h: float, linearised: bool, lanes: int) -> None:
-    """Advance the pendulums of the first lanes by one time step, driven by u'."""
-    dry = 0.0
-    for n in range(lanes):
-        dry = max(dry, at(pendula, 3, n))
+    phi, phi_dot, pendula = batch.state.phi, batch.state.phi_dot, batch.pendula
     # Dry friction can stop the pendulum within a step: those branches have a loop of their own.
-    if dry == 0.0:
+    if dry:
         for n in range(lanes):
-            phi, phi_dot, tracked = at(state, PHI, n), at(state, PHI_DOT, n), at(state, TRACKED, n)
-            own = pendulum_of(pendula, linearised, n)
-            phi, phi_dot = runge_kutta(phi, phi_dot, tracked, h, 0.0, own)
-            put(state, PHI, n, phi)
-            put(state, PHI_DOT, n, phi_dot)
+            pendulum = pendulum_of(pendula, linearised, n)
+            phi[n], phi_dot[n] = pendulum_step(phi[n], phi_dot[n], u[n], h, pendulum)
     else:
-        for n in range(lanes):
-            phi, phi_dot, tracked = at(state, PHI, n), at(state, PHI_DOT, n), at(state, TRACKED, n)
-            own = pendulum_of(pendula, linearised, n)
-            phi, phi_dot = pendulum_step(phi, phi_dot, tracked, h, own)
-            put(state, PHI, n, phi)
-            put(state, PHI_DOT, n, phi_dot)
+        for n in range(BATCH_SIZE):
+            pendulum = pendulum_of(pendula, linearised, n)
+            phi[n], phi_dot[n] = runge_kutta(phi[n], phi_dot[n], u[n], h, 0.0, pendulum)
 
 
 @inlined
-def pendulum_of(pendula: Array, linearised: bool, n: int) -> PendulumParameters:
+def pendulum_of(pendula: Pendula, linearised: bool, n: int) -> PendulumParameters:
     """Return the pendulum of lane `n`."""
-    return PendulumParameters(
-        at(pendula, 0, n),
-        at(pendula, 1, n),
-        at(pendula, 2, n),
-        at(pendula, 3, n),
-        at(pendula, 4, n),
-        linearised,
-    )
+    w2, k, c = pendula.w2[n], pendula.k[n], pendula.c[n]
+    return PendulumParameters(w2, k, c, pendula.coulomb[n], pendula.drag[n], linearised)
 
 
 @inlined
@@ -462,7 +453,7 @@ def draw_noise(
     """Write six standard normal numbers for each lane, from `stream` and the one after it.
 
     Args:
-        noise: A block of 6 rows.
+        noise: Receives the numbers, 6 rows.
         seed: Master seed.
         tick: Step of each lane within its episode or trial.
         index: Episode or trial of each lane.
@@ -473,52 +464,32 @@ def draw_noise(
     for n in range(lanes):
         w0, w1, w2, w3 = philox(seed, tick[n], index[n], learner, stream)
         v0, v1, _, _ = philox(seed, tick[n], index[n], learner, stream + 1)
-        put(noise, 0, n, uniform(w0, 1.0, 0.0))
-        put(noise, 1, n, turn(w1))
-        put(noise, 2, n, uniform(w2, 1.0, 0.0))
-        put(noise, 3, n, turn(w3))
-        put(noise, 4, n, uniform(v0, 1.0, 0.0))
-        put(noise, 5, n, turn(v1))
+        noise[0, n], noise[1, n] = uniform(w0, 1.0, 0.0), turn(w1)
+        noise[2, n], noise[3, n] = uniform(w2, 1.0, 0.0), turn(w3)
+        noise[4, n], noise[5, n] = uniform(v0, 1.0, 0.0), turn(v1)
     # Loops with few arrays and formulas: a compiler vectorises no large one.
     for i in range(0, 6, 2):
         for n in range(lanes):
-            radius = normal_radius(at(noise, i, n))
-            sine, cosine = sincos(at(noise, i + 1, n))
-            put(noise, i, n, radius * cosine)
-            put(noise, i + 1, n, radius * sine)
+            radius = normal_radius(noise[i, n])
+            sine, cosine = sincos(noise[i + 1, n])
+            noise[i, n] = radius * cosine
+            noise[i + 1, n] = radius * sine
 
 
 @inlined
-def box_of(seen: Array, boxes: Grid, n: int) -> int:
+def copy_lane(rows: IntArray, source: int, target: int) -> None:
+    """Copy one lane to another, to fill the gap of a finished one; `rows` from `rows_of`."""
+    for i in range(len(rows)):
+        rows[i, target] = rows[i, source]
+
+
+@inlined
+def box_of(seen: Observed, boxes: Grid, n: int) -> int:
     """Return the box of the observation of lane `n`."""
-    return box_index(
-        at(seen, OBS_X, n),
-        at(seen, OBS_X_DOT, n),
-        at(seen, OBS_PHI, n),
-        at(seen, OBS_PHI_DOT, n),
-        boxes,
-    )
+    return box_index(seen.x[n], seen.x_dot[n], seen.phi[n], seen.phi_dot[n], boxes)
 
 
-@called
-def copy_lane(block: BatchState, source: int, target: int) -> None:
-    """Copy the state of one lane to another, to fill the gap of a finished lane."""
-    copy_controller_state(block.controller, source, target)
-    copy_rows(block.pendula, source, target)
-    copy_rows(block.state, source, target)
-    copy_rows(block.q, source, target)
-    copy_rows(block.dq, source, target)
-    copy_rows(block.frame, source, target)
-    copy_rows(block.share, source, target)
-    copy_rows(block.setpoints, source, target)
-    copy_rows(block.target, source, target)
-    copy_rows(block.delay, source, target)
-    copy_rows(block.turn, source, target)
-    copy_rows(block.zero, source, target)
-    block.cause[target] = block.cause[source]
-
-
-@called
+@compilable
 def scaled(
     pendulum: PendulumParameters, inertia_factor: float, friction_factor: float
 ) -> PendulumParameters:

@@ -8,7 +8,7 @@ below any error of a formula.
 import numpy as np
 import pytest
 
-from equipoise.jit import kernel
+from equipoise.jit import call, kernel
 from equipoise.model.arms.compiler import BIAS, FRAME_SIZE, JACOBIAN, POSITION, ROTATION, TWIST
 from equipoise.model.elementary import BATCH_SIZE
 from tests.model.arms.witnesses import ARMS, MuJoCo, Pinocchio
@@ -28,7 +28,7 @@ def frames_of(arm, q, dq, frames):
             for i in range(6):
                 q_block[i * BATCH_SIZE + n] = q[first + n, i]
                 dq_block[i * BATCH_SIZE + n] = dq[first + n, i]
-        arm.kinematics(q_block, dq_block, frame_block, lanes)
+        call(arm.kinematics, (q_block, dq_block, frame_block, lanes))
         for n in range(lanes):
             for i in range(FRAME_SIZE):
                 frames[first + n, i] = frame_block[i * BATCH_SIZE + n]

@@ -11,14 +11,14 @@ from collections.abc import Sequence
 from math import hypot, isclose
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self, TypeVar
 
-import numba
 import numpy as np
+from numba import types
 from pydantic import Field, ValidationError, model_validator
 
 from equipoise.arrays import Array
 from equipoise.artefacts import Name, Number, Value, first_fault, shortened, value_digest
 from equipoise.errors import ArmError
-from equipoise.jit import function_pointer
+from equipoise.jit import compilable, pointer
 from equipoise.model.arms.chain import FREE_JOINTS, links, wrist_centre
 from equipoise.model.arms.compiler import FRAME_SIZE, PARTS, KinematicsFunction, load
 from equipoise.model.elementary import BATCH_SIZE
@@ -141,11 +141,11 @@ class Kinematics(NamedTuple):
 class ArmKernel(NamedTuple):
     """Parameters and kinematics of an arm for compiled kernels."""
 
-    kinematics: KinematicsFunction
-    """Function kinematics(q, dq, frame, lanes), compiled for blocks of 6, 6 and `FRAME_SIZE`
-    rows."""
-    motion: KinematicsFunction
-    """The same without J and J_dot dq."""
+    kinematics: int
+    """Address of the function kinematics(q, dq, frame, lanes), compiled for blocks of 6, 6 and
+    `FRAME_SIZE` rows."""
+    motion: int
+    """That of the same without J and J_dot dq."""
     wrist: Array
     """Point in which the last three axes meet, in the flange frame [m], shape (3,); NaN without
     one."""
@@ -302,10 +302,19 @@ def check_free(names: Sequence[str], held: int | None) -> None:
 
 @functools.cache
 def _compiled(arm: Arm) -> ArmKernel:
-    array = numba.float64[::1]
     limits = np.array([(j.lower, j.upper, j.velocity, j.acceleration) for j in arm.free_joints])
     lower, upper, velocity, acceleration = np.ascontiguousarray(limits.T)
-    signature = numba.void(array, array, array, numba.int64)
-    kinematics, motion = (function_pointer(function, signature) for function in load(arm))
+    kinematics, motion = map(_address, load(arm))
     wrist = wrist_centre(links(arm))
     return ArmKernel(kinematics, motion, wrist, lower, upper, velocity, acceleration)
+
+
+def _address(function: KinematicsFunction) -> int:
+    """Return the address of the compiled kinematics of an arm."""
+    compiled = compilable(function)
+
+    def kinematics(q: Array, dq: Array, frame: Array, lanes: int) -> None:
+        compiled(q, dq, frame, lanes)
+
+    block = types.float64[::1]
+    return pointer(kinematics, block, block, block, types.int64)

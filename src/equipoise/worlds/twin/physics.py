@@ -24,7 +24,7 @@ import numpy as np
 from llvmlite import binding
 
 from equipoise.arrays import Array
-from equipoise.jit import disabled
+from equipoise.jit import DISABLED
 from equipoise.model.arms.arm import Arm, Inertial
 from equipoise.model.arms.chain import Triple
 from equipoise.model.arms.scene import SIZES, scene
@@ -237,7 +237,7 @@ def _c_function(name: str, *more: Any) -> Any:
         name: Its name.
         more: Numba types of its arguments after the addresses of model and data.
     """
-    if disabled():
+    if DISABLED:
         return lambda *values: load_library()[name](*map(ctypes.c_void_p, map(int, values)))
     intp = numba.types.intp
     return numba.types.ExternalFunction(name, numba.types.void(intp, intp, *more))

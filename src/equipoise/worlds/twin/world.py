@@ -1,25 +1,26 @@
 """Trials on the digital twin: worlds `twin:NAME` and `twin:FILE`."""
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from equipoise.arrays import Array
-from equipoise.control.control_step import make_controller_params, new_controller_state
+from equipoise.arrays import Array, fields, new_records, rows_of
+from equipoise.control.control_step import make_controller_params
 from equipoise.control.policy import PolicyKernel
 from equipoise.model.arms.arm import FREE_JOINTS
+from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.worlds import World, pendulum_on, read_world
 from equipoise.safety.trial import new_trial_monitor, trial_safety
 from equipoise.worlds.interface import ClosedLoop, Measurement, Setup, Simulation
 from equipoise.worlds.plant import scaled
 from equipoise.worlds.trials import Trial, Trials, draw_trials
 from equipoise.worlds.twin.trial import (
-    TwinTrial,
-    advance_trial,
-    new_twin_handle,
-    release,
-    run_trial,
+    TwinState,
+    TwinWorld,
+    advance_alone,
+    release_alone,
+    run_trials,
 )
 from equipoise.worlds.twin.twin import Twin
 
@@ -57,7 +58,7 @@ class TwinSimulation(Simulation):
         sigmas = {name: getattr(self.numbers, name) for name in ("inertia_sigma", "friction_sigma")}
         plant = self.setup.settings.plant.model_copy(update=sigmas)
         settings = self.setup.settings.model_copy(update={"plant": plant})
-        return draw_trials(count, settings, self.seed, self.stream, self.setup.spread, first)
+        return draw_trials(count, settings, self.seed, self.stream, first)
 
     def loop(self) -> "TwinLoop":
         """Return a closed loop for `reset`."""
@@ -73,9 +74,8 @@ class TwinSimulation(Simulation):
         except IndexError:
             loop = self.loop()
         for row in rows:
-            result = loop.run(policy, trials.trial(row), max_steps)
-            trials.steps[row], trials.cause[row], trials.sum_x2[row] = result
-            trials.end[row] = loop.state()
+            world = loop.prepare(trials.trial(row))
+            run_trials(world, policy, trials, np.array([row]), max_steps)
         self._idle.append(loop)
 
 
@@ -87,41 +87,34 @@ class TwinLoop(ClosedLoop):
         arm, nominal = simulation.setup.arm, simulation.pendulum
         self._simulation = simulation
         self._twin = Twin(arm, nominal, simulation.numbers)
-        self.params, self.controller = simulation.params, new_controller_state()
+        states = new_records(TwinState)
+        self._state = fields(states, TwinState)
+        self.params, self.controller = simulation.params, self._state.controller
         monitor = new_trial_monitor(arm, simulation.safety)
-        q = np.zeros(FREE_JOINTS)
-        self._trial: Any = new_twin_handle(TwinTrial(self.params, self.controller, q, monitor))
-        self._state = np.zeros(4)
-
-    def run(self, policy: PolicyKernel, trial: Trial, max_steps: int) -> tuple[int, int, float]:
-        """Run a trial of a compiled policy; see `trial.run_trial`."""
-        self._set(trial)
-        _, _, phi, phi_dot = trial.start
-        result = run_trial(self._trial, *self._twin.args, policy, phi, phi_dot, max_steps)
-        self._state[:] = self._twin.truth()
-        return result
+        rows, q = rows_of(states, BATCH_SIZE), np.zeros(FREE_JOINTS)
+        self._world = TwinWorld(*self._twin.args, self.params, states, rows, q, monitor, 0, 0)
 
     def reset(self, trial: Trial) -> None:
         """Release the pendulum under the conditions of a trial."""
-        self._set(trial)
-        _, _, phi, phi_dot = trial.start
-        release(self._trial, *self._twin.args, phi, phi_dot)
-        self._state[:], self.now, self.tracked = self._twin.truth(), 0.0, 0.0
+        release_alone(self.prepare(trial), trial.start)
+        self.now, self.tracked = 0.0, 0.0
 
-    def _set(self, trial: Trial) -> None:
+    def prepare(self, trial: Trial) -> TwinWorld:
+        """Return the world with the pendulum of a trial, before its release."""
         simulation, own = self._simulation, trial.variation
         varied = scaled(simulation.pendulum, own.inertia_factor, own.friction_factor)
         self.pendulum = pendulum_on(simulation.setup.pendulum, simulation.numbers, varied)
         self._twin.set_trial(self.pendulum, simulation.seed, trial.number)
         self.zero = float(self._twin.state.zero)
+        return self._world._replace(seed=simulation.seed, stream=simulation.stream)
 
     def step(self, u: float) -> int:
         """Advance by one tick with u [m/s^2], and return the cause of the failure."""
-        self.controller.u[0] = u
-        x_dot = self._state[1]
-        cause = int(advance_trial(self._trial, *self._twin.args, self._state))
-        self.tracked, self.now = float(self._state[1] - x_dot) / self.params.h, self._twin.now
-        return cause
+        self.controller.u[0], x_dot = u, float(self._state.state.x_dot[0])
+        advance_alone(self._world)
+        moved = float(self._state.state.x_dot[0]) - x_dot
+        self.tracked, self.now = moved / self.params.h, self._twin.now
+        return int(self._state.cause[0])
 
     def push(self, rate: float) -> None:
         """Push the pendulum, which changes its rate [rad/s]."""
@@ -129,7 +122,8 @@ class TwinLoop(ClosedLoop):
 
     def state(self) -> Array:
         """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
-        return self._state.copy()
+        true = self._state.state
+        return np.array([true.x[0], true.x_dot[0], true.phi[0], true.phi_dot[0]])
 
     def joints(self) -> Array:
         """Return the true positions of all joints [rad], shape (n,)."""
