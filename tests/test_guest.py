@@ -81,14 +81,3 @@ def test_the_page_shows_this_package_whose_robot_balances_over_its_own_wires(run
     stood = equipoise(run, *explain)
     assert stood["outcome"] == "lasted"
     assert 0.0 < stood["phi_deg"]["rms"] < stood["phi_deg"]["largest"] < stood["phi_deg"]["limit"]
-
-
-def test_its_learner_reward_and_policy_need_no_more_than_their_names(run, tmp_path):
-    trained = ("--learner", "guest.learner:learner", "--reward", "guest.reward:middle")
-    budget = ("--episodes", 300, "--target", 0, "--out", "policy.json")
-    equipoise(run, "train", *trained, *budget)
-    learning = json.loads((tmp_path / "policy.json").read_text())["body"]["settings"]["learning"]
-    assert re.fullmatch(r"guest\.learner:learner@[0-9a-f]{16}", learning["learner"])
-    assert re.fullmatch(r"guest\.reward:middle@[0-9a-f]{16}", learning["reward"])
-    trials = ("--trials", 4, "--duration", 5, "--world", "twin:nominal", "--no-baselines")
-    assert equipoise(run, "evaluate", "guest.policy:Policy", *trials)["rate"] == 1.0

@@ -65,6 +65,7 @@ def test_a_second_call_takes_the_next_name_and_says_so(equipoise, swing, tmp_pat
     )
 
 
+@pytest.mark.full
 @pytest.mark.compiled_only
 def test_commands_at_the_same_time_lose_nothing(together, swing, tmp_path):
     runs = [(*RUN, f"--seed={seed}") for seed in (1, 2)]

@@ -116,7 +116,7 @@ def test_what_is_wrong_is_named(rig, verdict, word, runs):
     assert sum(named) >= 0.99 * runs, results
 
 
-@pytest.mark.parametrize("runs", [4, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("runs", [2, pytest.param(100, marks=pytest.mark.slow)])
 def test_estimates_are_those_of_the_rig_and_intervals_hold_them(runs):
     rng = np.random.default_rng(6)
     for result in [judged(rng) for _ in range(runs)]:

@@ -89,6 +89,7 @@ def test_the_simulated_pendulum_is_identified(made):
     assert 0.0 <= late < 1.2 * paper.FREE_SWING_PERIOD
 
 
+@pytest.mark.full
 @pytest.mark.compiled_only
 def test_an_arm_with_unknown_masses_runs_on_the_model(tmp_path):
     reproduce(tmp_path, arm=without_masses(read_urdf(ELBOW)), settings=SHORT, workers=1)
@@ -99,6 +100,7 @@ def test_an_arm_with_unknown_masses_runs_on_the_model(tmp_path):
     assert "no twin" in build(tmp_path).read_text(encoding="utf-8")
 
 
+@pytest.mark.full
 @pytest.mark.compiled_only
 def test_a_recorded_swing_is_used_and_kept(tmp_path):
     recorded = synthetic_swing(8, period=0.9)
