@@ -7,13 +7,9 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from equipoise.artefacts import (
     Artefact,
-    Estimate,
     Value,
     read_document,
     value_digest,
@@ -21,19 +17,14 @@ from equipoise.artefacts import (
 from equipoise.errors import ArtefactError, InputError, OutsideError
 from equipoise.identification.recording import read_swing
 from equipoise.model.arms.urdf import read_urdf
-from equipoise.model.pendulum import Pendulum
 from equipoise.settings import resolve
-
-finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
 class Part(Value):
     """A part of a gauge."""
 
     size: float
-    """Its size [m]."""
     kind: Literal["round", "square"] = "round"
-    """Its kind."""
 
 
 class Gauge(Artefact):
@@ -42,13 +33,9 @@ class Gauge(Artefact):
     FORMAT: ClassVar[str] = "test-gauge"
 
     label: str
-    """Its name."""
     count: int = 0
-    """A number."""
     row: tuple[float, ...] = ()
-    """Some numbers."""
     part: Part | None = None
-    """A part."""
 
 
 GAUGE = Gauge(label="Ä 'b' \"c\"\n", count=3, row=(0.1, -0.0, 1e-300), part=Part(size=2.5))
@@ -62,14 +49,9 @@ def canonical_digest(body):
 
 def signed(body):
     """Return the text of a file whose digest is right."""
-    return json.dumps(
-        {
-            "format": "test-gauge",
-            "digest": canonical_digest(body),
-            "provenance": {},
-            "body": body,
-        }
-    )
+    digest = canonical_digest(body)
+    document = {"format": "test-gauge", "digest": digest, "provenance": {}, "body": body}
+    return json.dumps(document)
 
 
 @pytest.fixture
@@ -97,26 +79,14 @@ def refusal(path, content, cls=Gauge):
 # What is written
 
 
-@given(
-    row=st.lists(finite).map(tuple),
-    label=st.text(st.characters(codec="utf-8")),
-    count=st.integers(-(2**63), 2**63),
-)
-def test_any_value_comes_back_bit_for_bit(tmp_path_factory, row, label, count):
-    path = tmp_path_factory.mktemp("files") / "gauge.json"
-    gauge = Gauge(row=row, label=label, count=count)
-    gauge.save(path, command="test")
-    read = Gauge.load(path)
-    assert (read.label, read.count) == (label, count)
-    # As hexadecimal, since -0.0 == 0.0.
-    assert [number.hex() for number in read.row] == [number.hex() for number in row]
-    assert read.digest == gauge.digest
-
-
 def test_the_digest_is_the_sha256_of_the_canonical_json_of_the_body(saved):
     document = json.loads(saved.read_text())
     assert document["digest"] == canonical_digest(document["body"]) == GAUGE.digest
     assert value_digest(GAUGE) == GAUGE.digest
+    read = Gauge.load(saved)
+    assert (read, read.digest) == (GAUGE, GAUGE.digest)
+    # As hexadecimal, since -0.0 == 0.0.
+    assert [number.hex() for number in read.row] == [number.hex() for number in GAUGE.row]
 
 
 def test_a_file_says_what_it_is_and_where_it_comes_from(saved):
@@ -157,16 +127,7 @@ def test_every_text_file_is_read_with_and_without_a_byte_order_mark(tmp_path, ki
 # What is refused
 
 
-def test_an_estimate_holds_95_percent_of_a_normal_error_and_its_value():
-    # The 97.5 % quantile of the normal distribution is 1.95996.
-    interval = Estimate.normal(10.0, 2.0, "given").interval
-    assert interval == pytest.approx((10 - 2 * 1.95996, 10 + 2 * 1.95996), abs=1e-3)
-    with pytest.raises(ValidationError):
-        Estimate(value=1.0, low=1.5, high=2.0, source="given")
-
-
-FOREIGN = (b"", b"hello", b"\x89PNG\0", b"{", b"\xff{}", b"null", b"3", b"{}", b"[" * 100_000)
-KINDS = [("format", 3), ("provenance", []), ("body", [])]
+FOREIGN = (b"", b"hello", b"\xff{}", b"null", b"{}", b"[" * 100_000)
 
 
 def test_what_is_no_file_of_equipoise_is_refused(tmp_path, saved):
@@ -176,9 +137,6 @@ def test_what_is_no_file_of_equipoise_is_refused(tmp_path, saved):
             Gauge.load(missing)
     for key in whole:
         refusal(saved, json.dumps({k: value for k, value in whole.items() if k != key}))
-    for key, value in KINDS:
-        digest = canonical_digest(value) if key == "body" else whole["digest"]
-        refusal(saved, json.dumps(whole | {"digest": digest, key: value}))
     for content in FOREIGN:
         refusal(saved, content)
 
@@ -188,11 +146,7 @@ def test_what_is_no_file_of_equipoise_is_refused(tmp_path, saved):
     [
         ('"count": 3', '"count": 4'),
         ("0.1", "0.10000000000000002"),
-        ("-0.0", "0.0"),
-        ("Ä", "A"),
-        ('  "count": 3,\n', ""),
-        ("sha256:", "sha256:0"),
-        *(("2.5", constant) for constant in ("NaN", "Infinity", "-1e999")),
+        ("2.5", "NaN"),
     ],
 )
 def test_an_edited_file_is_refused(saved, old, new):
@@ -206,19 +160,11 @@ def test_an_edited_file_is_refused(saved, old, new):
     [
         ({"colour": "red"}, "colour"),
         ({"count": "3"}, "count"),
-        ({"row": [0.1, "0.2"]}, "row.1"),
         ({"part": {"size": 1.0, "width": 2.0}}, "part.width"),
-        ({"part": {"kind": "round"}}, "part.size"),
-        ({"label": None}, "label"),
     ],
 )
 def test_a_body_that_does_not_fit_is_refused_and_says_where(path, change, where):
     assert where in refusal(path, signed({"label": "a"} | change))
-
-
-def test_another_format_is_refused(path):
-    GAUGE.save(path, command="test")
-    assert "'test-gauge'" in refusal(path, path.read_text(), cls=Pendulum)
 
 
 # Whole or not at all

@@ -5,19 +5,14 @@ Speed itself is measured, not tested: it depends on the machine.
 
 import numpy as np
 import pytest
-from benchmarks import bench
 from benchmarks.bench import (
-    BEHIND,
-    OURS,
-    TRIALS,
-    TWIN,
     PinocchioLoop,
 )
 
 from equipoise import paper
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.pendulum import Pendulum, PendulumParameters
-from equipoise.settings import Settings, resolve
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.settings import resolve
 from equipoise.worlds.plant import DomainRandomization, make_loop_params
 from tests.batch import Batch
 
@@ -52,28 +47,3 @@ def test_the_loop_through_pinocchio_moves_the_arm_as_ours_does(size):
         reached = max(reached, abs(x))
     assert peer.within
     assert 0.1 < reached < 0.22
-
-
-@pytest.mark.slow
-@pytest.mark.compiled_only
-def test_the_whole_benchmark_measures_ours_and_every_peer_that_is_there():
-    pytest.importorskip("pinocchio")
-    pytest.importorskip("gymnasium")
-    told = []
-    result = bench.benchmark(
-        Pendulum.assumed(70.2, 0.1),
-        iiwa(7),
-        Settings(),
-        rounds=1,
-        episodes=20,
-        progress=told.append,
-    )
-    ours = [OURS, BEHIND, TRIALS, TWIN]
-    assert list(result.steps_per_second) == [*ours, "pinocchio", "gymnasium"]
-    assert list(result.ratios) == [*ours, "gymnasium"]
-    assert list(result.real_time) == ours
-    assert result.scaling[1] == 1.0
-    assert all(rate > 0.0 for rate in result.steps_per_second.values())
-    assert list(result.shares) == [OURS, BEHIND, TRIALS]
-    assert all(0.0 < share < 1.0 for share in result.shares.values())
-    assert len(told) == 15

@@ -98,19 +98,6 @@ def test_a_registered_world_is_found_by_its_name(monkeypatch, tmp_path):
     assert world_class("windy:anything").ideal_arm
 
 
-def test_with_a_delay_the_controller_observes_through_an_encoder():
-    simulation, setup = make("broken_world:Delayed")
-    loop = simulation.loop()
-    loop.reset(simulation.draw(1).trial(0))
-    assert loop.step(0.0) == 0
-    measured, resolution = loop.measurement(), loop.params.resolution
-    assert np.pi - measured.counts * resolution == pytest.approx(
-        loop.state()[2] + loop.zero, abs=0.5001 * resolution
-    )
-    assert np.array_equal(setup.arm.with_held(measured.q), loop.joints())
-    assert loop.controller.estimate.phi[0] == pytest.approx(loop.state()[2], abs=0.05)
-
-
 @pytest.mark.parametrize(
     ("world", "error"),
     [

@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from equipoise.control.baselines import baselines
 from equipoise.control.policy import TabularPolicy, shipped_policy
-from equipoise.errors import InputError
 from equipoise.identification.recording import read_swing
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.urdf import read_urdf
@@ -16,7 +14,6 @@ from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.worlds import read_world
 from equipoise.rig.config import read_rig
 from equipoise.settings import resolve
-from equipoise.worlds.evaluation import Evaluation, evaluate
 from tests.cli.damage import mutations, outcomes
 
 pytestmark = pytest.mark.compiled_only  # files are read by the same code without compilation
@@ -57,12 +54,6 @@ def swing_text():
     return "time_s,theta_rad\n" + "".join(rows)
 
 
-def evaluated():
-    settings = shipped_policy().settings
-    few = settings.evaluation.model_copy(update={"trials": 20, "duration": 0.3})
-    return evaluate(shipped_policy(), settings.model_copy(update={"evaluation": few}))
-
-
 FORMATS = {
     "settings.toml": (SETTINGS, lambda path: resolve(file=path)),
     "rig.toml": (RIG, read_rig),
@@ -72,30 +63,17 @@ FORMATS = {
     "pendulum.json": (shipped_pendulum(), Pendulum.load),
     "actuator.json": (shipped_actuator(), Actuator.load),
     "policy.json": (shipped_policy(), TabularPolicy.load),
-    "evaluation.json": (evaluated, Evaluation.load),
 }
-
-
-def sound(tmp_path, name):
-    given, read = FORMATS[name]
-    path = tmp_path / name
-    if isinstance(given, str):
-        path.write_text(given)
-    else:
-        value = given() if callable(given) else given
-        value.save(path, command="test")
-    return path, read
 
 
 @pytest.mark.parametrize("name", FORMATS)
 @pytest.mark.parametrize("count", [60, pytest.param(3000, marks=pytest.mark.slow)])
 def test_a_damaged_file_is_a_value_or_a_sentence(tmp_path, name, count):
-    path, read = sound(tmp_path, name)
+    (given, read), path = FORMATS[name], tmp_path / name
+    if isinstance(given, str):
+        path.write_text(given)
+    else:
+        given.save(path, command="test")
     read(path)
     found = outcomes(read, path, mutations(path.read_bytes(), count))
     assert found["refused"] > 0
-
-
-def test_a_pendulum_that_no_regulator_balances_is_refused():
-    with pytest.raises(InputError):
-        baselines(Pendulum.assumed(1e5, 0.1).parameters(), 0.01)

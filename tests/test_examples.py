@@ -6,10 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from equipoise.control.policy import shipped_policy
-from equipoise.logs.run_log import RunLog
-from equipoise.model.pendulum import Pendulum
-
 EXAMPLES = Path(__file__).parents[1] / "examples"
 PIPELINE = "pipeline.py"  # docs/tutorial.md links it
 LONG = (PIPELINE, "train_and_evaluate.py")
@@ -47,25 +43,3 @@ def test_every_example_is_run():
 )
 def test_an_example_needs_no_file_and_says_what_it_should(example, name):
     assert SAY[name] in example(name)
-
-
-def test_the_swing_of_the_first_example_gives_its_pendulum_back(example, tmp_path):
-    example("identify_a_swing.py")
-    found = Pendulum.load(tmp_path / "pendulum.json")
-    assert found.w2.low < 70.2 < found.w2.high
-    assert found.c.value == pytest.approx(0.1, rel=1e-3)  # its interval knows no encoder steps
-
-
-def test_examples_take_files(example, small_policy, tmp_path):
-    small_policy.save(tmp_path / "mine.json", command="test")
-    assert "iiwa14, recipe custom: robust with learning.episodes = 120" in example(
-        "policy_table.py", "mine.json"
-    )
-
-
-@pytest.mark.compiled_only
-def test_a_run_on_the_twin_is_kept(example, tmp_path):
-    example("deploy_on_the_twin.py")
-    run = RunLog.load(tmp_path / "run.mcap")
-    assert run.conditions.world == "twin:nominal"
-    assert run.conditions.policy == shipped_policy().digest

@@ -11,8 +11,6 @@ import pytest
 
 import equipoise as eq
 from equipoise.control.grid import mirrored_box
-from equipoise.model.worlds import TwinSettings, read_world
-from equipoise.worlds.twin.servo_model import equivalent_actuator
 
 pytestmark = pytest.mark.full
 
@@ -26,8 +24,6 @@ SHORT = (
 """Short trainings."""
 TRIALS = ("--trials", "2", "--duration", "0.3")
 SMALLEST = {
-    "compare": (*SHORT, *TRIALS, "--quick", "--worlds", "model", "twin:nominal", "--told"),
-    "map": ("lqr", "--starts", "9", "--duration", "0.3"),
     "sweep": (
         *(*SHORT, "--trials", "2", "--tests", "2", "--duration", "0.3"),
         *("--vary", "learning.gamma=0.9:0.99:log", "--vary", "boxes.x=[[-0.1, 0.1]]"),
@@ -59,10 +55,7 @@ def module(name):
 
 
 @pytest.mark.compiled_only
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * (name == "compare")) for name in SMALLEST],
-)
+@pytest.mark.parametrize("name", SMALLEST)
 def test_an_experiment_runs_and_writes_its_result(experiment, tmp_path, name):
     assert experiment(name, *SMALLEST[name]).strip()
     written = tmp_path / WRITES.get(name, f"{name}.png")
@@ -88,7 +81,7 @@ def paths(value, *above):
             *("compare", "experiments/compare", (*SHORT, *TRIALS, "--quick", "--told")),
             marks=pytest.mark.slow,
         ),
-        ("map", "experiments/map", SMALLEST["map"]),
+        ("map", "experiments/map", ("lqr", "--starts", "9", "--duration", "0.3")),
         ("gap", "experiments/gap", (*SHORT, *TRIALS)),
         ("ladder", "experiments/ladder", (*SHORT, *TRIALS, "--seeds", "1")),
         (
@@ -132,47 +125,6 @@ def test_the_values_solve_bellmans_equation_and_are_symmetric():
             p = both / max(both.sum(), 1)
             wanted = p[-1] * failed + gamma * sum(p[t] * Q[t].max() for t in range(boxes))
             assert Q[s, a] == pytest.approx(wanted if both.sum() else failed, abs=1e-9)
-
-
-# Table search
-
-
-# Gap
-
-
-def test_the_effects_cover_the_twin_and_the_clean_twin_has_none_of_them():
-    gap = module("gap")
-    no_effect = {
-        *(
-            "cycle",
-            "inner",
-            "reach_time",
-            "pd_frequency",
-            "pivot_outward",
-            "substeps",
-            "guards",
-            "max_speed",
-        ),
-        *("drag", "assumed_coulomb", "rotor_inertia"),
-    }
-    assert set(TwinSettings.model_fields) == no_effect | set(gap["CLEAN"])
-
-
-def test_the_expected_actuator_moves_with_the_twin():
-    expected, world = module("gap")["identified_on"], read_world("twin:nominal").settings
-    identified = eq.shipped_actuator()
-    assert expected(identified, world, world) == identified
-    slower = world.model_copy(
-        update={"transport": world.transport + 0.02, "lag": world.lag + 0.005}
-    )
-    moved = expected(identified, world, slower)
-    assert moved.delay.value == pytest.approx(identified.delay.value + 0.02)
-    assert moved.lags[0].value == pytest.approx(identified.lags[0].value + 0.005)
-    unshaped = world.model_copy(update={"shaped": False})
-    assert expected(identified, world, unshaped).kind == equivalent_actuator(unshaped).kind
-
-
-# Map
 
 
 # Networks

@@ -34,44 +34,27 @@ def run():
     return balanced_on_a_rig()
 
 
-def at(x, arm=ARM):
-    """All joints with the flange at a displacement."""
-    (q,) = along_x(arm, np.array([x]))
-    return np.array(arm.with_held(q))
-
-
-def pivot_at(q):
-    flange = ARM.kinematics(ARM.without_held(q))
-    return flange.position + flange.rotation @ ARM.pivot
-
-
-def pixel(point, arm=ARM, width=WIDTH, height=HEIGHT):
+def pixel(point):
     """Column and row of a point, by the pinhole camera of a textbook."""
-    rig = build_scene(arm)
+    rig = build_scene(ARM)
     right, up, ahead = camera_axes() @ (point - rig.target)
-    scale = 0.5 * height / (np.tan(np.radians(10.0)) * (rig.distance(width / height) + ahead))
-    return 0.5 * width + scale * right, 0.5 * height - scale * up
+    scale = 0.5 * HEIGHT / (np.tan(np.radians(10.0)) * (rig.distance(WIDTH / HEIGHT) + ahead))
+    return 0.5 * WIDTH + scale * right, 0.5 * HEIGHT - scale * up
 
 
-def pixels(picture, colour):
-    """Rows and columns of what is blue, vermilion or green; light and shade change the rest."""
+def blue_pixels(picture):
+    """Rows and columns of the pendulum; light and shade change the rest."""
     red, green, blue = np.moveaxis(picture.astype(int), 2, 0)
-    return np.nonzero(
-        {
-            "blue": (blue > red + 60) & (blue > green + 30),
-            "vermilion": (red > green + 60) & (green < 0.5 * red),
-            "green": (green > red + 40) & (green > blue + 15),
-        }[colour]
-    )
+    return np.nonzero((blue > red + 60) & (blue > green + 30))
 
 
-@pytest.mark.parametrize("x", [-0.2, 0.0, 0.2])
-@pytest.mark.parametrize("phi", [-0.19, 0.0, 0.19])
+@pytest.mark.parametrize(("x", "phi"), [(-0.2, 0.19), (0.2, -0.19)])
 def test_the_pendulum_is_seen_where_the_arm_carries_it(renderer, x, phi):
-    q = at(x)
-    tip = pivot_at(q) + SIZES.rod_length * np.array([np.sin(phi), 0.0, np.cos(phi)])
-    column, row = pixel(tip)
-    rows, columns = pixels(renderer.draw(q, phi), "blue")
+    (free,) = along_x(ARM, np.array([x]))
+    q, flange = np.array(ARM.with_held(free)), ARM.kinematics(free)
+    rod = SIZES.rod_length * np.array([np.sin(phi), 0.0, np.cos(phi)])
+    column, row = pixel(flange.position + flange.rotation @ ARM.pivot + rod)
+    rows, columns = blue_pixels(renderer.draw(q, phi))
     # The rod ends in half a ball, which stands above the point.
     assert rows.min() == pytest.approx(row - 2.0, abs=2.5)
     assert np.mean(columns[rows < rows.min() + 4]) == pytest.approx(column, abs=2.0)

@@ -26,12 +26,6 @@ def test_each_outcome_has_a_sentence_even_without_its_evidence(outcome):
     assert describe(End(outcome, {"\x1b[2J{0}": nan, "text": "{value.__class__}"}))
 
 
-def test_a_sentence_holds_the_value_and_the_expected_one():
-    end = End(Outcome.DRIFT, {"value": 0.0163, "limit": 0.015})
-    assert describe(end) == "the flange is 16.3 mm off its line, expected at most 15 mm"
-    assert describe(End(Outcome.TRACK, {"x": 0.21})) == "track, x 0.21"
-
-
 @pytest.mark.parametrize(
     ("outcome", "code"),
     [("lasted", 0), ("dry run", 0), ("operator", 130), ("link lost", 3), ("angle", 1)],

@@ -11,13 +11,11 @@ from pathlib import Path
 import pytest
 
 import equipoise
-from equipoise.cli import main
-from equipoise.control.policy import TabularPolicy, shipped_policy
+from equipoise.control.policy import shipped_policy
 from equipoise.identification.recording import write_swing
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from tests.cli.conftest import parse
 from tests.reference.onnx_network import FLOAT, linear_network
-from tests.test_guest import CONFORMANCE
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(
@@ -68,45 +66,6 @@ def test_each_command_of_a_page_exists_with_its_options(page):
                 assert name.removesuffix("3") in OTHERS, name
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_each_python_block_of_a_page_is_run_somewhere(page):
-    # A block with prompts is a doctest; one that names its file is written and used on its page.
-    for _, text in blocks(page, "python"):
-        if not text.startswith((">>> ", "# ")):
-            assert (ROOT / PYTHON_HOMES[page]).exists(), text
-
-
-WRITES = {
-    "docs/how-to/change-the-reward.md": {"alive.json": "alive", "gentle.json": "own_reward:gentle"},
-    "docs/how-to/bring-a-learner.md": {"own.json": "own_learner:learner"},
-    "docs/how-to/bring-a-policy.md": {},
-}
-
-
-@pytest.mark.compiled_only
-@pytest.mark.parametrize(
-    "page",
-    [
-        pytest.param(page, marks=pytest.mark.full if page.endswith("policy.md") else ())
-        for page in WRITES
-    ],
-)
-def test_a_page_runs_as_it_is_printed(page, folder, monkeypatch):
-    if "network.onnx" in (ROOT / page).read_text():
-        pytest.importorskip("onnxruntime", reason="ONNX Runtime is not installed (extra onnx)")
-    monkeypatch.chdir(folder)
-    monkeypatch.syspath_prepend(folder)
-    for language, text in blocks(page, "python", "sh"):
-        if language == "python":
-            write(text, folder)
-        else:
-            for _, *words in commands(text):
-                assert main(words) == 0
-    for file, said in WRITES[page].items():
-        learning = TabularPolicy.load(folder / file).settings.learning
-        assert said in learning.learner + learning.reward
-
-
 def write(text, folder):
     """Write a block that names its file in its first line."""
     file = re.match(r"# (\S+\.(?:py|toml))\n", text)
@@ -128,35 +87,6 @@ def test_the_map_of_the_paper_names_what_exists():
         assert re.search(rf"^(?:(?:def|class) )?{name}\b", path.read_text(), re.M), (name, link)
 
 
-GUESTS = [path for path in PAGES if re.search("how-to/(bring-a|change)", path)]
-"""Pages on parts of one's own."""
-
-
-def test_the_reference_has_every_name_that_a_guest_needs():
-    reference = []
-    for page in (ROOT / "docs/reference/api").glob("equipoise*.md"):
-        for name, listed in re.findall(r"automodule:: (\S+)\n   :members:(.*)", page.read_text()):
-            module = import_module(name)
-            own = [
-                key for key, one in vars(module).items() if getattr(one, "__module__", "") == name
-            ]
-            names = listed.split(",") if listed else getattr(module, "__all__", own)
-            reference += [getattr(module, one.strip()) for one in names]
-    texts = [(ROOT / page).read_text() for page in GUESTS]
-    code = "\n".join([*texts, *(path.read_text() for path in ROOT.glob("tests/guest/guest/*.py"))])
-    imported = re.findall(r"^from (equipoise\S*) import (.+)$", code + CONFORMANCE, re.MULTILINE)
-    pairs = {(module, name) for module, names in imported for name in names.split(", ")}
-    assert len(pairs) > 15
-    missing = [
-        pair
-        for pair in pairs
-        if not any(getattr(import_module(pair[0]), pair[1]) is one for one in reference)
-    ]
-    assert not missing
-    classes = {one.__name__ for one in reference if isinstance(one, type)}
-    assert set(re.findall(r"`([A-Z][a-z]\w+)`", "".join(texts))) <= classes
-
-
 # The commands themselves.
 
 ELSEWHERE = {
@@ -172,6 +102,11 @@ ELSEWHERE = {
 """Commands that are not run here, and why."""
 SERVERS = re.compile(r"equipoise (?:play|console|log show|rig emulate)")
 """Commands that serve until Ctrl-C: tests/apps/console and tests/cli run them."""
+GUESTS = (
+    "docs/how-to/change-the-reward.md",
+    "docs/how-to/bring-a-learner.md",
+    "docs/how-to/bring-a-policy.md",
+)
 RUN = (
     "README.md",
     "docs/index.md",
@@ -193,7 +128,7 @@ def test_every_page_with_commands_is_run():
         for page in PAGES
         if any(runnable(line) for _, text in blocks(page, "sh") for line in lines(text))
     }
-    assert with_commands - set(RUN) - set(WRITES) - set(PYTHON_HOMES) == set()
+    assert with_commands - set(RUN) - set(GUESTS) - set(PYTHON_HOMES) == set()
 
 
 def lines(text):
@@ -232,11 +167,18 @@ def folder(tmp_path):
     return tmp_path
 
 
-@pytest.mark.slow
 @pytest.mark.compiled_only
-@pytest.mark.parametrize("page", RUN)
+@pytest.mark.parametrize(
+    "page",
+    [
+        *(pytest.param(page, marks=pytest.mark.full) for page in GUESTS),
+        *(pytest.param(page, marks=pytest.mark.slow) for page in RUN),
+    ],
+)
 def test_the_commands_of_a_page_run(page, folder):
     """Each as it is printed, one after the other, in one folder. A bad result is code 1."""
+    if "network.onnx" in (ROOT / page).read_text():
+        pytest.importorskip("onnxruntime", reason="ONNX Runtime is not installed (extra onnx)")
     bin_folder = Path(sys.executable).parent
     environment = os.environ | {"PATH": f"{bin_folder}{os.pathsep}{os.environ['PATH']}"}
 

@@ -1,7 +1,5 @@
 """The published numbers, against the paper's LaTeX source typed by another hand."""
 
-from math import inf, nextafter
-
 import pytest
 
 from equipoise import paper
@@ -34,12 +32,3 @@ def test_single_numbers_are_those_of_their_sections():
     assert paper.SECONDS_BALANCED == 5  # 4.3 "for the first 5 seconds"
     assert paper.X_AT_FAILURE == -0.22  # 4.3 "exceeding the limit at -0.22 meters"
     assert paper.PHI_AT_FAILURE_DEG == -3.44  # 4.3 "the pendulum's angle is -3.44"
-
-
-@pytest.mark.parametrize(("ours", "theirs"), AXES)
-def test_an_interval_holds_what_its_brackets_say_at_each_end(ours, theirs):
-    for interval, latex in zip(ours, theirs, strict=True):
-        other = printed.read(latex)
-        for end in {interval.low, interval.high} - {-inf, inf}:
-            for value in (nextafter(end, -inf), end, nextafter(end, inf)):
-                assert (value in interval) == other.holds(value)

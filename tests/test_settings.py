@@ -1,13 +1,9 @@
 """Settings: precedence, refusals, and an explanation for each of them."""
 
-import re
-from pathlib import Path
-
 import pytest
 
-from equipoise.artefacts import Value
 from equipoise.errors import SettingsError
-from equipoise.settings import RECIPES, Settings, describe_recipe, resolve
+from equipoise.settings import RECIPES, Settings, resolve
 
 SECTIONS = {name: type(section) for name, section in Settings()}
 NAMES = [f"{section}.{name}" for section, kind in SECTIONS.items() for name in kind.model_fields]
@@ -49,41 +45,11 @@ def test_a_file_wins_over_a_recipe_over_the_defaults_and_a_single_setting_over_a
     assert resolve("paper", toml(tmp_path, "")) == resolve("paper")
 
 
-@pytest.mark.parametrize("value", ["true", '"1"', "[0.9]"])
-def test_neither_true_nor_a_text_is_a_number(value):
-    assert "learning.gamma: Input should be a valid number" in refusal(f"learning.gamma={value}")
-
-
-@pytest.mark.parametrize("recipe", RECIPES)
-def test_a_recipe_names_settings_that_exist(recipe):
-    assert set(RECIPES[recipe]) <= set(NAMES)
-    for name, wanted in RECIPES[recipe].items():
-        assert value(resolve(recipe), name) == wanted
-
-
-def test_the_page_on_deviations_states_the_numbers_of_the_literal_recipe():
-    page = (Path(__file__).parents[1] / "docs" / "deviations.md").read_text()
-    table = page.partition("| open choice |")[2].partition("\n\n")[0]
-    stated = {float(number) for number in re.findall(r"\d[\d.]*(?:e-\d+)?", table)}
-    chosen = {each for each in RECIPES["paper"].values() if isinstance(each, float)}
-    assert chosen - {0.0, 1.0} <= stated
-
-
-def test_settings_say_which_recipe_they_are():
-    assert describe_recipe(resolve("paper")) == "paper"
-    assert describe_recipe(resolve("robust")) == "robust"
-    assert describe_recipe(resolve("paper", overrides=["evaluation.trials=3"])) == "paper"
-    changed = resolve("paper", overrides=["learning.gamma=0.9", "selection.every=30"])
-    said = "custom: paper with learning.gamma = 0.9, selection.every = 30"
-    assert describe_recipe(changed) == said
-
-
 @pytest.mark.parametrize(
     ("override", "wanted"),
     [
         ("  learning.gamma =  0.5 ", 0.5),
         ("learning.episodes=1e4", 10_000),
-        ("learning.mirrored=false", False),
         ("identification.friction=coulomb", "coulomb"),
         ('identification.friction="coulomb"', "coulomb"),
         ("boxes.x=[-0.1, 0.1]", (-0.1, 0.1)),
@@ -96,16 +62,12 @@ def test_a_single_setting_is_read_as_its_type(override, wanted):
 
 
 def test_a_setting_without_its_section_or_with_a_misspelt_one_is_found(tmp_path):
-    for section, values in Settings():
-        for key in type(values).model_fields:
-            for name in (key, f"{section[:-1]}.{key}", f"learn.{key}"):
-                assert f"{section}.{key}" in refusal(f"{name}=1")
-            assert f"{section}.{key}" in refusal(file=toml(tmp_path, f"{key} = 1"))
-    assert "learning.gamma" in refusal("learning.gama=0.9")
-    assert "learning.gamma" in refusal("gama=0.9")
+    for name in ("gamma", "learnin.gamma", "learn.gamma", "learning.gama", "gama"):
+        assert "learning.gamma" in refusal(f"{name}=0.9")
+    assert "learning.gamma" in refusal(file=toml(tmp_path, "gamma = 1"))
 
 
-@pytest.mark.parametrize("name", ["learning.gama", "lerning.gamma", "gamma", "", "a.b.c", "clik."])
+@pytest.mark.parametrize("name", ["lerning.gamma", "", "a.b.c"])
 def test_an_unknown_name_is_refused(tmp_path, name):
     assert repr(name) in refusal(f"{name}=1")
     if name.count(".") == 1:
@@ -115,8 +77,7 @@ def test_an_unknown_name_is_refused(tmp_path, name):
 
 
 IMPOSSIBLE = [
-    *("learning.gamma=1.0", "learning.gamma=nan", "learning.gamma=high", "learning.gamma={a = 1}"),
-    *("learning.episodes=2.5", "learning.mirrored=maybe", "evaluation.duration=2001-01-01"),
+    *("learning.gamma=1.0", "learning.gamma=nan", "learning.gamma=true", "learning.episodes=2.5"),
     *("identification.friction=greasy", f"learning.episodes={10**30}"),
 ]
 
@@ -128,18 +89,13 @@ def test_an_impossible_value_is_refused_with_its_name(override):
     assert ", got " in message
 
 
-@pytest.mark.parametrize("name", ["phi", "phi_dot"])
-def test_a_range_of_starts_with_its_ends_reversed_is_refused(name):
-    refusal(f"evaluation.{name}_low=0.1", f"evaluation.{name}_high=0.05")
-
-
-DEEP = ["[" * 900, "{a=" * 300, "9" * 5000, "0x" + "f" * 900, "1\n" + ".".join("a" * 400) + " = 1"]
+DEEP = ["[" * 900, "9" * 5000, "1\n" + ".".join("a" * 400) + " = 1"]
 
 
 @pytest.mark.parametrize(
     "text",
     [
-        *("learning", "[learning\n", "[learning]\ngamma = \n", "gamma = 0.9\n", b"\xff"),
+        *("[learning\n", "gamma = 0.9\n", b"\xff"),
         *(f"[learning]\ngamma = {deep}" for deep in DEEP),
         "# comment\n" * 7000,
     ],
@@ -156,12 +112,7 @@ def test_a_missing_file_is_refused(tmp_path):
     refusal("learning.gamma=")
 
 
-def test_every_setting_is_explained_and_frozen():
+def test_every_setting_is_explained():
     assert len(NAMES) <= 55
     for kind in SECTIONS.values():
-        assert issubclass(kind, Value)
         assert all((field.description or "").strip() for field in kind.model_fields.values())
-        with pytest.raises(ValueError, match="unknown"):
-            kind(unknown=1)
-    with pytest.raises(ValueError, match="frozen"):
-        Settings().learning.gamma = 0.5

@@ -9,20 +9,21 @@ from equipoise.identification.recording import read_swing
 from equipoise.identification.swing import identify
 from equipoise.learning.train import ATTEMPTS, train_to_target
 from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.worlds import MODEL
 from equipoise.settings import resolve
 from equipoise.worlds.evaluation import evaluate
 
-TESTS = resolve(overrides=["evaluation.trials=1000"])
 
-
-def summaries(pendulum, settings, seeds, tests=TESTS, attempts=ATTEMPTS):
+def summaries(pendulum, settings, seeds, tests, attempts=ATTEMPTS, world=MODEL):
     """Train for each seed alone, and return what the trials of each policy came to."""
     workers = available_cores()
     for seed in seeds:
         policy = train_to_target(
             pendulum, iiwa(7), settings, attempts=attempts, seed=seed, workers=workers
         )
-        evaluation = evaluate(policy, tests, seed=seed, with_baselines=False, workers=workers)
+        evaluation = evaluate(
+            policy, tests, world=world, seed=seed, with_baselines=False, workers=workers
+        )
         yield evaluation.results.summary()
 
 
@@ -44,12 +45,17 @@ def test_a_short_training_stands_most_of_the_time(pendulum):
 
 @pytest.mark.slow
 @pytest.mark.compiled_only
-@pytest.mark.parametrize("recorded", [False, True])
-def test_every_seed_stands_a_minute(request, pendulum, recorded):
+@pytest.mark.parametrize(
+    ("recorded", "world", "trials"),
+    [(False, MODEL, 1000), (True, MODEL, 1000), (False, "twin:nominal", 200)],
+)
+def test_every_seed_stands_a_minute(request, pendulum, recorded, world, trials):
+    # The actuator that ships was identified from ten seconds on the twin.
     if recorded:
         folder = request.getfixturevalue("recordings")
         pendulum = identify(read_swing(folder / "free_swing_arm_55s.csv"))
-    assert_they_stand(list(summaries(pendulum, resolve(), range(10))))
+    tests = resolve(overrides=[f"evaluation.trials={trials}"])
+    assert_they_stand(list(summaries(pendulum, resolve(), range(10), tests, world=world)))
 
 
 @pytest.mark.compiled_only
@@ -67,23 +73,3 @@ def test_the_policy_that_ships_stands_on_the_twin():
         workers=available_cores(),
     )
     assert evaluation.results.summary().survived >= 15
-
-
-@pytest.mark.slow
-@pytest.mark.compiled_only
-def test_every_seed_stands_a_minute_on_the_twin(pendulum):
-    # The actuator that ships was identified from ten seconds on that twin.
-    tests = resolve(overrides=["evaluation.trials=200"])
-    results = []
-    for seed in range(10):
-        cores = available_cores()
-        policy = train_to_target(pendulum, iiwa(7), tests, seed=seed, workers=cores)
-        evaluation = evaluate(
-            policy,
-            tests,
-            world="twin:nominal",
-            with_baselines=False,
-            workers=available_cores(),
-        )
-        results.append(evaluation.results.summary())
-    assert_they_stand(results)

@@ -112,19 +112,6 @@ def test_a_question_is_answered_by_a_line_which_is_shown(seat):
         assert console.read_input() == ["x"]
 
 
-def test_an_angle_in_passing_gives_way_to_what_is_told(seat):
-    terminal, console = seat()
-    with single_keys():
-        console.live("balancing", 0.1)
-        assert "+5.73 deg" in terminal.shows()
-        console.live("homing", float("nan"))
-        assert "deg" not in terminal.shows()
-        console.notify(OperatorMessage("armed", "\aArmed. Let go."))
-        shown = terminal.shows()
-        assert "\a" in shown
-        assert shown.index("\r") < shown.index("Armed. Let go.")
-
-
 def test_a_terminal_that_is_closed_is_no_error(seat):
     terminal, console = seat()
     with single_keys():

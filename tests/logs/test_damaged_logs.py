@@ -1,10 +1,8 @@
 """Logs that were cut or damaged: the sound part is read, or one sentence refuses."""
 
 import random
-import struct
 
 import pytest
-from mcap.opcode import Opcode
 
 from equipoise.errors import ArtefactError, EquipoiseError
 from equipoise.logs.conditions import RunEnd
@@ -64,18 +62,3 @@ def test_a_cut_log_is_read_to_its_last_chunk_on_request_alone(log):
     assert 0 < len(part.tables["tick"]) < 600
     with pytest.raises(ArtefactError):
         RunLog.load(log)
-
-
-def test_a_chunk_that_is_lost_as_a_whole_ends_what_is_read(log, tmp_path):
-    data, whole = log.read_bytes(), read_any(log)
-    place, chunks = 8, []  # behind the magic
-    while data[place] != Opcode.DATA_END:
-        length = 9 + struct.unpack_from("<Q", data, place + 1)[0]
-        if data[place] == Opcode.CHUNK:
-            chunks.append((place, length))
-        place += length
-    begin, length = chunks[1]
-    (tmp_path / "run.mcap").write_bytes(data[:begin] + data[begin + length :])
-    part = read_any(tmp_path / "run.mcap")
-    assert part.damage
-    assert is_a_prefix(part, whole)

@@ -75,24 +75,6 @@ def test_a_hanging_pendulum_does_not_jump_between_pi_and_its_opposite():
     assert 3.0 < abs(motion.at(-4.0).phi) <= np.pi
 
 
-def test_a_run_that_ended_before_balancing_counts_from_its_first_tick(run):
-    motion = Motion.of(changed_table(run, "tick", state=LIFTING))
-    assert motion.part() == pytest.approx((0.0, 9.0))
-    assert motion.at(6.3).x == pytest.approx(x_on_a_rig(7.3), abs=2e-5)
-
-
-def test_an_angle_without_a_zero_is_unknown(run):
-    lifted = changed_table(run, "tick", state=LIFTING)
-    motion = Motion.of(replace(lifted, end=RunEnd(outcome=Outcome.OPERATOR)))
-    assert np.isnan(motion.at(0.5).phi)
-
-
-def test_without_a_reply_the_commanded_posture_is_shown(run):
-    tables = dict(run.tables) | {"reply": run.tables["reply"][:0]}
-    motion = Motion.of(replace(run, tables=tables))
-    np.testing.assert_allclose(motion.at(0.0).q, run.tables["tick"]["q"][600], atol=1e-12)
-
-
 def test_a_run_with_nothing_to_show_is_refused(run):
     still = made_up()
     excited = simulated_log(still.conditions, RunEnd(outcome=Outcome.EXCITED), {})

@@ -6,13 +6,8 @@ import numpy as np
 import pytest
 
 from equipoise.control.policy import shipped_policy
-from equipoise.control.ticks import OperatorMessage
-from equipoise.errors import RecordingError
 from equipoise.identification.refine import read_motion
-from equipoise.logs.conditions import RunEnd
-from equipoise.logs.recorder import Recorder, push_event
 from equipoise.logs.run_log import RunLog, load_run
-from equipoise.logs.writer import RunWriter
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.outcomes import Outcome
 from equipoise.rig.config import RigSettings
@@ -61,17 +56,6 @@ def test_a_log_that_breaks_off_is_read_to_its_last_chunk(broken_off, rig_log):
     away = log.encoder.counts - whole.encoder.counts[:n]
     turn = whole.conditions.counts_per_rev
     assert np.all((away + turn // 2) % turn - turn // 2 == 0)
-
-
-def test_a_run_that_did_not_balance_is_refused_with_its_reason(tmp_path, rig_log):
-    path, conditions = tmp_path / "run.mcap", RunLog.load(rig_log, damaged=True).conditions
-    writer = RunWriter(path, conditions, 0.0)
-    recorder = Recorder(7)
-    push_event(recorder.event, 0.5, OperatorMessage("move", "Move? y or n", ("y", "n")))
-    writer.drain(recorder)
-    writer.finish(1.0, RunEnd(outcome=Outcome.OPERATOR, evidence={"typed": "n"}))
-    with pytest.raises(RecordingError, match="stopped by the operator"):
-        load_run(path)
 
 
 def test_every_table_is_exported_with_units(rig_log, tmp_path):

@@ -4,8 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from equipoise.apps.console.replay import ReplayPage, marks_of
 from equipoise.logs.motion import Motion
@@ -56,21 +54,6 @@ def test_it_plays_pauses_at_the_end_begins_again_and_steps(page):
         page.step(ticks)
         visited.append(page.time)
     assert visited == pytest.approx([0.0, 0.01, -0.01])
-
-
-@given(st.lists(st.tuples(st.sampled_from("jsat"), st.floats(-20.0, 20.0)), max_size=20))
-def test_the_position_is_always_in_the_run(page, actions):
-    for name, value in actions:
-        match name:
-            case "j":
-                page.jump(value)
-            case "s":
-                page.step(int(value))
-            case "a":
-                page.advance(abs(value))
-            case _:
-                page.toggle()
-        assert FIRST <= page.time <= LAST
 
 
 def test_texts_of_the_log_do_not_become_markup(page):
