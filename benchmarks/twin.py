@@ -93,7 +93,6 @@ def main() -> None:
             "survived": summary.survived,
             "trials": summary.trials,
             "median_s": summary.median,
-            "learner": policy.learner,
         }
         found.append(row)
         test = policy.test

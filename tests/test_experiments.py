@@ -19,7 +19,7 @@ EXPERIMENTS = ROOT / "experiments"
 SHORT = (
     *("--set", "learning.episodes=40", "--set", "learning.episode_duration=1"),
     *("--set", "selection.every=20", "--set", "selection.trials=4"),
-    *("--set", "selection.test_trials=20", "--set", "selection.duration=0.5"),
+    *("--set", "selection.test_trials=300", "--set", "selection.duration=0.5"),
 )
 """Short trainings."""
 TRIALS = ("--trials", "2", "--duration", "0.3")
