@@ -21,7 +21,7 @@ from equipoise.control.policy import tick_policy
 from equipoise.executors import available_cores, completed
 from equipoise.model.random import TEST
 from equipoise.settings import changed
-from equipoise.worlds import predicted, setup_of, simulate
+from equipoise.worlds import Recorder, run_trial, setup_of, simulate
 from equipoise.worlds.evaluation import Summary, exact_interval
 
 PUSH = radians(60.0)
@@ -75,6 +75,22 @@ def tested(found: list[Summary]) -> dict[str, Any]:
     }
 
 
+class Push(Recorder):
+    """Push of the pendulum at a time of a trial, in place of a recording."""
+
+    def __init__(self, rate: float) -> None:
+        """Plan a push that changes the pendulum's rate [rad/s]."""
+        self._rate = rate
+
+    def before(self, loop: Any, u: float) -> None:
+        """Push before the step that begins at the time of the push."""
+        if round(loop.now / loop.params.h) == round(PUSHED_AT / loop.params.h):
+            loop.push(self._rate)
+
+    def after(self, loop: Any) -> None:
+        """Record nothing."""
+
+
 def withstood(policy: eq.TabularPolicy, actuator: eq.Actuator | None, pushes: int) -> int:
     """Return the number of pushes after which a policy balances on.
 
@@ -86,18 +102,11 @@ def withstood(policy: eq.TabularPolicy, actuator: eq.Actuator | None, pushes: in
     setup = setup_of(policy, "twin:nominal", actuator=actuator)
     simulation = simulate("twin:nominal", setup, seed=99, stream=TEST)
     loop, trials, acting = simulation.loop(), simulation.draw(pushes), tick_policy(policy)
-    balanced = 0
-    for i in range(pushes):
-        loop.reset(trials.trial(i))
-        acting.reset()
-        cause, tick = TRUNCATED, 0
-        while tick < PUSHED_UNTIL / setup.h and cause == TRUNCATED:
-            if tick == round(PUSHED_AT / setup.h):
-                loop.push(PUSH if i % 2 else -PUSH)
-            cause = loop.step(float(acting.act(predicted(loop))))
-            tick += 1
-        balanced += cause == TRUNCATED
-    return balanced
+    ends = [
+        run_trial(loop, acting, trials.trial(i), PUSHED_UNTIL, Push(PUSH if i % 2 else -PUSH))
+        for i in range(pushes)
+    ]
+    return sum(cause == TRUNCATED for _, cause, _ in ends)
 
 
 def main() -> None:

@@ -21,7 +21,6 @@ from scipy.optimize import linprog
 from equipoise import paper
 from equipoise.arrays import fields, new_records
 from equipoise.control.control_step import SETPOINTS_PER_TICK
-from equipoise.control.grid import PHI_LIMIT
 from equipoise.errors import SettingsError
 from equipoise.model.actuator import CYCLE, Actuator, Servos, follow, lag_share
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
@@ -55,7 +54,7 @@ class RecoveryParams(NamedTuple):
     """T, from the release to the acceleration of the flange [s]."""
     u_max: float = paper.U_MAX
     """Largest acceleration of the flange [m/s^2]."""
-    phi_limit: float = PHI_LIMIT
+    phi_limit: float = paper.PHI_LIMIT
     """Failure angle [rad]."""
     x_limit: float = paper.X_LIMIT
     """Failure displacement of the flange [m]."""

@@ -35,11 +35,10 @@ from stable_baselines3.common.env_util import make_vec_env
 import equipoise.envs  # noqa: F401  (registers the environments)
 from equipoise import paper
 from equipoise.artefacts import write_whole
-from equipoise.control.grid import PHI_LIMIT
 
 HERE: Final = Path(__file__).parent
 ALGORITHMS: Final = ("dqn", "ppo", "sac")
-SCALE: Final = (paper.X_LIMIT, 0.5, PHI_LIMIT, 1.0)
+SCALE: Final = (paper.X_LIMIT, 0.5, paper.PHI_LIMIT, 1.0)
 """Units of the network's input: the limits of x [m] and phi [rad], 0.5 m/s, and 1 rad/s."""
 PACKAGES: Final = ("stable-baselines3", "torch", "onnx", "onnxruntime", "gymnasium", "numpy")
 SAMPLES: Final = 1000

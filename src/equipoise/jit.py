@@ -100,9 +100,9 @@ if CACHED:
     _config.CACHE_DIR = str(kernel_folder())
 
 
-def kernel(function: F) -> F:
-    """Compile a function of Python's, on its first call."""
-    return _numba.njit(cache=CACHED, nogil=True, error_model="numpy")(function)
+def kernel(function: F, *, cached: bool = True) -> F:
+    """Compile a function of Python's, on its first call; code of a user is not cached on disk."""
+    return _numba.njit(cache=CACHED and cached, nogil=True, error_model="numpy")(function)
 
 
 def inlined(function: F) -> F:

@@ -6,6 +6,7 @@ of the paper (degrees for names that end in `_DEG`); the rest of the project con
 Unpublished parameters are settings with a reason in `equipoise.settings`.
 """
 
+from math import radians
 from numbers import Real
 from typing import Final, NamedTuple
 
@@ -72,6 +73,9 @@ X_DOT_INTERVALS: Final = _intervals("]-inf,-0.5]", "]-0.5,0.5[", "[0.5,+inf[")
 
 PHI_LIMIT_DEG: Final = 11.0
 """Failure angle |phi| [deg]."""
+
+PHI_LIMIT: Final = radians(PHI_LIMIT_DEG)
+"""Failure angle |phi| [rad]."""
 
 X_LIMIT: Final = 0.22
 """Failure displacement |x| [m]."""

@@ -72,7 +72,8 @@ def evaluate(
     known = {name: value for name, value in changes.items() if value is not None}
     settings = changed(chosen.settings, known)
     count = settings.evaluation.trials
-    if claim is not None and allowed_failures(count, claim) < 0:
+    allowed = None if claim is None else allowed_failures(count, claim)
+    if claim is not None and allowed == -1:
         least = ceil(log(1.0 - CLAIM_CONFIDENCE) / log(claim))
         raise InputError(
             f"{count:,} trials cannot grant a claim of {claim:g}, even if all survive; give "
@@ -103,7 +104,7 @@ def evaluate(
         bound = lower_bound(fields["survived"], count, CLAIM_CONFIDENCE)
         granted = bound >= claim
         verdict: dict[str, Any] = {"granted": granted, "claim": claim, "bound_95": bound}
-        fields = verdict | {"allowed_failures": allowed_failures(count, claim)} | fields
+        fields = verdict | {"allowed_failures": allowed} | fields
         code = int(not granted)
     twin = trials.world if trials.world.startswith("twin:") else None
     output.result(

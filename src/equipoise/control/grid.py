@@ -23,9 +23,6 @@ Box = TypeVar("Box", int, IntArray)
 """Index of a box, or an array of them."""
 ACTIONS: Final = len(paper.ACTIONS)
 
-PHI_LIMIT: Final = radians(paper.PHI_LIMIT_DEG)
-"""Failure angle |phi| [rad]."""
-
 TRUNCATED, ANGLE, TRACK, JOINT_LIMIT, SAFETY_STOP = range(5)
 """Codes of the ends of a trial, the places in `equipoise.outcomes.TRIAL_OUTCOMES`; `SAFETY_STOP` is
 the lowest one of a safety rule."""

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from math import inf
 from typing import Annotated, Any, NamedTuple, Protocol
 
-import numba
 import numpy as np
 
 from equipoise import paper
@@ -383,9 +382,9 @@ class Training:
 
 @functools.cache
 def compiled_loop(update: Any, reward: Any, cached: bool) -> Callable[..., None]:
-    """Return the compiled episode loop on the plant; code of a user is not cached on disk."""
+    """Return the compiled episode loop on the plant."""
     loop = episode_loop(update, reward, release_on_plant, step_on_plant)
-    return kernel(loop) if cached else numba.njit(nogil=True, error_model="numpy")(loop)
+    return kernel(loop, cached=cached)
 
 
 def training_config(settings: Settings, k: float, seed: int) -> TrainingConfig:

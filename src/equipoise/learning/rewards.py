@@ -6,16 +6,12 @@ the acceleration [m/s^2]; `failed` says whether the step ended in failure.
 """
 
 from collections.abc import Callable, Mapping
-from math import radians
 from typing import TYPE_CHECKING, Final
 
 from equipoise import paper
 
 if TYPE_CHECKING:  # help lists the names without Numba
     from equipoise.control.controller import Observation
-
-PHI_LIMIT: Final = radians(paper.PHI_LIMIT_DEG)
-"""Failure angle [rad]."""
 
 
 def failure(state: "Observation", u: float, next_state: "Observation", failed: bool) -> float:
@@ -32,7 +28,7 @@ def centred(state: "Observation", u: float, next_state: "Observation", failed: b
     """Return -1 for a failure, else at most -0.01 per axis for the distance from the middle."""
     if failed:
         return -1.0
-    return -0.01 * ((next_state.x / paper.X_LIMIT) ** 2 + (next_state.phi / PHI_LIMIT) ** 2)
+    return -0.01 * ((next_state.x / paper.X_LIMIT) ** 2 + (next_state.phi / paper.PHI_LIMIT) ** 2)
 
 
 REWARDS: Final[Mapping[str, Callable[["Observation", float, "Observation", bool], float]]] = {

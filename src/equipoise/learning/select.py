@@ -6,7 +6,6 @@ nothing, as `evaluate` does. Their number is fixed, so that the lower bound of t
 survive is exact (Clopper & Pearson 1934).
 """
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Final
 
@@ -19,10 +18,9 @@ from equipoise.control.policy import Checkpoint, TabularPolicy, TargetTest, tabl
 from equipoise.errors import InputError
 from equipoise.model.random import SELECTION, TARGET_TEST
 from equipoise.model.worlds import MODEL
-from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import SelectionSettings
 from equipoise.worlds import setup_of
-from equipoise.worlds.evaluation import lower_bound
+from equipoise.worlds.evaluation import lower_bound, trial_results
 from equipoise.worlds.ideal import PlantSimulation
 from equipoise.worlds.interface import Setup
 
@@ -104,15 +102,14 @@ def measure_survival(
     trials = simulation.draw(rule.test_trials)
     rows = range(rule.test_trials)
     simulation.run(policy, trials, rows, duration=rule.duration, workers=workers, done=done)
-    causes = Counter[Outcome](TRIAL_OUTCOMES[code] for code in trials.cause.tolist())
-    survived = causes[Outcome.LASTED]
+    found = trial_results(policy.name, trials, policy.h).summary()
     return TargetTest(
         target=target,
         duration=rule.duration,
         trials=rule.test_trials,
-        survived=survived,
-        at_least=lower_bound(survived, rule.test_trials, confidence),
-        causes=dict(causes),
+        survived=found.survived,
+        at_least=lower_bound(found.survived, rule.test_trials, confidence),
+        causes=found.outcomes,
     )
 
 

@@ -14,7 +14,6 @@ from equipoise import paper
 from equipoise.arrays import Array, fields, new_records
 from equipoise.control.control_step import ControllerState, make_controller_params
 from equipoise.control.controller import command_tick, observe_tick, start
-from equipoise.control.grid import PHI_LIMIT
 from equipoise.user_code import guest_code
 from equipoise.worlds.interface import ClosedLoop, Simulation
 from equipoise.worlds.plant import FailureLimits, draw_noise, failure, scaled
@@ -50,7 +49,7 @@ class ExternalLoop(ClosedLoop):
         self.controller = fields(self._controllers, ControllerState)
         self._sigmas = np.repeat([plant.position_error_sigma, plant.orientation_error_sigma], 3)
         max_speed = inf if plant.max_speed is None else plant.max_speed
-        self._limits = FailureLimits(PHI_LIMIT, paper.X_LIMIT, max_speed)
+        self._limits = FailureLimits(paper.PHI_LIMIT, paper.X_LIMIT, max_speed)
         self._state, self._tick = np.zeros(4), 0
 
     @abstractmethod

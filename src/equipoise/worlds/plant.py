@@ -37,7 +37,6 @@ from equipoise.control.control_step import (
 from equipoise.control.grid import (
     ANGLE,
     JOINT_LIMIT,
-    PHI_LIMIT,
     SAFETY_STOP,
     TRACK,
     TRUNCATED,
@@ -195,7 +194,9 @@ def make_loop_params(
             counts_per_rev=settings.plant.counts_per_rev,
             has_sensor=actuator.kind != "ideal",
         ),
-        limits=FailureLimits(PHI_LIMIT, paper.X_LIMIT, inf if max_speed is None else max_speed),
+        limits=FailureLimits(
+            paper.PHI_LIMIT, paper.X_LIMIT, inf if max_speed is None else max_speed
+        ),
         position_noise=settings.plant.position_error_sigma,
         orientation_noise=settings.plant.orientation_error_sigma,
         linearised=settings.plant.linearised,

@@ -39,8 +39,6 @@ class Sizes(NamedTuple):
     """Length of the pendulum [m]: a uniform rod with the paper's period of 0.75 s."""
 
 
-BASE: Final = "base"
-"""Name of the fixed link in a URDF; its frame is that of the arm."""
 SIZES: Final = Sizes()
 """Thickness of the parts of an iiwa, on the thick side."""
 SHORTEST: Final = 1e-3

@@ -18,7 +18,7 @@ from equipoise.control.control_step import (
     ControllerState,
     Observed,
 )
-from equipoise.control.grid import PHI_LIMIT, SAFETY_STOP, TRUNCATED
+from equipoise.control.grid import SAFETY_STOP, TRUNCATED
 from equipoise.jit import call, inlined, kernel
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.safety.rules import NO_VIOLATION
@@ -40,7 +40,7 @@ from equipoise.worlds.twin.twin import (
     truth,
 )
 
-LIMITS: Final = FailureLimits(PHI_LIMIT, paper.X_LIMIT, inf)
+LIMITS: Final = FailureLimits(paper.PHI_LIMIT, paper.X_LIMIT, inf)
 """Limits whose violation ends a trial; the rules of a rig limit the speed."""
 
 
@@ -110,7 +110,7 @@ def _read_truth(world: TwinWorld) -> None:
 
 @inlined
 def step(world: TwinWorld) -> int:
-    """Send the setpoints for u, and observe at the end of the step.
+    """Send the setpoints for u; at the end of the step observe, and read the true state.
 
     Args:
         world: The state of its controller holds u; changed in place.
@@ -128,6 +128,7 @@ def step(world: TwinWorld) -> int:
         if monitor.active:
             broken = setpoint_violation(monitor, q, twin.now * TICK)
             if broken != NO_VIOLATION:
+                _read_truth(world)
                 return SAFETY_STOP + broken
         send_free(twin, q)
         advance(twin, data, round(controller.h / SETPOINTS_PER_TICK / TICK))
@@ -139,9 +140,9 @@ def step(world: TwinWorld) -> int:
         state.measured[i, 0] = q[i]
     ages = tick * TICK - counted, tick * TICK - measured
     call(controller.code.observe, (controller, state, ages[0], ages[1], 1))
-    real = truth(twin, data)
-    exceeded = state.limit_exceeded[0] != 0
-    cause = failure(real.x, real.x_dot, real.phi, exceeded, LIMITS)
+    _read_truth(world)
+    real, exceeded = world.states[0].state, state.limit_exceeded[0] != 0
+    cause = failure(real.x[0], real.x_dot[0], real.phi[0], exceeded, LIMITS)
     if cause == TRUNCATED and monitor.active:
         broken = trial_violation(monitor, controller, state, q, measured)
         if broken != NO_VIOLATION:
@@ -153,7 +154,6 @@ def step(world: TwinWorld) -> int:
 def advance_step(world: TwinWorld, tick: IntArray, number: IntArray, lanes: int) -> None:
     """Advance by one step with the u of the controller; see `equipoise.worlds.trials`."""
     world.states[0].cause[0] = step(world)
-    _read_truth(world)
 
 
 run_trials = kernel(trial_loop(release, advance_step))
@@ -170,4 +170,3 @@ def release_alone(world: TwinWorld, start: tuple[float, float, float, float]) ->
 def advance_alone(world: TwinWorld) -> None:
     """Advance by one step; see `advance_step`."""
     world.states[0].cause[0] = step(world)
-    _read_truth(world)
