@@ -60,7 +60,7 @@ docs:  ## the documentation site, in build/site; a warning or a broken link is a
 	$(PYTHON) docs/check_site.py build/site
 
 generated:  ## write the kinematics of the iiwas again; git must see no difference
-	$(PYTHON) -m equipoise.model.arms.iiwa
+	$(PYTHON) -m equipoise.arm.iiwa
 
 pictures:  ## make the pictures of README and documents again, in a minute
 	$(PYTHON) docs/figures/make.py

@@ -10,8 +10,8 @@
 - `pinocchio`: the arm's part of that step alone, through Pinocchio from Python.
 - `gymnasium`: a CartPole step, which has no arm, with a tabular update in Python.
 
-A share of the core's peak is the floating-point operations of a step (`OPERATIONS`; random numbers
-and the table are left out) times the steps per second, over the speed
+A fraction of the core's peak is the floating-point operations of a step (`OPERATIONS`; random
+numbers and the table are left out) times the steps per second, over the speed
 of a loop of fused multiply-adds in the same rounds.
 
 The peers are optimised as far as Python allows. Each does the same piece of work in
@@ -46,18 +46,18 @@ import numpy.typing as npt
 from pydantic import Field
 
 from equipoise import paper
-from equipoise.artefacts import Value
+from equipoise.arm.arm import Arm
 from equipoise.control.policy import shipped_policy
+from equipoise.elementary import fma
 from equipoise.executors import available_cores
+from equipoise.files import Value
 from equipoise.jit import kernel
 from equipoise.learning.train import train
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
-from equipoise.model.arms.arm import Arm
-from equipoise.model.elementary import fma
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TEST
 from equipoise.settings import Settings
-from equipoise.worlds import setup_of, simulate
+from equipoise.simulation import setup_of, simulate
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -157,8 +157,8 @@ class Benchmark(Value):
         return {n: r * paper.STEP for n, r in self.steps_per_second.items() if n in ours}
 
     @property
-    def shares(self) -> dict[str, float]:
-        """Share of the core's peak, by name."""
+    def fractions(self) -> dict[str, float]:
+        """Fraction of the core's peak, by name."""
         if PEAK not in self.rates:
             return {}
         peak, speed = self.rates[PEAK].steps_per_second, self.steps_per_second
@@ -311,7 +311,7 @@ def table(result: Benchmark) -> "Table":
         cells = (
             (result.ratios, "{:.1f}"),
             (result.real_time, "{:,.0f}"),
-            (result.shares, "{:.0%}"),
+            (result.fractions, "{:.0%}"),
         )
         others = (form.format(values[name]) if name in values else "" for values, form in cells)
         view.add_row(name, *(f"{speed / 1e3:,.0f}" for speed in speeds), *others)
@@ -625,14 +625,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Steps per second beside Pinocchio and Gymnasium.")
     parser.add_argument("--arm", default="iiwa7", help="iiwa7, iiwa14, a URDF or a rig.toml")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    given = parser.parse_args()
+    args = parser.parse_args()
     try:
-        arm = read_arm(given.arm)
+        arm = read_arm(args.arm)
     except EquipoiseError as error:
         parser.error(str(error))
     _print_to_stderr("Measuring on one core, in alternating rounds, for about half a minute")
     result = benchmark(shipped_pendulum(), arm, Settings(), progress=_print_to_stderr)
-    if given.json:
+    if args.json:
         print(json.dumps(summary(result)))
     else:
         Console().print(table(result))
@@ -645,7 +645,7 @@ def summary(result: Benchmark) -> dict[str, object]:
         "ratios": result.ratios,
         "real_time": result.real_time,
         "operations": OPERATIONS,
-        "share_of_peak": result.shares,
+        "share_of_peak": result.fractions,
         "scaling": result.scaling,
         "missing": result.missing,
         "processor": result.processor,

@@ -58,12 +58,12 @@ def trainings() -> dict[str, str]:
 def evaluations() -> dict[str, str]:
     """Trials of the shipped policy on plant and twins, with the codes of their ends."""
     from equipoise.control.policy import shipped_policy
-    from equipoise.worlds import evaluation
+    from equipoise.simulation import evaluation
 
     policy, found, codes, results = shipped_policy(), {}, {}, evaluation.trial_results
 
     def recorded(name: str, trials: Any, h: float) -> Any:
-        names = ("lasted", "angle", "track", "joint limit", "guard")
+        names = ("survived", "angle", "track", "joint limit", "guard")
         codes[name] = [names[min(code, 4)] for code in trials.cause.tolist()]
         return results(name, trials, h)
 
@@ -74,8 +74,8 @@ def evaluations() -> dict[str, str]:
     for world in ("ideal", "model", "twin:nominal", "twin:harsh"):
         for seed in SEEDS:
             done = evaluation.evaluate(policy, settings, world=world, seed=seed)
-            each = ((one.survival, *codes[one.name]) for one in (done.results, *done.baselines))
-            found[f"evaluation {world} {seed}"] = digest(*chain.from_iterable(each))
+            outcomes = ((one.survival, *codes[one.name]) for one in (done.results, *done.baselines))
+            found[f"evaluation {world} {seed}"] = digest(*chain.from_iterable(outcomes))
     evaluation.trial_results = results
     return found
 
@@ -94,7 +94,7 @@ def runs() -> dict[str, str]:
 
 def virtual_runs() -> dict[str, str]:
     """Bytes to robot and encoder of a whole run in virtual time, and the rows of its log."""
-    from equipoise.logs.run_log import RunLog
+    from equipoise.log.run_log import RunLog
     from tests.faults.harness import FaultHarness, Scenario
 
     found = {}

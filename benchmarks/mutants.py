@@ -36,7 +36,7 @@ import hypothesis.strategies
 import pytest
 import scipy.linalg  # noqa: F401  (imported before the forks, so that no child has to)
 
-import equipoise.model.arms.iiwa
+import equipoise.arm.iiwa
 import equipoise.model.encoder
 import equipoise.model.worlds  # noqa: F401
 

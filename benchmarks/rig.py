@@ -37,7 +37,7 @@ from pathlib import Path
 
 import numpy as np
 
-from equipoise.logs.run_log import RunLog
+from equipoise.log.run_log import RunLog
 
 ANSWERS = ((re.compile(r"Type (\w+)\."), None), (re.compile(r"y or n"), "y"))
 """Pattern of each prompt, and its answer; None if the first group of the match is the answer."""
@@ -65,24 +65,24 @@ def main() -> None:
     parser.add_argument("--console", choices=("client", "browser"), help="who watches")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--json", type=Path, help="file of the results")
-    given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    given.lateness = {kind: {False: [], True: []} for kind in KINDS}
-    runs = lasted = 0
-    for number in range(given.runs):
-        both = (number % 2 == 1, number % 2 == 0) if given.console else (False,)
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    args.lateness = {kind: {False: [], True: []} for kind in KINDS}
+    runs = survived = 0
+    for number in range(args.runs):
+        both = (number % 2 == 1, number % 2 == 0) if args.console else (False,)
         for console in both:
-            for _ in range(ATTEMPTS if given.console else 1):
-                outcome = _run(given, number, console)
-                runs, lasted = runs + 1, lasted + (outcome.get("outcome") == "lasted")
+            for _ in range(ATTEMPTS if args.console else 1):
+                outcome = _run(args, number, console)
+                runs, survived = runs + 1, survived + (outcome.get("outcome") == "survived")
                 print(json.dumps({"number": number, "console": console, **outcome}), flush=True)
                 if KINDS[0] in outcome:
                     break
-    total = {"world": given.world, "runs": runs, "lasted": lasted}
-    compared = given.console and all(given.lateness[KINDS[0]].values())
+    total = {"world": args.world, "runs": runs, "survived": survived}
+    compared = args.console and all(args.lateness[KINDS[0]].values())
     rng = np.random.default_rng(0)
     for kind in KINDS if compared else ():
-        late = given.lateness[kind]
+        late = args.lateness[kind]
         without, beside = (_p999(np.concatenate(late[console])) for console in (False, True))
         ratios: list[float] = []
         for _ in range(RESAMPLES):
@@ -95,24 +95,24 @@ def main() -> None:
             "interval": np.quantile(ratios, (0.025, 0.975)).tolist(),
         }
     print(json.dumps(total))
-    if given.json:
-        given.json.write_text(json.dumps(total))
+    if args.json:
+        args.json.write_text(json.dumps(total))
 
 
 def _p999(late: np.ndarray) -> float:
     return float(np.quantile(late, 0.999))
 
 
-def _run(given: argparse.Namespace, number: int, console: bool) -> dict[str, object]:
+def _run(args: argparse.Namespace, number: int, console: bool) -> dict[str, object]:
     """Make one run on a rig of its own; return what came of it."""
     said: list[str] = []
-    log = given.out / f"run-{number}{'-console' if console else ''}.mcap"
+    log = args.out / f"run-{number}{'-console' if console else ''}.mcap"
     with tempfile.TemporaryDirectory() as folder:
         link = Path(folder) / "encoder"
         rig = subprocess.Popen(
             [
-                *(*EQUIPOISE, "rig", "emulate", "--world", given.world, "--seed", str(number)),
-                *("--robot", given.robot, "--arm", given.arm, "--encoder-link", str(link)),
+                *(*EQUIPOISE, "rig", "emulate", "--world", args.world, "--seed", str(number)),
+                *("--robot", args.robot, "--arm", args.arm, "--encoder-link", str(link)),
             ],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -127,7 +127,7 @@ def _run(given: argparse.Namespace, number: int, console: bool) -> dict[str, obj
                 time.sleep(0.1)
             before = sum(STALL in line for line in said)
             with _witness(Path(folder) / "gaps") as gaps:
-                outcome = _deploy(given, link, log, console, rig)
+                outcome = _deploy(args, link, log, console, rig)
             outcome["stalls"] = sum(STALL in line for line in said) - before
         finally:
             rig.send_signal(signal.SIGINT)
@@ -138,9 +138,9 @@ def _run(given: argparse.Namespace, number: int, console: bool) -> dict[str, obj
         late = np.maximum(tick["late"], 0.0)
         stood = _stood_still(tick["time"] - late, tick["time"], np.array(gaps).reshape(-1, 2))
         for kind, ticks in zip(KINDS, (late, late[~stood]), strict=True):
-            given.lateness[kind][console].append(ticks)
+            args.lateness[kind][console].append(ticks)
             outcome[kind] = {"ticks": len(ticks), "p999_ms": 1e3 * _p999(ticks)}
-    elif given.console:
+    elif args.console:
         log.unlink()
     return outcome
 
@@ -234,7 +234,7 @@ WATCHERS = {"client": _receive, "browser": _open_in_a_browser}
 
 
 def _deploy(
-    given: argparse.Namespace,
+    args: argparse.Namespace,
     link: Path,
     log: Path,
     console: bool,
@@ -243,9 +243,9 @@ def _deploy(
     """Run once, typing the answers and moving the emulated hand; return what came of it."""
     process = subprocess.Popen(
         [
-            *(*EQUIPOISE, "deploy", *([given.policy] if given.policy else [])),
-            *("--robot", f"{given.robot}://127.0.0.1", "--encoder", f"serial://{link}"),
-            *("--arm", given.arm, "--duration", str(given.duration), "--out", str(log), "--json"),
+            *(*EQUIPOISE, "deploy", *([args.policy] if args.policy else [])),
+            *("--robot", f"{args.robot}://127.0.0.1", "--encoder", f"serial://{link}"),
+            *("--arm", args.arm, "--duration", str(args.duration), "--out", str(log), "--json"),
         ],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -263,7 +263,7 @@ def _deploy(
             subprocess.Popen([*EQUIPOISE, "console"], stdout=subprocess.PIPE, text=True)
         )
         page = CONSOLE.search(watchers[0].stdout.readline())  # type: ignore[union-attr]
-        watchers.append(WATCHERS[given.console](page[0], profile))  # type: ignore[index]
+        watchers.append(WATCHERS[args.console](page[0], profile))  # type: ignore[index]
     reader = threading.Thread(target=lambda: result.append(process.stdout.read()))  # type: ignore[union-attr]
     reader.start()
     last = ""

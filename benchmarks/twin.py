@@ -16,17 +16,17 @@ import time
 from pathlib import Path
 from statistics import median
 
+from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import TabularPolicy
 from equipoise.executors import available_cores
 from equipoise.identification.actuator import identify_run
 from equipoise.learning.train import ATTEMPTS, train_to_target
 from equipoise.model.actuator import Actuator, shipped_actuator
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.rig.simulate import excite
 from equipoise.settings import resolve
-from equipoise.worlds.evaluation import Evaluation, evaluate, exact_interval
+from equipoise.simulation.evaluation import Evaluation, evaluate, exact_interval
 
 
 def main() -> None:
@@ -43,46 +43,46 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--json", type=Path, help="file of the results")
-    given = parser.parse_args()
-    arm, cores = iiwa(given.arm), available_cores()
+    args = parser.parse_args()
+    arm, cores = iiwa(args.arm), available_cores()
     settings = resolve(
         overrides=[
-            f"evaluation.trials={given.trials}",
-            f"evaluation.duration={given.duration}",
-            *given.set,
+            f"evaluation.trials={args.trials}",
+            f"evaluation.duration={args.duration}",
+            *args.set,
         ]
     )
-    pendulum = shipped_pendulum() if given.pendulum is None else Pendulum.load(given.pendulum)
-    world = given.world
-    file, actuator = given.out / "actuator.json", shipped_actuator()
+    pendulum = shipped_pendulum() if args.pendulum is None else Pendulum.load(args.pendulum)
+    world = args.world
+    file, actuator = args.out / "actuator.json", shipped_actuator()
     if file.exists():
         actuator = Actuator.load(file)
     elif world not in (MODEL, IDEAL):
-        actuator = identify_run(excite(arm, given.world, pendulum, seed=0))
+        actuator = identify_run(excite(arm, args.world, pendulum, seed=0))
         actuator.save(file, command="identify")
     found: list[dict] = []
-    for seed in range(given.first, given.first + given.seeds):
+    for seed in range(args.first, args.first + args.seeds):
         begin = time.perf_counter()
-        file = given.out / f"policy-{seed}.json"
+        file = args.out / f"policy-{seed}.json"
         if not file.exists():
             policy = train_to_target(
                 pendulum,
                 arm,
                 settings,
-                attempts=given.attempts,
+                attempts=args.attempts,
                 actuator=actuator,
                 seed=seed,
                 workers=cores,
             )
             policy.save(file, command="train", inputs={"actuator": actuator.digest})
         policy, trained = TabularPolicy.load(file), time.perf_counter() - begin
-        lengths = f"{given.trials}x{given.duration:g}s"
-        file = given.out / f"evaluation-{world.replace(':', '-')}-{lengths}-{seed}.json"
+        lengths = f"{args.trials}x{args.duration:g}s"
+        file = args.out / f"evaluation-{world.replace(':', '-')}-{lengths}-{seed}.json"
         if not file.exists():
             evaluation = evaluate(
                 policy,
                 settings,
-                world=given.world,
+                world=args.world,
                 with_baselines=False,
                 workers=cores,
             )
@@ -103,21 +103,21 @@ def main() -> None:
             "all_s": round(time.perf_counter() - begin),
         }
         print(json.dumps(row | more), flush=True)
-    lasted, trials = sum(row["survived"] for row in found), given.seeds * given.trials
+    survived, trials = sum(row["survived"] for row in found), args.seeds * args.trials
     total = {
-        "world": given.world,
+        "world": args.world,
         "arm": arm.name,
-        "seeds": given.seeds,
-        "survived": lasted,
+        "seeds": args.seeds,
+        "survived": survived,
         "trials": trials,
-        "interval": exact_interval(lasted, trials),
+        "interval": exact_interval(survived, trials),
         "median_s": median(row["median_s"] for row in found),
         "seeds_at_99_percent": sum(row["survived"] >= 0.99 * row["trials"] for row in found),
         "worst": min(found, key=lambda row: row["survived"]),
     }
     print(json.dumps(total))
-    if given.json:
-        given.json.write_text(json.dumps(total | {"by_seed": found}))
+    if args.json:
+        args.json.write_text(json.dumps(total | {"by_seed": found}))
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from checks import check
 from scipy.constants import g
 
 import equipoise as eq
-from equipoise.apps.report.figures import free_swing
+from equipoise.report.figures import free_swing
 
 # %% [markdown]
 # ## Three numbers

@@ -11,9 +11,9 @@ from checks import check
 
 import equipoise as eq
 from equipoise import paper
-from equipoise.control.grid import box_count, box_index
 from equipoise.learning.episodes import training_config
-from equipoise.learning.learner import Transition, new_tables, q_learning
+from equipoise.learning.q_learning import Transition, new_tables, q_learning
+from equipoise.model.grid import box_count, box_index
 
 # %% [markdown]
 # ## Grid
@@ -168,15 +168,15 @@ plt.show()
 
 # %% [markdown]
 # **Exercise 4.** The task is the same in a mirror: with the opposite state, the opposite acceleration.
-# So box $i$ and box $269 - i$ should have opposite actions. For what share of the boxes is that so?
+# So box $i$ and box $269 - i$ should have opposite actions. For what fraction of the boxes is that so?
 
 # %% tags=["exercise"]
-share = ...
+fraction = ...
 
 # %%
 check(
     4,
-    share,
+    fraction,
     lambda s: abs(s - np.mean(trained.u_of_box == -trained.u_of_box[::-1])) < 1e-9,
     "Compare trained.u_of_box with its negative in reverse order, u[::-1].",
 )

@@ -65,7 +65,7 @@ def text(seconds):
 
 def draw(values, results, label):
     """Draw the mean survival with its 95 % interval."""
-    middle, half = np.transpose([mean(each.survival) for each in results])
+    middle, half = np.transpose([mean(policy.survival) for policy in results])
     _, axes = plt.subplots(figsize=(6, 3))
     axes.errorbar(values, middle, yerr=half, marker="o", capsize=3)
     axes.set(xlabel=label, ylabel="mean survival [s]", ylim=(0, 32))
@@ -77,7 +77,7 @@ print("on its own plant", text(at_home.results.survival))
 print("on a clean twin ", text(clean.survival))
 
 # %% [markdown]
-# Behind ± stands half the 95 % interval of the mean. If all trials lasted, the trials show no spread, and the interval
+# Behind ± stands half the 95 % interval of the mean. If all trials survived, the trials show no spread, and the interval
 # has no width.
 #
 # ## Delay
@@ -190,7 +190,7 @@ check(
 
 # %%
 def difference(results):
-    """Return by how much longer each trial lasted than on the clean twin [s]."""
+    """Return by how much longer each trial survived than on the clean twin [s]."""
     return np.subtract(results.survival, clean.survival)
 
 

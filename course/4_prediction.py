@@ -50,11 +50,11 @@ nominal = eq.read_world("twin:nominal")
 
 def settings_with(predict):
     """Return the settings of the policy for 20 trials of 30 s, with or without prediction."""
-    given = policy.settings
-    return given.model_copy(
+    args = policy.settings
+    return args.model_copy(
         update={
-            "controller": given.controller.model_copy(update={"predict": predict}),
-            "evaluation": given.evaluation.model_copy(update={"trials": 20, "duration": 30.0}),
+            "controller": args.controller.model_copy(update={"predict": predict}),
+            "evaluation": args.evaluation.model_copy(update={"trials": 20, "duration": 30.0}),
         }
     )
 
@@ -123,14 +123,14 @@ check(
 p = np.linspace(0.5, 1.0, 200)
 figure, axes = plt.subplots(figsize=(6, 3))
 for n in (10, 50, 299):
-    axes.plot(p, p**n, label=f"{n} of {n} lasted")
+    axes.plot(p, p**n, label=f"{n} of {n} survived")
 axes.axhline(0.05, color="0.6", linestyle="--")
 axes.set(xlabel="true probability to last", ylabel="chance of what was seen")
 axes.legend()
 plt.show()
 
 # %% [markdown]
-# **Exercise 2.** Ten of ten lasted. What is the largest probability that is still ruled out, with 95 % confidence?
+# **Exercise 2.** Ten of ten survived. What is the largest probability that is still ruled out, with 95 % confidence?
 
 # %% tags=["exercise"]
 bound = ...

@@ -66,7 +66,7 @@ CONTENTS = {
         "/docs/how-to/learn-from-the-robot",
         "/docs/how-to/real-time",
         "/docs/how-to/change-the-reward",
-        "/docs/how-to/bring-a-learner",
+        "/docs/how-to/bring-an-algorithm",
         "/docs/how-to/bring-a-policy",
         "/docs/how-to/bring-a-robot",
         "/docs/how-to/bring-an-arm",
@@ -172,8 +172,8 @@ def add_range(
     field = getattr(locate(parent), "model_fields", {}).get(attribute)
     if field is None or field.is_required() or isinstance(field.default, BaseModel):
         return
-    given = field.default
-    default = f"{given:g}" if isinstance(given, float) else FUNCTION.sub(r"\1", repr(given))
+    default = field.default
+    default = f"{default:g}" if isinstance(default, float) else FUNCTION.sub(r"\1", repr(default))
     facts = [f"default ``{default}``"]
     for bound in field.metadata:
         facts += [f"{sign} {getattr(bound, key):g}" for key, sign in LIMITS if hasattr(bound, key)]

@@ -54,7 +54,7 @@ def value_at(values: Any, path: str) -> Any:
     """Return the value at a path below `values`; None below a null."""
     for key in path.replace("~", " ").split("."):
         if isinstance(values, list):
-            named = {each.get("name"): each for each in values if isinstance(each, dict)}
+            named = {row.get("name"): row for row in values if isinstance(row, dict)}
             chosen = [
                 named[name] if name in named else values[int(name)] for name in key.split(",")
             ]
@@ -71,7 +71,7 @@ def show(value: Any, form: str) -> str:
     if isinstance(value, dict):
         return f"{value['survived']:,} of {value['trials']:,}"
     if isinstance(value, list):
-        *first, last = (show(each, form) for each in value)
+        *first, last = (show(row, form) for row in value)
         return " to ".join([*(text.removesuffix(" %") for text in first), last])
     return re.sub(r"^100\.0*%", "100%", format(value, form)).replace("%", " %")
 
@@ -103,7 +103,7 @@ def texts(page: str, results: dict[str, Any]) -> Iterator[tuple[str, tuple[int, 
 
 def render(page: str, results: dict[str, Any]) -> str:
     """Return a page with all texts of its marks from the file."""
-    for _, (begin, end), text in sorted(texts(page, results), key=lambda each: -each[1][0]):
+    for _, (begin, end), text in sorted(texts(page, results), key=lambda row: -row[1][0]):
         page = page[:begin] + text + page[end:]
     return page
 
@@ -151,10 +151,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--check", action="store_true", help="write nothing")
     parser.add_argument("names", nargs="*", metavar="run SECTION", help="by default all sections")
-    given = parser.parse_args()
+    args = parser.parse_args()
     results = json.loads(FILE.read_text())
-    verb, *names = given.names or ["render"]
-    if given.names and (verb != "run" or not results.keys() >= set(names)):
+    verb, *names = args.names or ["render"]
+    if args.names and (verb != "run" or not results.keys() >= set(names)):
         parser.error(f"expected run and sections of {', '.join(results)}")
     for name in names or results if verb == "run" else ():
         section = run(results[name]["command"])
@@ -164,8 +164,8 @@ def main() -> None:
     for path in PAGES:
         page, name = path.read_text(), path.relative_to(ROOT)
         try:
-            if given.check:
-                wrong += [f"{name}: {each}" for each in differences(page, results)]
+            if args.check:
+                wrong += [f"{name}: {row}" for row in differences(page, results)]
             elif (new := render(page, results)) != page:
                 path.write_text(new)
         except ValueError as error:

@@ -23,8 +23,8 @@ from mcap.writer import Writer
 from scipy.spatial.transform import Rotation
 
 import equipoise as eq
-from equipoise.model.arms.scene import scene
-from equipoise.model.physics_engine import mujoco
+from equipoise.arm.scene import scene
+from equipoise.physics_engine import mujoco
 
 RATE = 25.0  # of the transforms [Hz], that of a film
 

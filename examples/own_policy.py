@@ -36,7 +36,7 @@ def main() -> None:
     settings = eq.resolve(overrides=["evaluation.trials=5", "evaluation.duration=10"])
     evaluation = eq.evaluate(Damped, settings, world="twin:nominal")
     summary = evaluation.results.summary()
-    print(f"{summary.survived} of {summary.trials} trials lasted {evaluation.duration:g} s")
+    print(f"{summary.survived} of {summary.trials} trials survived {evaluation.duration:g} s")
     print("ended by:", summary.outcomes)
 
 

@@ -19,8 +19,8 @@ settings = eq.resolve(
 policy = eq.train(pendulum, "iiwa14", settings, seed=1, workers=2)
 chosen = policy.checkpoints[0]
 print(
-    f"trained {policy.episodes} episodes; the table after {chosen.episodes} is kept, which lasted "
-    f"{chosen.survived} of {chosen.trials} trials of the selection"
+    f"trained {policy.episodes} episodes; the table after {chosen.episodes} is kept, "
+    f"which survived {chosen.survived} of {chosen.trials} trials of the selection"
 )
 evaluation = eq.evaluate(policy, seed=1, workers=2)
 
@@ -28,7 +28,7 @@ for results in (evaluation.results, *evaluation.baselines):
     summary = results.summary()
     low, high = summary.interval
     print(
-        f"{results.name:12} lasted {summary.survived:3} of {summary.trials} trials "
+        f"{results.name:12} survived {summary.survived:3} of {summary.trials} trials "
         f"(95 %: {low:.3f} to {high:.3f}), median {summary.median:.1f} s, {summary.outcomes}"
     )
 

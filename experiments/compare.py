@@ -1,9 +1,9 @@
 """Compare policies: learned tables, searched and solved ones, baselines, and policies of others.
 
 Each row is a policy, each column a world. All rows run the same trials: start, plant and noise of
-trial i depend on the seed and i alone. Every learner has the same episodes, one training and the
+trial i depend on the seed and i alone. Every algorithm has the same episodes, one training and the
 settings of its recipe; nothing is chosen for a row. Value iteration and the search for the best
-table are no learners but bounds. Every controller assumes the actuator of the training; with
+table are no algorithms but bounds. Every controller assumes the actuator of the training; with
 `--told` a further column of each twin has the twin's own actuator::
 
     python experiments/compare.py --told --out compare.png                 # half an hour
@@ -25,17 +25,17 @@ from value_iteration import solve_table
 import equipoise as eq
 from equipoise.control.policy import TaskPolicy, tick_policy
 from equipoise.executors import available_cores
-from equipoise.worlds.evaluation import Summary
-from equipoise.worlds.twin.servo_model import equivalent_actuator
+from equipoise.simulation.evaluation import Summary
+from equipoise.simulation.twin.servo_model import equivalent_actuator
 
-sys.path.append(str(Path(__file__).parents[1] / "examples" / "learners"))
+sys.path.append(str(Path(__file__).parents[1] / "examples" / "algorithms"))
 
 TRAINED = {
     "paper": ("paper",),
     "robust": ("robust",),
-    "expected-sarsa": ("robust", "learning.learner=expected_sarsa:learner"),
-    "watkins": ("robust", "learning.learner=watkins:learner"),
-    "double-q": ("robust", "learning.learner=double_q:learner"),
+    "expected-sarsa": ("robust", "learning.algorithm=expected_sarsa:algorithm"),
+    "watkins": ("robust", "learning.algorithm=watkins:algorithm"),
+    "double-q": ("robust", "learning.algorithm=double_q:algorithm"),
     "fine": ("fine",),
 }
 """Recipe and settings of each row that is trained."""
@@ -76,7 +76,7 @@ class Row(NamedTuple):
     """Time of training, solution or search [s]."""
 
 
-def made_rows(names: list[str], given: list[str], settings: list[str], quick: bool) -> dict:
+def made_rows(names: list[str], args: list[str], settings: list[str], quick: bool) -> dict:
     """Train, solve, search or load all policies; return the rows by name."""
     workers, tables = available_cores(), dict[str, eq.TabularPolicy]()
     pendulum, arm = eq.shipped_pendulum(), eq.iiwa(7)
@@ -101,14 +101,14 @@ def made_rows(names: list[str], given: list[str], settings: list[str], quick: bo
         else:
             task, kind = learned(BOUNDS[name]), "bound"
             starts = [
-                each.u_of_box
-                for each in tables.values()
-                if each.settings.boxes == task.settings.boxes
+                table.u_of_box
+                for table in tables.values()
+                if table.settings.boxes == task.settings.boxes
             ]
             policy = search_table(task, starts, workers=workers, **SIZES[quick][name])
         rows[name] = Row(policy, kind, time.perf_counter() - begin)
         print(f"{name}: made in {rows[name].wall:.0f} s", flush=True)
-    return rows | {name: Row(eq.load_policy(name), "given") for name in given}
+    return rows | {name: Row(eq.load_policy(name), "given") for name in args}
 
 
 def columns_of(worlds: list[str], told: bool) -> list[tuple[str, str, eq.Actuator | None]]:
@@ -132,8 +132,8 @@ def survival(
     settings = policy.settings.model_copy(update={"evaluation": evaluation})
     if policy.actuator.kind == "ideal":
         known = None  # the controller of the paper assumes an ideal arm everywhere
-    given = {"with_baselines": False, "workers": available_cores()}
-    return eq.evaluate(policy, settings, world=world, actuator=known, **given).results.summary()
+    args = {"with_baselines": False, "workers": available_cores()}
+    return eq.evaluate(policy, settings, world=world, actuator=known, **args).results.summary()
 
 
 def rms_x(policy: TaskPolicy, duration: float) -> float:
@@ -155,7 +155,7 @@ def decision_time(policy: TaskPolicy) -> float:
 
 
 def draw(rows: dict[str, Row], titles: list[str], found: dict[tuple[str, str], Summary]) -> Figure:
-    """Draw the share of the trials that lasted, with its 95 % interval."""
+    """Draw the fraction of the trials that survived, with its 95 % interval."""
     figure = Figure(figsize=(10.0, 1.5 + 0.25 * len(rows)), layout="constrained")
     panels = figure.subplots(1, len(titles), sharey=True, squeeze=False)[0]
     for panel, title in zip(panels, titles, strict=True):
@@ -166,7 +166,7 @@ def draw(rows: dict[str, Row], titles: list[str], found: dict[tuple[str, str], S
             look = {"fmt": "o", "color": COLOURS[row.kind], "capsize": 2, "markersize": 4}
             panel.errorbar([100.0 * summary.rate], [place], xerr=np.maximum(arms, 0.0), **look)
         panel.set_title(title.replace(", ", "\n"), fontsize=9)
-        panel.set(xlim=(-3, 103), xticks=[0, 50, 100], xlabel="lasted [%]")
+        panel.set(xlim=(-3, 103), xticks=[0, 50, 100], xlabel="survived [%]")
     panels[0].set_yticks(range(len(rows)), [name.rpartition("/")[2] for name in rows])
     panels[0].invert_yaxis()
     return figure
@@ -185,11 +185,11 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="short searches")
     parser.add_argument("--out", default="compare.png", help="figure")
     parser.add_argument("--json", type=Path, help="file of the results")
-    given = parser.parse_args()
-    rows = made_rows(given.rows, given.policies, given.set, given.quick)
-    columns = columns_of(given.worlds, given.told)
+    args = parser.parse_args()
+    rows = made_rows(args.rows, args.policies, args.set, args.quick)
+    columns = columns_of(args.worlds, args.told)
     found = {
-        (name, title): survival(row.policy, world, known, given.trials, given.duration)
+        (name, title): survival(row.policy, world, known, args.trials, args.duration)
         for name, row in rows.items()
         for title, world, known in columns
     }
@@ -199,7 +199,7 @@ def main() -> None:
     made: list[dict] = []
     for name, row in rows.items():
         cells = [f"{found[name, t].rate:.0%} ({found[name, t].median:.1f} s)" for t in titles]
-        rms_mm = 1e3 * rms_x(row.policy, given.duration)
+        rms_mm = 1e3 * rms_x(row.policy, args.duration)
         cells.append(f"{rms_mm:.1f}")
         made.append({"name": Path(name).stem, "rms_x_mm": rms_mm})
         for title in titles:
@@ -207,10 +207,10 @@ def main() -> None:
             made[-1][key] = {field: getattr(found[name, title], field) for field in STORED}
         cells += [f"{row.wall:.0f} s", f"{1e6 * decision_time(row.policy):.1f} us"]
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
-    draw(rows, titles, found).savefig(given.out, dpi=150)
-    if given.json:
-        about = {"trials": given.trials, "duration": given.duration, "seed": 0}
-        given.json.write_text(json.dumps(about | {"rows": made}))
+    draw(rows, titles, found).savefig(args.out, dpi=150)
+    if args.json:
+        about = {"trials": args.trials, "duration": args.duration, "seed": 0}
+        args.json.write_text(json.dumps(about | {"rows": made}))
 
 
 if __name__ == "__main__":

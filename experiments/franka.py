@@ -44,31 +44,31 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=60.0, help="of trials and runs [s]")
     parser.add_argument("--out", type=Path, required=True, help="folder of the files")
     parser.add_argument("--json", type=Path, help="file of the results")
-    given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
     # The identification does not depend on the policy of its run.
     policy = eq.shipped_policy().model_copy(update={"arm": RIG.described_arm})
     request = RunRequest(
-        policy, policy.actuator, RIG, f"franka://{WORLD}", None, given.duration, identify=identify
+        policy, policy.actuator, RIG, f"franka://{WORLD}", None, args.duration, identify=identify
     )
-    logs = in_processes(identified, [replace(request, seed=s) for s in range(given.logs)])
+    logs = in_processes(identified, [replace(request, seed=s) for s in range(args.logs)])
     found = [log for log in logs if log is not None]
     for actuator in found:
         print(actuator.summary, flush=True)
-    found[0].save(given.out / "actuator.json", command="experiments/franka.py", inputs={})
-    policies, trials = trained(found[0], given)
-    policies[0].save(given.out / "policy.json")
+    found[0].save(args.out / "actuator.json", command="experiments/franka.py", inputs={})
+    policies, trials = trained(found[0], args)
+    policies[0].save(args.out / "policy.json")
     request = replace(request, policy=policies[0], actuator=policies[0].actuator, identify=None)
-    ends = Counter(in_processes(outcome, [replace(request, seed=s) for s in range(given.runs)]))
+    ends = Counter(in_processes(outcome, [replace(request, seed=s) for s in range(args.runs)]))
     print(dict(ends))
     results = {
         "servo_ms": servo(found),
         "trials": trials,
-        "runs": {"survived": ends[Outcome.LASTED], "trials": given.runs},
+        "runs": {"survived": ends[Outcome.SURVIVED], "trials": args.runs},
     }
     print(json.dumps(results))
-    if given.json:
-        given.json.write_text(json.dumps(results))
+    if args.json:
+        args.json.write_text(json.dumps(results))
 
 
 def identify(sent: Any, measured: Any) -> Actuator:
@@ -95,40 +95,42 @@ def outcome(request: RunRequest) -> Outcome:
     return end.outcome
 
 
-def trained(actuator: Actuator, given: argparse.Namespace) -> tuple[list[Any], dict[str, Any]]:
-    """Return a policy for each seed, and how many of their trials lasted."""
+def trained(actuator: Actuator, args: argparse.Namespace) -> tuple[list[Any], dict[str, Any]]:
+    """Return a policy for each seed, and how many of their trials survived."""
     settings, cores = eq.Settings(), available_cores()
     trials = settings.evaluation.model_copy(
-        update={"trials": given.trials, "duration": given.duration}
+        update={"trials": args.trials, "duration": args.duration}
     )
     policies, rates = list[Any](), list[float]()
-    for seed in range(given.seeds):
+    for seed in range(args.seeds):
         policy = eq.train(None, RIG.described_arm, actuator=actuator, seed=seed, workers=cores)
         numbers = policy.settings.model_copy(update={"evaluation": trials})
         found = eq.evaluate(
             policy, numbers, world=WORLD, seed=seed + UNSEEN, with_baselines=False, workers=cores
         )
-        rates.append(float(np.mean([one == Outcome.LASTED for one in found.results.outcomes])))
+        rates.append(float(np.mean([one == Outcome.SURVIVED for one in found.results.outcomes])))
         policies.append(policy)
         print(seed, rates[-1], flush=True)
-    lasted = round(sum(rates) * given.trials)
+    survived = round(sum(rates) * args.trials)
     return policies, {
-        "survived": lasted,
-        "trials": given.seeds * given.trials,
+        "survived": survived,
+        "trials": args.seeds * args.trials,
         "worst": min(rates),
     }
 
 
 def servo(found: list[Actuator]) -> dict[str, Any]:
     """Return mean and standard deviation of the delay, its mean half width, and lags [ms]."""
-    delays = 1e3 * np.array([(each.delay.value, each.delay.low, each.delay.high) for each in found])
-    lags = 1e3 * np.mean([[lag.value for lag in each.lags] for each in found], axis=0)
+    delays = 1e3 * np.array(
+        [(actuator.delay.value, actuator.delay.low, actuator.delay.high) for actuator in found]
+    )
+    lags = 1e3 * np.mean([[lag.value for lag in actuator.lags] for actuator in found], axis=0)
     return {
         "logs": len(found),
         "delay": {"mean": delays[:, 0].mean(), "sd": delays[:, 0].std()},
         "half_width": float(np.mean(delays[:, 2] - delays[:, 1]) / 2.0),
         "lags": [lags.min(), lags.max()],
-        "rms_mrad": 1e3 * float(np.mean([each.fit.rms for each in found if each.fit])),
+        "rms_mrad": 1e3 * float(np.mean([actuator.fit.rms for actuator in found if actuator.fit])),
     }
 
 

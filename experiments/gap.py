@@ -32,7 +32,7 @@ from scipy.stats import t as student
 import equipoise as eq
 from equipoise.executors import available_cores
 from equipoise.model.worlds import CLEAN, EFFECTS, WORLDS, TwinSettings, World
-from equipoise.worlds.twin.servo_model import equivalent_actuator
+from equipoise.simulation.twin.servo_model import equivalent_actuator
 
 DELAYS = (0.0, 0.005, 0.010, 0.020, 0.030)
 """Transport delays [s]."""
@@ -103,8 +103,8 @@ class Study(NamedTuple):
         if world is not None and not is_paper and controller != "training actuator":
             known = identified_on(self.policy.actuator, self.twin.settings, world)
         there = "model" if world is None else World(self.twin.name, world)
-        given = {"with_baselines": False, "workers": available_cores()}
-        found = eq.evaluate(table, settings, world=there, actuator=known, **given)
+        args = {"with_baselines": False, "workers": available_cores()}
+        found = eq.evaluate(table, settings, world=there, actuator=known, **args)
         return found.results.survival
 
 
@@ -174,9 +174,9 @@ def effects(study: Study) -> Effects:
     return Effects(plant, mean_of(at_best), mean_of(as_is), found)
 
 
-def lasted(survival: Sequence[float], given: argparse.Namespace) -> dict[str, int]:
-    """Return how many of the trials lasted."""
-    return {"survived": sum(t >= given.duration for t in survival), "trials": len(survival)}
+def survived(survival: Sequence[float], args: argparse.Namespace) -> dict[str, int]:
+    """Return how many of the trials survived."""
+    return {"survived": sum(t >= args.duration for t in survival), "trials": len(survival)}
 
 
 def results(
@@ -246,29 +246,29 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="8 trials of 20 s, without worlds")
     parser.add_argument("--json", type=Path, help="file for the results")
     parser.add_argument("--out", default="gap.png", help="figure")
-    given = parser.parse_args()
-    policy = eq.TabularPolicy.load(given.policy) if given.policy else eq.shipped_policy()
-    settings = eq.resolve("paper", overrides=given.set)
+    args = parser.parse_args()
+    policy = eq.TabularPolicy.load(args.policy) if args.policy else eq.shipped_policy()
+    settings = eq.resolve("paper", overrides=args.set)
     paper = eq.train(policy.pendulum, policy.arm, settings, workers=available_cores())
-    length = {"trials": given.trials, "duration": given.duration}
-    if given.quick:
-        length = {"trials": min(given.trials, 8), "duration": min(given.duration, 20.0)}
-    study = Study(policy, paper, eq.read_world(given.world), length)
+    length = {"trials": args.trials, "duration": args.duration}
+    if args.quick:
+        length = {"trials": min(args.trials, 8), "duration": min(args.duration, 20.0)}
+    study = Study(policy, paper, eq.read_world(args.world), length)
     delay, zero = curves(study, "transport", DELAYS), curves(study, "zero_offset", ZEROS)
     found = effects(study)
-    draw(delay, zero, found.changes).savefig(given.out, dpi=150)
+    draw(delay, zero, found.changes).savefig(args.out, dpi=150)
     worlds: dict[str, Any] = {}
-    for name in () if given.quick else WORLDS:
+    for name in () if args.quick else WORLDS:
         world = eq.read_world(f"twin:{name}").settings
         known, training = (study.survival(who, world) for who in ("cured", "training actuator"))
         worlds[name] = {
-            "known": lasted(known, given),
-            "training": lasted(training, given),
+            "known": survived(known, args),
+            "training": survived(training, args),
             "training_mean": float(np.mean(training)),
         }
         print(name, worlds[name], flush=True)
-    if given.json:
-        given.json.write_text(json.dumps(results(delay, zero, found, worlds), indent=1))
+    if args.json:
+        args.json.write_text(json.dumps(results(delay, zero, found, worlds), indent=1))
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import numpy as np
 
 import equipoise as eq
 from equipoise.model.worlds import WORLDS
-from equipoise.worlds.twin.servo_model import equivalent_actuator
+from equipoise.simulation.twin.servo_model import equivalent_actuator
 
 KUKA = list(WORLDS)
 """Worlds of the default arm."""

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 import equipoise as eq
-from equipoise.control.grid import TRUNCATED
 from equipoise.control.policy import tick_policy
 from equipoise.executors import available_cores, completed
+from equipoise.model.grid import TRUNCATED
 from equipoise.model.random import TEST
 from equipoise.settings import changed
-from equipoise.worlds import Recorder, run_trial, setup_of, simulate
-from equipoise.worlds.evaluation import Summary, exact_interval
+from equipoise.simulation import Recorder, run_trial, setup_of, simulate
+from equipoise.simulation.evaluation import Summary, exact_interval
 
 PUSH = radians(60.0)
 """Change of the pendulum's rate by a push [rad/s], to either side in turn."""
@@ -51,8 +51,8 @@ def rungs(overrides: list[str]) -> dict[str, eq.Settings]:
     found: dict[str, eq.Settings] = {}
     for name, taken in CHANGES.items():
         changes: dict[str, Any] = {}
-        for each in taken:
-            section, _, key = each.partition(".")
+        for result in taken:
+            section, _, key = result.partition(".")
             group = getattr(default, section)
             keys = [key] if key else type(group).model_fields
             changes |= {f"{section}.{one}": getattr(group, one) for one in keys}
@@ -67,7 +67,7 @@ def tested(found: list[Summary]) -> dict[str, Any]:
     rates = [s.rate for s in found]
     return {
         "trials": trials,
-        "share": survived / trials,
+        "fraction": survived / trials,
         "interval": exact_interval(survived, trials),
         "worst": min(rates),
         "median_seed": float(np.median(rates)),
@@ -118,11 +118,11 @@ def main() -> None:
     parser.add_argument("--worlds", nargs="+", default=["twin:nominal", "twin:harsh"])
     parser.add_argument("--set", action="append", default=[], help="a setting of every rung")
     parser.add_argument("--json", type=Path, help="file for the results")
-    given = parser.parse_args()
+    args = parser.parse_args()
     pendulum, arm = eq.shipped_pendulum(), eq.iiwa(7)
-    length = {"evaluation.trials": given.trials, "evaluation.duration": given.duration}
+    length = {"evaluation.trials": args.trials, "evaluation.duration": args.duration}
     rows: list[dict[str, Any]] = []
-    for name, rung in rungs(given.set).items():
+    for name, rung in rungs(args.set).items():
         settings = changed(rung, length)
         # A controller that predicts nothing assumes an arm without delay.
         known = eq.shipped_actuator() if settings.controller.predict else None
@@ -132,20 +132,22 @@ def main() -> None:
         ) -> tuple[list[Summary], int]:
             policy = eq.train(pendulum, arm, settings, seed=seed)
             how: dict[str, Any] = {"actuator": known, "seed": seed, "with_baselines": False}
-            evaluations = (eq.evaluate(policy, settings, world=w, **how) for w in given.worlds)
+            evaluations = (eq.evaluate(policy, settings, world=w, **how) for w in args.worlds)
             summaries = [evaluation.results.summary() for evaluation in evaluations]
-            return summaries, withstood(policy, known, given.trials)
+            return summaries, withstood(policy, known, args.trials)
 
-        found = [each for _, each in completed(results, range(given.seeds), available_cores())]
-        summaries = zip(*(each for each, _ in found), strict=True)
-        by_world = zip(given.worlds, summaries, strict=True)
-        row = {world.removeprefix("twin:"): tested(list(each)) for world, each in by_world}
-        pushed = sum(balanced for _, balanced in found) / (given.seeds * given.trials)
-        rows.append({"name": name, "seeds": given.seeds, "pushed": pushed} | row)
-        shares = (f"{world} {of['share']:.1%} ({of['median']:.1f} s)" for world, of in row.items())
-        print(f"{name}: {', '.join(shares)}, pushed {pushed:.1%}", flush=True)
-    if given.json:
-        given.json.write_text(json.dumps({"rows": rows}, indent=1))
+        found = [result for _, result in completed(results, range(args.seeds), available_cores())]
+        summaries = zip(*(result for result, _ in found), strict=True)
+        by_world = zip(args.worlds, summaries, strict=True)
+        row = {world.removeprefix("twin:"): tested(list(result)) for world, result in by_world}
+        pushed = sum(balanced for _, balanced in found) / (args.seeds * args.trials)
+        rows.append({"name": name, "seeds": args.seeds, "pushed": pushed} | row)
+        fractions = (
+            f"{world} {of['fraction']:.1%} ({of['median']:.1f} s)" for world, of in row.items()
+        )
+        print(f"{name}: {', '.join(fractions)}, pushed {pushed:.1%}", flush=True)
+    if args.json:
+        args.json.write_text(json.dumps({"rows": rows}, indent=1))
 
 
 if __name__ == "__main__":

@@ -32,13 +32,13 @@ from equipoise.executors import available_cores, completed
 from equipoise.model.random import TEST
 from equipoise.model.worlds import World
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
-from equipoise.worlds import setup_of, simulate
-from equipoise.worlds.evaluation import exact_interval
+from equipoise.simulation import setup_of, simulate
+from equipoise.simulation.evaluation import exact_interval
 
 DELAYS = (0.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0)
 """Transport delays [ms]."""
-STANDS = 0.95
-"""Share of 60 s trials that a policy has to last in simulation to count as balancing there."""
+SURVIVES = 0.95
+"""Fraction of 60 s trials that a policy has to last in simulation to count as balancing there."""
 SURVIVAL = (4.0, 6.0)
 """Survival that counts as the paper's 5 s [s]."""
 LEAN = (0.5 * abs(paper.PHI_AT_FAILURE_DEG), 2.0 * abs(paper.PHI_AT_FAILURE_DEG))
@@ -74,7 +74,7 @@ class Ends(NamedTuple):
 
     survival: np.ndarray
     """Duration of each trial [s], shape (n,)."""
-    lasted: np.ndarray
+    survived: np.ndarray
     """Whether it ended without a failure, shape (n,)."""
     track: np.ndarray
     """Whether it ended on the track, shape (n,)."""
@@ -94,8 +94,8 @@ class Ends(NamedTuple):
         if not inside.any():
             return 0.0
         leans = (lean > LEAN[0]) & (lean < LEAN[1])
-        share = np.mean((leans & self.track)[inside])
-        return float((high.mean() ** attempts - low.mean() ** attempts) * share)
+        fraction = np.mean((leans & self.track)[inside])
+        return float((high.mean() ** attempts - low.mean() ** attempts) * fraction)
 
 
 def run(policy: eq.TabularPolicy, world: str | World, trials: int, duration: float) -> Ends:
@@ -104,9 +104,9 @@ def run(policy: eq.TabularPolicy, world: str | World, trials: int, duration: flo
     rows = simulation.draw(trials)
     simulation.run(policy, rows, range(trials), duration=duration)
     outcomes = np.array([TRIAL_OUTCOMES[code] for code in rows.cause.tolist()])
-    lasted, track = outcomes == Outcome.LASTED, outcomes == Outcome.TRACK
+    survived, track = outcomes == Outcome.SURVIVED, outcomes == Outcome.TRACK
     lean = np.degrees(rows.end[:, 2]) * np.sign(rows.end[:, 0])
-    return Ends(paper.STEP * rows.steps, lasted, track, lean)
+    return Ends(paper.STEP * rows.steps, survived, track, lean)
 
 
 def median_interval(values: Sequence[float]) -> tuple[float, float]:
@@ -119,11 +119,11 @@ def median_interval(values: Sequence[float]) -> tuple[float, float]:
 
 def summary(found: Sequence[Ends]) -> dict[str, Any]:
     """Return the distribution over the seeds of a world."""
-    medians = [float(np.median(each.survival)) for each in found]
-    failed = np.concatenate([~each.lasted for each in found])
-    track = np.concatenate([each.track for each in found])
-    lean = np.concatenate([each.lean for each in found])[track]
-    shares = [float(each.lasted.mean()) for each in found]
+    medians = [float(np.median(ends.survival)) for ends in found]
+    failed = np.concatenate([~ends.survived for ends in found])
+    track = np.concatenate([ends.track for ends in found])
+    lean = np.concatenate([ends.lean for ends in found])[track]
+    fractions = [float(ends.survived.mean()) for ends in found]
     low, high = median_interval(medians)
     result: dict[str, Any] = {
         "seeds": len(found),
@@ -133,8 +133,8 @@ def summary(found: Sequence[Ends]) -> dict[str, Any]:
         "median_high": round(high, 2),
         "worst": round(min(medians), 2),
         "best": round(max(medians), 2),
-        "lasted": round(float(np.mean(shares)), 4),
-        "best_tenth": round(float(np.sort(shares)[-max(len(shares) // 10, 1) :].min()), 4),
+        "survived": round(float(np.mean(fractions)), 4),
+        "best_tenth": round(float(np.sort(fractions)[-max(len(fractions) // 10, 1) :].min()), 4),
         "track": round(float(track.sum() / max(failed.sum(), 1)), 4),
         "lean": round(float(np.median(lean)), 2) if len(lean) else None,
     }
@@ -191,7 +191,7 @@ def draw(robots: list[dict[str, Any]], delays: list[dict[str, Any]]) -> Figure:
         shaped, zero, label = KINDS[row["name"]]
         look: dict[str, Any] = {"color": "tab:blue" if shaped else "tab:orange", "label": label}
         look["linestyle"] = "-" if zero else "--"
-        medians = [each[row["name"]]["median"] for each in robots]
+        medians = [ends[row["name"]]["median"] for ends in robots]
         left.plot(DELAYS, medians, marker="o", markersize=3, **look)
         likelihood = row["either_side"]["likelihood"]
         density = np.array(likelihood) / max(np.trapezoid(likelihood, DELAYS), 1e-12)
@@ -217,24 +217,22 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--json", type=Path, help="file for the results")
     parser.add_argument("--out", default="literal.png", help="figure")
-    given = parser.parse_args()
-    settings, cores = eq.resolve("paper", overrides=given.set), available_cores()
+    args = parser.parse_args()
+    settings, cores = eq.resolve("paper", overrides=args.set), available_cores()
 
     def of_seed(seed: int) -> tuple[eq.TabularPolicy, Ends]:
         policy = eq.train(eq.shipped_pendulum(), eq.iiwa(7), settings, seed=seed)
-        return policy, run(policy, "ideal", given.ideal_trials, given.duration)
+        return policy, run(policy, "ideal", args.ideal_trials, args.duration)
 
-    trained = dict(completed(of_seed, range(given.seeds), cores))
-    policies, ends = zip(*(trained[i] for i in range(given.seeds)), strict=True)
+    trained = dict(completed(of_seed, range(args.seeds), cores))
+    policies, ends = zip(*(trained[i] for i in range(args.seeds)), strict=True)
     ideal = summary(ends)
     print(f"simulation: {ideal}", flush=True)
 
     def everywhere(world: str | World) -> list[Ends]:
         """Run all policies in a world."""
-        ended = completed(
-            lambda one: run(one, world, given.trials, given.duration), policies, cores
-        )
-        return [each for _, each in sorted(ended, key=lambda item: item[0])]
+        ended = completed(lambda one: run(one, world, args.trials, args.duration), policies, cores)
+        return [ends for _, ends in sorted(ended, key=lambda item: item[0])]
 
     twin = summary(everywhere("twin:nominal"))
     print(f"twin:nominal: {twin}", flush=True)
@@ -247,13 +245,13 @@ def main() -> None:
             row[kind] = summary(found[kind][-1])
             print(f"{delay:g} ms, {KINDS[kind][2]}: {row[kind]['median']} s", flush=True)
         robots.append(row)
-    stands = [i for i, each in enumerate(ends) if each.lasted.mean() >= STANDS]
-    delays = inferred(found, stands or range(given.seeds))
+    stands = [i for i, trained in enumerate(ends) if trained.survived.mean() >= SURVIVES]
+    delays = inferred(found, stands or range(args.seeds))
     for row in delays:
         for reading in READINGS:
             print(f"{row['label']}, {reading}: {row[reading]}")
-    draw(robots, delays).savefig(given.out, dpi=150)
-    if given.json:
+    draw(robots, delays).savefig(args.out, dpi=150)
+    if args.json:
         values = {
             "ideal": ideal,
             "twin": twin,
@@ -261,7 +259,7 @@ def main() -> None:
             "delays": delays,
             "stands": len(stands),
         }
-        given.json.write_text(json.dumps(values, indent=1))
+        args.json.write_text(json.dumps(values, indent=1))
 
 
 if __name__ == "__main__":

@@ -19,13 +19,13 @@ from matplotlib.patches import Rectangle
 from recoverable import RecoveryParams, fall, largest_start, make_recovery_params
 
 import equipoise as eq
-from equipoise.control.grid import TRUNCATED
 from equipoise.control.policy import TaskPolicy
 from equipoise.executors import available_cores
+from equipoise.model.grid import TRUNCATED
 from equipoise.model.random import MAP
-from equipoise.worlds import setup_of, simulate
-from equipoise.worlds.evaluation import exact_interval
-from equipoise.worlds.plant import DomainRandomization
+from equipoise.simulation import setup_of, simulate
+from equipoise.simulation.evaluation import exact_interval
+from equipoise.simulation.plant import DomainRandomization
 
 PLANES = {
     "flange at rest in the middle": (2, 3),
@@ -50,9 +50,9 @@ class MapSlice(NamedTuple):
     inside: np.ndarray
     """Whether each start is inside the boundary, shape (m,)."""
     held: np.ndarray
-    """Whether each trial lasted, shape (m,)."""
+    """Whether each trial survived, shape (m,)."""
 
-    def share(self) -> dict:
+    def fraction(self) -> dict:
         """Return how many of the starts inside the boundary are held, with its 95 % interval."""
         survived, trials = int(np.sum(self.held & self.inside)), int(np.sum(self.inside))
         interval = exact_interval(survived, trials)
@@ -134,9 +134,11 @@ def draw(slices: dict[str, MapSlice], settings: eq.Settings) -> Figure:
             panel.scatter(*starts[which].T, s=size, linewidths=0.5, label=label, **look)
         closed = unit * np.concatenate((found.edge, found.edge[:1]))
         panel.plot(*closed.T, color="black", label="beyond: no controller recovers")
-        share = found.share()
-        low, high = share["interval"]
-        panel.set_title(f"{title}\nheld: {share['rate']:.0%} [{low:.0%}, {high:.0%}] of the inside")
+        fraction = found.fraction()
+        low, high = fraction["interval"]
+        panel.set_title(
+            f"{title}\nheld: {fraction['rate']:.0%} [{low:.0%}, {high:.0%}] of the inside"
+        )
         panel.set(xlabel=LABELS[axes[0]], ylabel=LABELS[axes[1]])
         if axes == (2, 3):
             e = settings.evaluation
@@ -161,18 +163,18 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=10.0, help="length of a trial [s]")
     parser.add_argument("--out", default="map.png", help="figure")
     parser.add_argument("--json", type=Path, help="file of the results")
-    given = parser.parse_args()
-    policy = eq.load_policy(given.policy)
+    args = parser.parse_args()
+    policy = eq.load_policy(args.policy)
     slices = {
-        title: slice_of(policy, given.world, axes, given.starts, given.duration)
+        title: slice_of(policy, args.world, axes, args.starts, args.duration)
         for title, axes in PLANES.items()
     }
     for title, found in slices.items():
         print(f"{title}: {found.held.sum()} of {len(found.held)} starts held")
-    draw(slices, policy.settings).savefig(given.out, dpi=150)
-    if given.json:
-        shares = [found.share() for found in slices.values()]
-        given.json.write_text(json.dumps({"starts": given.starts, "slices": shares}))
+    draw(slices, policy.settings).savefig(args.out, dpi=150)
+    if args.json:
+        fractions = [found.fraction() for found in slices.values()]
+        args.json.write_text(json.dumps({"starts": args.starts, "slices": fractions}))
 
 
 if __name__ == "__main__":

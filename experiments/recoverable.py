@@ -1,6 +1,6 @@
 r"""Recoverable set: releases of the pendulum that some controller can balance.
 
-Failure angle and track make it smaller than the bound of `equipoise.worlds.reachability`: the
+Failure angle and track make it smaller than the bound of `equipoise.simulation.reachability`: the
 flange must also stop before its end.
 
 The arm is modelled as a delay T, after which it accelerates with :math:`|u| \le u_{max}`, held for
@@ -19,14 +19,14 @@ from scipy.linalg import expm
 from scipy.optimize import linprog
 
 from equipoise import paper
+from equipoise.arm.arm import FREE_JOINTS, Arm
 from equipoise.arrays import fields, new_records
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.errors import SettingsError
-from equipoise.model.actuator import CYCLE, Actuator, Servos, follow, lag_share
-from equipoise.model.arms.arm import FREE_JOINTS, Arm
+from equipoise.model.actuator import CYCLE, Actuator, Servos, follow, lag_fraction
 from equipoise.model.pendulum import PendulumParameters, step
 from equipoise.settings import Settings
-from equipoise.worlds.reachability import diverging_angle, fall_rate, recoverable_angle
+from equipoise.simulation.reachability import diverging_angle, fall_rate, recoverable_angle
 
 Array = npt.NDArray[np.float64]
 
@@ -122,7 +122,7 @@ def response_delay(arm: Arm, actuator: Actuator, rate: float, u_max: float = pap
     of_pivot = home.jacobian[0] + lever_z * home.jacobian[4] - lever_y * home.jacobian[5]
     records = new_records(Servos)
     servos = fields(records, Servos)
-    servos.fraction[:, 0] = [float(lag_share(lag.value)) for lag in actuator.lags]
+    servos.fraction[:, 0] = [float(lag_fraction(lag.value)) for lag in actuator.lags]
     interval = round(paper.STEP / SETPOINTS_PER_TICK / CYCLE)
     late, cycles = round(actuator.delay.value / CYCLE), round(RESPONSE_TIME / CYCLE)
     v = np.zeros(cycles)

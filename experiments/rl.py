@@ -34,7 +34,7 @@ from stable_baselines3.common.env_util import make_vec_env
 
 import equipoise.envs  # noqa: F401  (registers the environments)
 from equipoise import paper
-from equipoise.artefacts import write_whole
+from equipoise.files import write_whole
 
 HERE: Final = Path(__file__).parent
 ALGORITHMS: Final = ("dqn", "ppo", "sac")
@@ -149,7 +149,7 @@ def export(model: BaseAlgorithm, path: Path) -> int:
 
 def parameters(path: Path) -> int:
     """Return the number of parameters of an exported network."""
-    return sum(math.prod(each.dims) for each in onnx.load(str(path)).graph.initializer)
+    return sum(math.prod(tensor.dims) for tensor in onnx.load(str(path)).graph.initializer)
 
 
 def main() -> int:
@@ -159,15 +159,15 @@ def main() -> int:
     parser.add_argument("--only", choices=ALGORITHMS, action="append", help="repeatable")
     parser.add_argument("--steps", type=int, help="environment steps; by default those of the file")
     parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
+    args = parser.parse_args()
     torch.set_num_threads(1)
-    given.out.mkdir(parents=True, exist_ok=True)
-    for algorithm in given.only or ALGORITHMS:
-        path, record = (given.out / f"{algorithm}.{end}" for end in ("onnx", "json"))
+    args.out.mkdir(parents=True, exist_ok=True)
+    for algorithm in args.only or ALGORITHMS:
+        path, record = (args.out / f"{algorithm}.{end}" for end in ("onnx", "json"))
         if path.exists() or record.exists():
             print(f"error: {path} or {record} exists; give another --out", file=sys.stderr)
             return 2
-        model, wall = train(algorithm, given.steps, given.seed)
+        model, wall = train(algorithm, args.steps, args.seed)
         different = export(model, path)
         if different > DIFFERENT:
             print(
@@ -180,7 +180,7 @@ def main() -> int:
             "algorithm": algorithm,
             "environment": hyperparameters(algorithm)[0],
             "steps": int(model.num_timesteps),
-            "seed": given.seed,
+            "seed": args.seed,
             "train_s": wall,
             "parameters": parameters(path),
             "different": different,

@@ -1,8 +1,8 @@
 r"""Search over settings for the policy that lasts best, by Optuna.
 
 Each trial trains with other settings on several seeds and tests the policies; its value is the
-share of all tests that lasted. The tests vary the plant as the common settings (`--set`) say, so
-that all trials are tested alike even where they train on different variations. The best trial of
+fraction of all tests that survived. The tests vary the plant as the common settings (`--set`) say,
+so that all trials are tested alike even where they train on different variations. The best trial of
 many is best by chance, too: the finalists train and are tested again on seeds that the search has
 not seen. With `--storage` a sweep continues, on any number of machines::
 
@@ -48,41 +48,41 @@ def suggested(trial: optuna.Trial, ranges: dict[str, str]) -> list[str]:
     return overrides
 
 
-def share_lasted(overrides: list[str], seeds: range, given: argparse.Namespace) -> float:
-    """Train with settings on each seed, and return the share of all tests that lasted.
+def fraction_survived(overrides: list[str], seeds: range, args: argparse.Namespace) -> float:
+    """Train with settings on each seed, and return the fraction of all tests that survived.
 
     Raises:
         EquipoiseError: The settings are invalid, or cannot be trained.
     """
-    common = eq.resolve(given.recipe, overrides=given.set)
-    settings = eq.resolve(given.recipe, overrides=[*given.set, *overrides])
-    length: dict[str, Any] = {"trials": given.tests, "duration": given.duration}
+    common = eq.resolve(args.recipe, overrides=args.set)
+    settings = eq.resolve(args.recipe, overrides=[*args.set, *overrides])
+    length: dict[str, Any] = {"trials": args.tests, "duration": args.duration}
     evaluation = common.evaluation.model_copy(update=length)
     tested = settings.model_copy(update={"plant": common.plant, "evaluation": evaluation})
 
-    def share(seed: int) -> float:
+    def fraction(seed: int) -> float:
         policy = eq.train(eq.shipped_pendulum(), eq.iiwa(7), settings, seed=seed)
-        found = eq.evaluate(policy, tested, world=given.world, seed=seed, with_baselines=False)
+        found = eq.evaluate(policy, tested, world=args.world, seed=seed, with_baselines=False)
         return found.results.summary().rate
 
-    return float(np.mean([each for _, each in completed(share, seeds, available_cores())]))
+    return float(np.mean([result for _, result in completed(fraction, seeds, available_cores())]))
 
 
 def draw(study: optuna.Study) -> Figure:
-    """Draw the share of tests that lasted against each setting."""
+    """Draw the fraction of tests that survived against each setting."""
     trials = study.get_trials(states=[optuna.trial.TrialState.COMPLETE])
     names = sorted(trials[0].params)
     figure = Figure(figsize=(3.5 * len(names), 3.5), layout="constrained")
     panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
     for panel, name in zip(panels, names, strict=True):
         values = [trial.params[name] for trial in trials]
-        shares = 100.0 * np.array([trial.value for trial in trials])
-        panel.scatter(values, shares, c=range(len(trials)), cmap="viridis", s=15)
+        fractions = 100.0 * np.array([trial.value for trial in trials])
+        panel.scatter(values, fractions, c=range(len(trials)), cmap="viridis", s=15)
         if getattr(trials[0].distributions[name], "log", False):
             panel.set_xscale("log")
         panel.set_xlabel(name)
         panel.tick_params("x", rotation=45)
-    panels[0].set_ylabel("tests that lasted [%]")
+    panels[0].set_ylabel("tests that survived [%]")
     return figure
 
 
@@ -103,43 +103,41 @@ def main() -> None:
     parser.add_argument("--storage", help="database of Optuna, e.g. sqlite:///sweep.sqlite3")
     parser.add_argument("--json", type=Path, help="file for the finalists")
     parser.add_argument("--out", default="sweep.png", help="figure")
-    given = parser.parse_args()
-    ranges = dict(text.split("=", 1) for text in given.vary)
+    args = parser.parse_args()
+    ranges = dict(text.split("=", 1) for text in args.vary)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(
         direction="maximize",
         study_name="sweep",
         sampler=optuna.samplers.TPESampler(seed=0),
-        storage=given.storage,
+        storage=args.storage,
         load_if_exists=True,
     )
 
     def value(trial: optuna.Trial) -> float:
         overrides = suggested(trial, ranges)
         try:
-            return share_lasted(overrides, range(SEEDS, SEEDS + given.seeds), given)
+            return fraction_survived(overrides, range(SEEDS, SEEDS + args.seeds), args)
         except eq.EquipoiseError as error:
             raise optuna.TrialPruned(str(error)) from None
 
-    study.optimize(value, n_trials=max(given.trials - len(study.trials), 0))
+    study.optimize(value, n_trials=max(args.trials - len(study.trials), 0))
     done = study.get_trials(states=[optuna.trial.TrialState.COMPLETE])
     if not done:
         raise SystemExit("no trial has valid settings; check --vary and --set")
-    fresh = range(2 * SEEDS, 2 * SEEDS + given.final_seeds)
+    fresh = range(2 * SEEDS, 2 * SEEDS + args.final_seeds)
     finalists: list[dict[str, Any]] = []
-    for trial in sorted(done, key=lambda trial: -trial.value)[: given.finalists]:
-        final = share_lasted(
-            [f"{name}={value}" for name, value in trial.params.items()], fresh, given
+    for trial in sorted(done, key=lambda trial: -trial.value)[: args.finalists]:
+        final = fraction_survived(
+            [f"{name}={value}" for name, value in trial.params.items()], fresh, args
         )
         row = {"name": trial.number, "searched": trial.value, "final": final}
         finalists.append(row | {"settings": trial.params})
         print(f"{trial.value:7.2%}, final {final:7.2%}  {trial.number}  {trial.params}", flush=True)
-    if given.json:
-        length = {
-            name: getattr(given, name) for name in ("trials", "seeds", "tests", "final_seeds")
-        }
-        given.json.write_text(json.dumps(length | {"finalists": finalists}, indent=1))
-    draw(study).savefig(given.out, dpi=150)
+    if args.json:
+        length = {name: getattr(args, name) for name in ("trials", "seeds", "tests", "final_seeds")}
+        args.json.write_text(json.dumps(length | {"finalists": finalists}, indent=1))
+    draw(study).savefig(args.out, dpi=150)
 
 
 if __name__ == "__main__":

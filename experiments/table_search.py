@@ -31,7 +31,7 @@ from equipoise.control.baselines import lqr_gains
 from equipoise.executors import available_cores
 from equipoise.learning.select import score_tables
 from equipoise.settings import BoxSettings
-from equipoise.worlds import setup_of
+from equipoise.simulation import setup_of
 
 LEVELS = np.array(paper.ACTIONS)
 """Accelerations of the actions [m/s^2], shape (8,), rising."""
@@ -41,7 +41,7 @@ end."""
 TRIALS = 8
 """Number of trials of each table of a generation."""
 ELITE = 1.0 / 6.0
-"""Share of the best tables of a generation."""
+"""Fraction of the best tables of a generation."""
 SMOOTHING = 0.3
 """Weight beta of the elite tables in the new probabilities."""
 WIDTH = 0.42
@@ -133,8 +133,8 @@ def search_table(
         halves[0] = p.argmax(axis=1)
         order = ordered([LEVELS[whole_table(one)] for one in halves], generation, trials=TRIALS)
         elite = halves[order[: max(1, round(ELITE * tables))]]
-        share = (elite[:, :, None] == np.arange(len(LEVELS))).mean(axis=0)
-        p = (1.0 - SMOOTHING) * p + SMOOTHING * share
+        fraction = (elite[:, :, None] == np.arange(len(LEVELS))).mean(axis=0)
+        p = (1.0 - SMOOTHING) * p + SMOOTHING * fraction
         modes.append(LEVELS[whole_table(p.argmax(axis=1))])
     candidates = [*begun, *modes]
     best = candidates[ordered(candidates, 0)[0]]
@@ -150,16 +150,16 @@ def main() -> None:
     parser.add_argument("--tables", type=int, default=128, help="tables of a generation")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--out", type=Path, default=Path("best-table.json"))
-    given = parser.parse_args()
-    settings = eq.resolve(given.recipe, overrides=given.set)
+    args = parser.parse_args()
+    settings = eq.resolve(args.recipe, overrides=args.set)
     workers = available_cores()
     learned = eq.train(eq.shipped_pendulum(), eq.iiwa(7), settings, workers=workers)
-    size = {"generations": given.generations, "tables": given.tables}
+    size = {"generations": args.generations, "tables": args.tables}
     found = search_table(learned, [learned.u_of_box], workers=workers, **size)
     for name, policy in (("learned", learned), ("searched", found)):
         summary = eq.evaluate(policy, with_baselines=False, workers=workers).results.summary()
-        print(f"{name}: {summary.survived} of {summary.trials} trials lasted")
-    found.save(given.out, command="table_search")
+        print(f"{name}: {summary.survived} of {summary.trials} trials survived")
+    found.save(args.out, command="table_search")
 
 
 if __name__ == "__main__":

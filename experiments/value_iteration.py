@@ -25,10 +25,10 @@ from gymnasium.vector import AutoresetMode
 import equipoise as eq
 import equipoise.envs
 from equipoise import paper
-from equipoise.control.grid import box_indices, make_grid
 from equipoise.executors import available_cores
 from equipoise.learning.select import score_tables
-from equipoise.worlds import setup_of
+from equipoise.model.grid import box_indices, make_grid
+from equipoise.simulation import setup_of
 
 LEVELS = np.array(paper.ACTIONS)
 """Accelerations of the actions [m/s^2], shape (8,), rising."""
@@ -131,13 +131,13 @@ def main() -> None:
     parser.add_argument("--loops", type=int, default=64, help="closed loops side by side")
     parser.add_argument("--ticks", type=int, default=2000, help="steps of each loop in a round")
     parser.add_argument("--out", type=Path, default=Path("value-iteration.json"))
-    given = parser.parse_args()
+    args = parser.parse_args()
     workers = available_cores()
-    size = {"rounds": given.rounds, "loops": given.loops, "ticks": given.ticks}
+    size = {"rounds": args.rounds, "loops": args.loops, "ticks": args.ticks}
     found = solve_table(eq.shipped_policy(), workers=workers, **size)
     summary = eq.evaluate(found, with_baselines=False, workers=workers).results.summary()
-    print(f"{summary.survived} of {summary.trials} trials lasted")
-    found.save(given.out, command="value_iteration")
+    print(f"{summary.survived} of {summary.trials} trials survived")
+    found.save(args.out, command="value_iteration")
 
 
 if __name__ == "__main__":

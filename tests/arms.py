@@ -1,6 +1,6 @@
 """Arms that tests change."""
 
-from equipoise.model.arms.urdf import read_urdf
+from equipoise.arm.urdf import read_urdf
 
 STEPS = (
     ((0.0, 0.0, 0.2), (0.0, 0.0, 1.0)),

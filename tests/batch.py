@@ -4,7 +4,7 @@ import numpy as np
 
 from equipoise.arrays import fields, new_records
 from equipoise.jit import call, kernel
-from equipoise.worlds.plant import BatchState
+from equipoise.simulation.plant import BatchState
 
 
 @kernel

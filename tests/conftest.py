@@ -8,11 +8,11 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+from equipoise.arm.iiwa import iiwa
 from equipoise.learning.train import train
 from equipoise.model.actuator import IDEAL_ACTUATOR
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
-from equipoise.model.physics_engine import mujoco
+from equipoise.physics_engine import mujoco
 from equipoise.reproduction.warm_up import is_warm, warm_up
 from equipoise.settings import resolve
 
@@ -117,7 +117,7 @@ def rig_log(tmp_path_factory):
         dry_run=False,
         seed=3,
     )
-    assert run_virtually(request, path, rig=rig).outcome == "lasted"
+    assert run_virtually(request, path, rig=rig).outcome == "survived"
     return path
 
 

@@ -10,10 +10,10 @@ from benchmarks.bench import (
 )
 
 from equipoise import paper
-from equipoise.model.arms.iiwa import iiwa
+from equipoise.arm.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import resolve
-from equipoise.worlds.plant import DomainRandomization, make_loop_params
+from equipoise.simulation.plant import DomainRandomization, make_loop_params
 from tests.batch import Batch
 
 pytestmark = pytest.mark.full

@@ -1,4 +1,4 @@
-"""A guest's world in one file: bring-a-world.md as printed, and the conformance suite on it."""
+"""A user's world in one file: bring-a-world.md as printed, and the conformance suite on it."""
 
 import json
 import re
@@ -12,12 +12,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from equipoise import worlds
+from equipoise import simulation
 from equipoise.cli import main
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, SettingsError
-from equipoise.worlds import setup_of, simulate, world_class
-from equipoise.worlds.evaluation import evaluate
+from equipoise.simulation import setup_of, simulate, world_class
+from equipoise.simulation.evaluation import evaluate
 
 PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "bring-a-world.md"
 BLOCK = re.compile(r"^```(python|toml|sh)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -26,7 +26,7 @@ BLOCKS = dict(FOUND)
 WORLD, SUITE = (text for language, text in FOUND if language == "python")
 POLICY = shipped_policy()
 BROKEN = """
-from equipoise.worlds import ExternalLoop, Simulation
+from equipoise.simulation import ExternalLoop, Simulation
 
 class Delayed(Simulation):
     def loop(self):
@@ -92,9 +92,9 @@ def test_it_is_a_world_of_environments():
 
 def test_a_registered_world_is_found_by_its_name(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(tmp_path)
-    named = tomllib.loads(BLOCKS["toml"])["project"]["entry-points"][worlds.GROUP]
-    points = EntryPoints(EntryPoint(name, value, worlds.GROUP) for name, value in named.items())
-    monkeypatch.setattr(worlds, "entry_points", lambda group: points)
+    named = tomllib.loads(BLOCKS["toml"])["project"]["entry-points"][simulation.GROUP]
+    points = EntryPoints(EntryPoint(name, value, simulation.GROUP) for name, value in named.items())
+    monkeypatch.setattr(simulation, "entry_points", lambda group: points)
     assert world_class("windy:anything").ideal_arm
 
 

@@ -15,20 +15,20 @@ import numpy as np
 import pytest
 
 from equipoise import entry_points
+from equipoise.arm.iiwa import iiwa
+from equipoise.arm.resolve import read_arm
 from equipoise.cli import main
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArmError
-from equipoise.logs.run_log import RunLog
+from equipoise.log.run_log import RunLog
 from equipoise.model.actuator import Actuator
-from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.arms.resolve import read_arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.rig.config import read_rig
+from tests.arm.witnesses import ELBOW
 from tests.faults.harness import Scenario
 from tests.faults.table import TABLE
 from tests.faults.verdicts import problems_of
-from tests.model.arms.witnesses import ELBOW
 from tests.rig.replayed import replay
 
 PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "bring-an-arm.md"
@@ -102,7 +102,7 @@ def test_the_story_runs_as_it_is_printed(folder, monkeypatch, capsys):
     evaluation = said["evaluate policy.json"]
     assert evaluation["median_s"] > 2.0
     assert "sensor" not in evaluation["outcomes"]
-    assert said["deploy policy.json"]["lasted_s"] > 1.0
+    assert said["deploy policy.json"]["survival_s"] > 1.0
     scenario = Scenario(settings=read_rig(Path("rig.toml")), policy=policy)
     for fault in (fault for fault in TABLE if fault.name in ("TCP drop", "joint limit")):
         assert problems_of(fault, scenario) == [], fault.name

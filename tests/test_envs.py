@@ -13,8 +13,8 @@ from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, OutsideError
 from equipoise.model.random import TEST
 from equipoise.settings import resolve
-from equipoise.worlds import Recorder, run_trial, setup_of, simulate
-from equipoise.worlds.evaluation import evaluate
+from equipoise.simulation import Recorder, run_trial, setup_of, simulate
+from equipoise.simulation.evaluation import evaluate
 
 WORLDS = ("ideal", "model", "twin:nominal")
 SEED = 3
@@ -77,7 +77,7 @@ def test_a_table_in_the_environment_gives_the_trial_of_evaluate_bit_for_bit(worl
             observation, _, terminated, truncated, info = env.step(np.array([u]))
             steps, ended = steps + 1, terminated or truncated
         assert info["time"] == pytest.approx(results.survival[i])
-        assert (info["outcome"] or "lasted") == results.outcomes[i]
+        assert (info["outcome"] or "survived") == results.outcomes[i]
 
 
 def test_a_time_limit_truncates_and_a_failure_terminates():

@@ -10,10 +10,10 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 PIPELINE = "pipeline.py"  # docs/tutorial.md links it
 LONG = (PIPELINE, "train_and_evaluate.py")
 SAY = {
-    PIPELINE: "200 of 200 trials lasted 60 s",
+    PIPELINE: "200 of 200 trials survived 60 s",
     "identify_a_swing.py": "w2 = m g l / I",
-    "train_and_evaluate.py": "LQR, snapped lasted 200 of 200 trials",
-    "own_policy.py": "5 of 5 trials lasted 10 s",
+    "train_and_evaluate.py": "LQR, snapped survived 200 of 200 trials",
+    "own_policy.py": "5 of 5 trials survived 10 s",
     "policy_table.py": "    -10     10     50    inf",
     "foxglove.py": "open it in Foxglove",
     "deploy_on_the_twin.py": "twin:nominal: stood 20 of 20 s",

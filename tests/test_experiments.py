@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import equipoise as eq
-from equipoise.control.grid import mirrored_box
+from equipoise.model.grid import mirrored_box
 
 pytestmark = pytest.mark.full
 

@@ -8,13 +8,13 @@ import pytest
 from PIL import Image
 
 from equipoise import film
+from equipoise.arm.iiwa import iiwa
+from equipoise.arm.posture import along_x
+from equipoise.arm.scene import SIZES
 from equipoise.errors import InputError, MissingExtraError, OutsideError
 from equipoise.film import RigRenderer, build_scene, camera_axes, write_film
-from equipoise.logs.motion import Motion
-from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.arms.posture import along_x
-from equipoise.model.arms.scene import SIZES
-from tests.logs.made_up import balanced_on_a_rig, changed_table
+from equipoise.log.motion import Motion
+from tests.log.made_up import balanced_on_a_rig, changed_table
 
 ARM = iiwa(7)
 WIDTH, HEIGHT = 240, 270

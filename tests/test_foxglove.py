@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 
 from equipoise.control.policy import shipped_policy
 from equipoise.rig.simulate import simulate_run
-from tests.model.arms.witnesses import Pinocchio
+from tests.arm.witnesses import Pinocchio
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "foxglove.py"
 TYPES = {"string": str, "integer": int, "number": float}

@@ -1,4 +1,4 @@
-"""A guest's package outside the tree: it is built, installed and used as any other package is."""
+"""A user's package outside the tree: it is built, installed and used as any other package is."""
 
 import json
 import os
@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.full, pytest.mark.compiled_only]
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
-    """The folder with the guest's package, built from a copy and installed without a network."""
+    """The folder with the user's package, built from a copy and installed without a network."""
     site = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps"]
     command += ["--no-build-isolation", "--target", str(site), str(GUEST)]
@@ -28,7 +28,7 @@ def installed(tmp_path_factory):
 
 @pytest.fixture
 def run(installed, tmp_path):
-    """Run a program with the guest's package, in a process and a folder of its own."""
+    """Run a program with the user's package, in a process and a folder of its own."""
     paths = [str(installed), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
@@ -76,19 +76,19 @@ def test_the_page_shows_this_package_whose_robot_balances_over_its_own_wires(run
     (commands,) = (block for kind, block in BLOCKS if kind == "sh")
     deploy, explain = (shlex.split(command)[1:] for command in commands.splitlines())
     told = equipoise(run, *deploy)
-    assert (told["outcome"], told["missed"]) == ("lasted", 0)
-    assert told["lasted_s"] == pytest.approx(5.0, abs=0.02)
+    assert (told["outcome"], told["missed"]) == ("survived", 0)
+    assert told["survival_s"] == pytest.approx(5.0, abs=0.02)
     stood = equipoise(run, *explain)
-    assert stood["outcome"] == "lasted"
+    assert stood["outcome"] == "survived"
     assert 0.0 < stood["phi_deg"]["rms"] < stood["phi_deg"]["largest"] < stood["phi_deg"]["limit"]
 
 
-def test_its_learner_reward_and_policy_need_no_more_than_their_names(run, tmp_path):
-    trained = ("--learner", "guest.learner:learner", "--reward", "guest.reward:middle")
+def test_its_algorithm_reward_and_policy_need_no_more_than_their_names(run, tmp_path):
+    trained = ("--algorithm", "guest.algorithm:algorithm", "--reward", "guest.reward:middle")
     budget = ("--episodes", 300, "--target", 0, "--out", "policy.json")
     equipoise(run, "train", *trained, *budget)
     learning = json.loads((tmp_path / "policy.json").read_text())["body"]["settings"]["learning"]
-    assert re.fullmatch(r"guest\.learner:learner@[0-9a-f]{16}", learning["learner"])
+    assert re.fullmatch(r"guest\.algorithm:algorithm@[0-9a-f]{16}", learning["algorithm"])
     assert re.fullmatch(r"guest\.reward:middle@[0-9a-f]{16}", learning["reward"])
     trials = ("--trials", 4, "--duration", 5, "--world", "twin:nominal", "--no-baselines")
     assert equipoise(run, "evaluate", "guest.policy:Policy", *trials)["rate"] == 1.0

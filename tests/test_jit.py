@@ -91,13 +91,13 @@ def test_the_key_of_the_cache_changes_with_the_files_that_kernels_depend_on(tmp_
     from equipoise import jit
 
     monkeypatch.setattr(jit, "PACKAGE", tmp_path)
-    for package in ("worlds/twin", "control", "cli"):
+    for package in ("simulation/twin", "control", "cli"):
         (tmp_path / package).mkdir(parents=True)
     seen = set()
     for name, text in (
         ("jit.py", ""),
-        ("worlds/twin/a.py", ""),
-        ("worlds/twin/a.py", "x = 1"),
+        ("simulation/twin/a.py", ""),
+        ("simulation/twin/a.py", "x = 1"),
         ("control/a.py", "x = 1"),
     ):
         (tmp_path / name).write_text(text)

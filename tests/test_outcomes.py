@@ -4,13 +4,13 @@ from math import nan
 
 import pytest
 
-from equipoise.control import grid
-from equipoise.logs.conditions import RunEnd
+from equipoise.log.conditions import RunEnd
+from equipoise.model import grid
 from equipoise.outcomes import SAFETY_RULES, TRIAL_OUTCOMES, End, Outcome, describe
 
 
 def test_codes_of_kernels_name_outcomes():
-    assert TRIAL_OUTCOMES[grid.TRUNCATED] is Outcome.LASTED
+    assert TRIAL_OUTCOMES[grid.TRUNCATED] is Outcome.SURVIVED
     assert TRIAL_OUTCOMES[grid.ANGLE] is Outcome.ANGLE
     assert TRIAL_OUTCOMES[grid.TRACK] is Outcome.TRACK
     assert TRIAL_OUTCOMES[grid.JOINT_LIMIT] is Outcome.JOINT_LIMIT
@@ -28,7 +28,7 @@ def test_each_outcome_has_a_sentence_even_without_its_evidence(outcome):
 
 @pytest.mark.parametrize(
     ("outcome", "code"),
-    [("lasted", 0), ("dry run", 0), ("operator", 130), ("link lost", 3), ("angle", 1)],
+    [("survived", 0), ("dry run", 0), ("operator", 130), ("link lost", 3), ("angle", 1)],
 )
 def test_exit_codes(outcome, code):
     assert RunEnd(outcome=Outcome(outcome)).exit_code == code

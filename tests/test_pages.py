@@ -93,7 +93,7 @@ ELSEWHERE = {
     r"pip install|pytest|pre-commit|make install|venv": "the environment that runs this",
     r"jupyter|jupytext": "tests/test_course.py opens the notebooks",
     r"sudo|printf|arduino-cli|list_ports": "changes or asks this computer's hardware",
-    r"coppeliasim": "needs CoppeliaSim: tests/worlds/test_coppeliasim.py",
+    r"coppeliasim": "needs CoppeliaSim: tests/simulation/test_coppeliasim.py",
     r"kst://|serial://|doctor|fr3\.(toml|json)": "needs a rig: tests/robots, tests/rig, tests/cli",
     r"benchmarks/|experiments/": "tests/test_bench.py, tests/test_experiments.py",
     r"rl/|docker|podman": "needs what another page makes",
@@ -101,10 +101,10 @@ ELSEWHERE = {
 }
 """Commands that are not run here, and why."""
 SERVERS = re.compile(r"equipoise (?:play|console|log show|rig emulate)")
-"""Commands that serve until Ctrl-C: tests/apps/console and tests/cli run them."""
+"""Commands that serve until Ctrl-C: tests/console and tests/cli run them."""
 GUESTS = (
     "docs/how-to/change-the-reward.md",
-    "docs/how-to/bring-a-learner.md",
+    "docs/how-to/bring-an-algorithm.md",
     "docs/how-to/bring-a-policy.md",
 )
 RUN = (

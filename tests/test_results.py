@@ -99,7 +99,7 @@ RESULT = re.compile(
     r"|\b(?:lasts?|lasted|stands?|stood|survived?|balanced|holds?|held)\s(?:\w+\s){0,3}?\d"
     r"|\d ?%|\[\d[\d.]*, \d|\d s on `|\d mm (?:rms|\()"
 )
-"""What looks like a result: a share, a survival, an interval, a distance from the middle."""
+"""What looks like a result: a fraction, a survival, an interval, a distance from the middle."""
 NOT_RESULTS = (
     results.TABLE,
     results.MARK,

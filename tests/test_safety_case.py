@@ -62,10 +62,10 @@ def test_each_number_of_the_page_is_that_of_the_code():
     assert f"up to {1e3 * MAX_STALL:g} ms is bridged" in PAGE
     assert f"not answered for {1e3 * readings.MAX_ROUND_TRIP:g} ms" in PAGE
     assert f"({rules.STOP_DECELERATION:g} m/s² at the flange" in PAGE
-    assert f"{100 * rules.TORQUE_SHARE:.0f} % of the joint's torque" in PAGE
+    assert f"{100 * rules.TORQUE_FRACTION:.0f} % of the joint's torque" in PAGE
     assert f"a following error of {rules.FOLLOWING_LIMIT:g} rad" in PAGE
-    share = 100 * run_controller.UNCERTAIN_TORQUE_FACTOR * rules.TORQUE_SHARE
-    assert f"on the way there {share:.0f} % beyond what the start shows" in PAGE
+    fraction = 100 * run_controller.UNCERTAIN_TORQUE_FACTOR * rules.TORQUE_FRACTION
+    assert f"on the way there {fraction:.0f} % beyond what the start shows" in PAGE
     assert (monitors.MAX_REPEATS, monitors.REPEAT_WINDOW) == (3, 1.0)
     assert "a third gap within a second" in PAGE
     assert "the third stall within a second" in PAGE

@@ -3,15 +3,15 @@
 import pytest
 from scipy.stats import binomtest
 
+from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import shipped_policy
 from equipoise.executors import available_cores
 from equipoise.identification.recording import read_swing
 from equipoise.identification.swing import identify
 from equipoise.learning.train import ATTEMPTS, train_to_target
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.worlds import MODEL
 from equipoise.settings import resolve
-from equipoise.worlds.evaluation import evaluate
+from equipoise.simulation.evaluation import evaluate
 
 
 def summaries(pendulum, settings, seeds, tests, attempts=ATTEMPTS, world=MODEL):
@@ -60,7 +60,7 @@ def test_every_seed_stands_a_minute(request, pendulum, recorded, world, trials):
 
 @pytest.mark.compiled_only
 def test_the_policy_that_ships_stands_on_the_twin():
-    # It lasted 200 of 200 trials of a minute: two falls in 16 have a chance below 1e-3.
+    # It survived 200 of 200 trials of a minute: two falls in 16 have a chance below 1e-3.
     policy = shipped_policy()
     tests = policy.settings.evaluation.model_copy(update={"trials": 16, "duration": 20.0})
     settings = policy.settings.model_copy(update={"evaluation": tests})

@@ -14,4 +14,4 @@ def moved(value, reward, values_next, alpha, gamma):
 first = next(point.episodes for point in points if point.duration >= 5.0)
 
 # %%
-share = np.mean(trained.u_of_box == -trained.u_of_box[::-1])
+fraction = np.mean(trained.u_of_box == -trained.u_of_box[::-1])

@@ -4,7 +4,7 @@
 RULE = '''
 """Expected SARSA."""
 
-from equipoise.learning.learner import Learner, best_value, move_towards
+from equipoise.learning.q_learning import Algorithm, best_value, move_towards
 
 
 def update(tables, transition, params):
@@ -17,7 +17,7 @@ def update(tables, transition, params):
     move_towards(tables, transition.box, transition.action, target, params)
 
 
-learner = Learner(update)
+algorithm = Algorithm(update)
 '''
 
 # %%

@@ -8,9 +8,9 @@ training plant. `make results` draws the figures of the experiments.
 from pathlib import Path
 
 import equipoise as eq
-from equipoise.apps.report.figures import survival
-from equipoise.apps.style import render
 from equipoise.film import write_film
+from equipoise.report.figures import survival
+from equipoise.report.style import render
 
 HERE = Path(__file__).parent
 

@@ -19,14 +19,14 @@ from typing import Any
 
 from PIL import Image
 
-from equipoise.apps.console.scene import PERIOD
-from equipoise.logs.recorder import Recorder, RunInfo, open_recorder, share
-from equipoise.logs.run_log import RunLog
+from equipoise.console.scene import PERIOD
+from equipoise.log.recorder import Recorder, RunInfo, open_recorder, share
+from equipoise.log.run_log import RunLog
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parents[1]))
 
-from tests.apps.console.browser import browser, press, shown  # noqa: E402
+from tests.console.browser import browser, press, shown  # noqa: E402
 from tests.program import program, wait_until  # noqa: E402
 
 WIDTH, HEIGHT = 1366, 910

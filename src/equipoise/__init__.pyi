@@ -1,10 +1,13 @@
-from .artefacts import Estimate as Estimate
+from .arm.arm import Arm as Arm
+from .arm.iiwa import iiwa as iiwa
+from .arm.urdf import read_urdf as read_urdf
 from .control.bound_policy import bind_policy as bind_policy
 from .control.bound_policy import load_policy as load_policy
 from .control.policy import Policy as Policy
 from .control.policy import TabularPolicy as TabularPolicy
 from .control.policy import shipped_policy as shipped_policy
 from .errors import EquipoiseError as EquipoiseError
+from .files import Estimate as Estimate
 from .identification.actuator import identify_run as identify_run
 from .identification.recording import Trajectory as Trajectory
 from .identification.recording import read_swing as read_swing
@@ -13,12 +16,9 @@ from .identification.recording import write_swing as write_swing
 from .identification.swing import identify as identify
 from .learning.train import train as train
 from .learning.train import train_to_target as train_to_target
-from .logs.run_log import RunLog as RunLog
+from .log.run_log import RunLog as RunLog
 from .model.actuator import Actuator as Actuator
 from .model.actuator import shipped_actuator as shipped_actuator
-from .model.arms.arm import Arm as Arm
-from .model.arms.iiwa import iiwa as iiwa
-from .model.arms.urdf import read_urdf as read_urdf
 from .model.pendulum import Pendulum as Pendulum
 from .model.pendulum import PendulumParameters as PendulumParameters
 from .model.pendulum import shipped_pendulum as shipped_pendulum
@@ -28,9 +28,9 @@ from .rig.simulate import excite as excite
 from .rig.simulate import simulate_run as simulate_run
 from .settings import Settings as Settings
 from .settings import resolve as resolve
-from .worlds.evaluation import Evaluation as Evaluation
-from .worlds.evaluation import evaluate as evaluate
-from .worlds.evaluation import lower_bound as lower_bound
-from .worlds.evaluation import trials_for as trials_for
+from .simulation.evaluation import Evaluation as Evaluation
+from .simulation.evaluation import evaluate as evaluate
+from .simulation.evaluation import lower_bound as lower_bound
+from .simulation.evaluation import trials_for as trials_for
 
 __version__: str

@@ -16,23 +16,23 @@ from pydantic import ValidationError
 
 from equipoise import paper
 from equipoise.arguments import checked
+from equipoise.arm.arm import Arm
+from equipoise.arm.resolve import read_arm
 from equipoise.arrays import Array
-from equipoise.artefacts import Count, Seed, StrPath, Value, first_fault, quoted
 from equipoise.control.controller import Observation
-from equipoise.control.grid import TRUNCATED
 from equipoise.errors import InputError
+from equipoise.files import Count, Seed, StrPath, Value, first_fault, quoted
 from equipoise.film import RigRenderer
 from equipoise.learning import rewards
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, read_actuator
-from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.resolve import read_arm
+from equipoise.model.grid import TRUNCATED
 from equipoise.model.pendulum import Pendulum, read_pendulum
 from equipoise.model.random import ENVIRONMENT, TEST
 from equipoise.model.worlds import MODEL, World
 from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.settings import Settings
-from equipoise.user_code import guest_code
-from equipoise.worlds import Setup, Trial, predicted, simulate, world_class
+from equipoise.simulation import Setup, Trial, predicted, simulate, world_class
+from equipoise.user_code import user_code
 
 Reward = Callable[[Observation, float, Observation, bool], float]
 """Reward of a step: `reward(state, u, next_state, failed)`; the states are predicted ones."""
@@ -145,12 +145,12 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
             settings=settings,
             render_mode=render_mode,
         )
-        given = read_actuator(actuator)
+        response = read_actuator(actuator)
         self.task = Setup(
             read_pendulum(pendulum),
             read_arm(arm),
             settings or Settings(),
-            IDEAL_ACTUATOR if world_class(world).ideal_arm else given,
+            IDEAL_ACTUATOR if world_class(world).ideal_arm else response,
             paper.STEP,
         )
         self.reward = reward
@@ -206,7 +206,7 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
         u = min(max(u, -paper.U_MAX), paper.U_MAX)
         cause, self._u = self._loop.step(u), u
         failed, after = cause != TRUNCATED, Observation(*predicted(self._loop).tolist())
-        with guest_code("the reward"):
+        with user_code("the reward"):
             reward = float(self.reward(self._state, u, after, failed))
         self._state = None if failed else after
         info = self._info(TRIAL_OUTCOMES[cause] if failed else "")

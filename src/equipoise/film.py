@@ -1,6 +1,6 @@
 """Pictures of the rig by MuJoCo's renderer, and films of a run as MP4 or animated WebP.
 
-The scene is that of `equipoise.model.arms.scene`, slimmer and coloured, with the ends of the track
+The scene is that of `equipoise.arm.scene`, slimmer and coloured, with the ends of the track
 as two posts and the displacement marked on a rail between them. The camera stands behind the base,
 so that +x is to the right as in every figure. `MUJOCO_GL` selects EGL (default without a display),
 OSMesa or GLFW.
@@ -16,15 +16,15 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from equipoise.arm.arm import Arm
+from equipoise.arm.scene import Sizes, scene
 from equipoise.arrays import Array
-from equipoise.artefacts import write_whole
 from equipoise.errors import InputError, OutsideError, import_optional
-from equipoise.logs.motion import Motion
-from equipoise.logs.run_log import RunLog
-from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.scene import Sizes, scene
-from equipoise.model.physics_engine import mujoco
+from equipoise.files import write_whole
+from equipoise.log.motion import Motion
+from equipoise.log.run_log import RunLog
 from equipoise.paper import X_LIMIT
+from equipoise.physics_engine import mujoco
 
 Picture = npt.NDArray[np.uint8]
 """Red, green and blue of every pixel, rows from the top, shape (height, width, 3)."""
@@ -279,7 +279,7 @@ def _frames(run: RunLog, motion: Motion, times: Array, suffix: str) -> Iterator[
     bar = height // 10
     renderer = RigRenderer(conditions.arm, width, height - bar)
     font = Path(get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
-    large, small = (ImageFont.truetype(font, share * bar) for share in (0.3, 0.27))
+    large, small = (ImageFont.truetype(font, fraction * bar) for fraction in (0.3, 0.27))
     try:
         for time in times.tolist():
             pose = motion.at(time)

@@ -40,9 +40,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 PACKAGE = Path(__file__).parent
 KERNEL_FILES: Final = (
-    *("arrays.py", "jit.py", "outcomes.py", "paper.py"),
-    *("control/*.py", "identification/*.py", "learning/*.py", "model/**/*.py", "safety/*.py"),
-    "worlds/**/*.py",
+    *("arrays.py", "elementary.py", "jit.py", "outcomes.py", "paper.py"),
+    *("arm/**/*.py", "control/*.py", "identification/*.py", "learning/*.py", "model/*.py"),
+    *("safety/*.py", "simulation/**/*.py"),
 )
 """Files that hold kernels, or constants of kernels."""
 CACHE_SPACE: Final = 50_000_000

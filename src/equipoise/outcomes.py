@@ -145,7 +145,7 @@ class Outcome(EndCause):
     of the balance.
     """
 
-    LASTED = "lasted", CONTINUE, "the pendulum stood for {duration:g} s: catch it"
+    SURVIVED = "survived", CONTINUE, "the pendulum stayed up for {duration:g} s: catch it"
     JOINT_LIMIT = "joint limit", RELAX, "the policy asks for more than a joint can do"
 
     NUMBER = "not a number", REPORT, "{name} is {got}, expected a finite number"
@@ -176,7 +176,7 @@ class Outcome(EndCause):
     FOLLOWING = (
         "following error",
         CHECK_PANEL,
-        "joint {joint:g} is {value:.3f} rad from where it is expected for {lasted_ms:.0f} ms, "
+        "joint {joint:g} is {value:.3f} rad from where it is expected for {duration_ms:.0f} ms, "
         "expected at most {limit:g} rad",
     )
     FIRST = (
@@ -335,12 +335,12 @@ SYMPTOMS: Final = frozenset(
 )
 """Ends that name a symptom: causes that the measurements show explain them better."""
 TRIAL_OUTCOMES: Final = (
-    *(Outcome.LASTED, Outcome.ANGLE, Outcome.TRACK, Outcome.JOINT_LIMIT),
+    *(Outcome.SURVIVED, Outcome.ANGLE, Outcome.TRACK, Outcome.JOINT_LIMIT),
     *SAFETY_RULES,
 )
-"""Outcomes of a trial by the code that kernels return (`equipoise.control.grid`)."""
+"""Outcomes of a trial by the code that kernels return (`equipoise.model.grid`)."""
 EXIT_CODES: Final = {
-    Outcome.LASTED: 0,
+    Outcome.SURVIVED: 0,
     Outcome.DRY_RUN: 0,
     Outcome.OPERATOR: 130,
     Outcome.LINK: 3,

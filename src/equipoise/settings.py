@@ -17,7 +17,8 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import Field, ValidationError, model_validator
 
 from equipoise import paper
-from equipoise.artefacts import (
+from equipoise.errors import SettingsError
+from equipoise.files import (
     MAX_QUOTE_LENGTH,
     Name,
     StrPath,
@@ -27,7 +28,6 @@ from equipoise.artefacts import (
     read_text,
     shortened,
 )
-from equipoise.errors import SettingsError
 
 GRAVITY = 9.80665
 """Standard acceleration of gravity [m/s^2]."""
@@ -102,7 +102,7 @@ class PlantSettings(Value):
     """Flange speed |x_dot| that fails a trial of selection and test, as it stops a run on a rig
     [m/s]; None for no limit. Training episodes continue: the boxes do not resolve speeds below
     0.5 m/s, and a table cannot learn from failures that its state does not show. With a limit of
-    0.23 on episodes too, no learner lasted more than 20 of 200 trials of the selection."""
+    0.23 on episodes too, no algorithm survived more than 20 of 200 trials of the selection."""
 
 
 class ControllerSettings(Value):
@@ -181,9 +181,9 @@ class BoxSettings(Value):
 class LearningSettings(Value):
     """Learning rule and episodes."""
 
-    learner: Name = "q_learning"
+    algorithm: Name = "q_learning"
     """Learning rule: the paper's `q_learning`, equation (1), or MODULE:NAME of a custom one, as in
-    examples/learners."""
+    examples/algorithms."""
     reward: Name = "failure"
     """Reward of a step: `failure`, which only a failure costs; `alive`, `centred`, or MODULE:NAME
     of a custom function. The paper does not give its reward."""
@@ -392,9 +392,14 @@ def _differences(settings: Settings, recipe: Settings) -> Iterator[str]:
 def _put(tree: dict[str, dict[str, Any]], name: str, value: Any) -> None:
     section, _, key = name.partition(".")
     if key not in tree.get(section, {}):
-        names = [] if name in tree else [each for keys in tree.values() for each in keys]
+        names = [] if name in tree else [option for options in tree.values() for option in options]
         close = get_close_matches(key or name, names, n=1)
-        near = [f"{one}.{each}" for one, keys in tree.items() for each in keys if each in close]
+        near = [
+            f"{one}.{option}"
+            for one, options in tree.items()
+            for option in options
+            if option in close
+        ]
         remedy = f"did you mean {' or '.join(near)}?" if near else f"sections: {', '.join(tree)}"
         raise SettingsError(f"there is no setting {quoted(name)}; {remedy}")
     tree[section][key] = value

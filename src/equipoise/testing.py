@@ -22,15 +22,15 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from equipoise.arrays import Array
-from equipoise.control.grid import ANGLE, TRUNCATED
 from equipoise.errors import EquipoiseError, InputError, LinkError
+from equipoise.model.grid import ANGLE, TRUNCATED
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig.clocks import ended_stalls
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig
 from equipoise.rig.interfaces import SETPOINT_PERIOD, Clock, Reply, Robot
-from equipoise.worlds import ClosedLoop, Setup, Simulation, predicted
+from equipoise.simulation import ClosedLoop, Setup, Simulation, predicted
 
 CLOSE: Final = 2e-3
 """Error of position that a servo with a soft dead band leaves after a second [rad]."""

@@ -1,8 +1,8 @@
 """Import of plug-in objects from outside the package, named as MODULE:NAME, and calls of them.
 
-A custom policy, reward or learner is an object in a Python module of the current folder or of an
+A custom policy, reward or algorithm is an object in a Python module of the current folder or of an
 installed package. Results identify it by the digest of its source file. All code from outside the
-package runs inside `guest_code`: whatever it raises, even a request to exit, becomes one message.
+package runs inside `user_code`: whatever it raises, even a request to exit, becomes one message.
 """
 
 import hashlib
@@ -20,11 +20,11 @@ from equipoise.errors import EquipoiseError, InputError
 from equipoise.printable import printable
 
 MAX_ERROR_LENGTH: Final = 500
-"""Length limit of a guest's error in a message [characters]."""
+"""Length limit of a user's error in a message [characters]."""
 
 
 @contextmanager
-def guest_code(
+def user_code(
     what: str, cure: str = "correct it", where: Callable[[], str] = lambda: ""
 ) -> Generator[None]:
     """Run code from outside the package; convert what it raises, except Ctrl-C.
@@ -70,7 +70,7 @@ def load_object(name: str, option: str) -> Any:
     if here not in sys.path:
         sys.path.insert(0, here)
     check = f"check {option} MODULE:NAME"
-    with guest_code(f"importing {module_name!r}"):
+    with user_code(f"importing {module_name!r}"):
         try:
             module = importlib.import_module(module_name)
         except ModuleNotFoundError as error:
@@ -90,7 +90,7 @@ def source_digest(function: Any) -> str:
     Raises:
         InputError: The object has no source file.
     """
-    with guest_code(f"finding the source of a {type(function).__name__}"):
+    with user_code(f"finding the source of a {type(function).__name__}"):
         try:
             source = Path(inspect.getsourcefile(inspect.unwrap(function)) or "").read_bytes()
         except (TypeError, OSError):
@@ -100,7 +100,7 @@ def source_digest(function: Any) -> str:
 
 
 def format_error(error: BaseException) -> str:
-    """Return type, text and origin of a guest's error, escaped for display on one line."""
+    """Return type, text and origin of a user's error, escaped for display on one line."""
     frames = traceback.extract_tb(error.__traceback__)
     # This package, and Python's import.
     folders = (Path(__file__).parent, Path(inspect.getfile(importlib)).parent)
@@ -109,7 +109,7 @@ def format_error(error: BaseException) -> str:
     where = " ({}, line {})".format(*lines[-1]) if lines else ""
     try:
         text = str(error)
-    except BaseException:  # a guest's own `__str__`
+    except BaseException:  # a user's own `__str__`
         text = "without a text"
     text = " ".join(text.splitlines())
     if len(text) > MAX_ERROR_LENGTH:

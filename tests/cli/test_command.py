@@ -14,7 +14,7 @@ import pytest
 
 from equipoise.cli.options import TABLES
 from equipoise.cli.output import Output
-from equipoise.worlds.evaluation import Evaluation
+from equipoise.simulation.evaluation import Evaluation
 from tests.cli.conftest import verbs
 
 HEAVY = ("numba", "numpy", "scipy", "mujoco", "matplotlib", "mcap")
@@ -36,7 +36,7 @@ def test_help_names_every_verb_and_explains_every_option(equipoise):
 
 
 def test_help_names_every_entry_of_the_tables_that_an_option_takes(equipoise, monkeypatch):
-    from equipoise.apps.console.play import SCENES
+    from equipoise.console.play import SCENES
     from equipoise.control.bound_policy import BUILT_IN
 
     tables = {**TABLES, "scenes": SCENES, "policies": BUILT_IN, "robots": {"kst", "twin"}}

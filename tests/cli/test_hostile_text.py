@@ -6,14 +6,14 @@ from itertools import count
 
 import pytest
 
+from equipoise.arm.iiwa import iiwa
 from equipoise.cli.output import Output
 from equipoise.cli.terminal_operator import TerminalOperator
 from equipoise.control.ticks import OperatorMessage
-from equipoise.logs.conditions import RunEnd
-from equipoise.logs.recorder import Recorder, push_event
-from equipoise.logs.writer import RunWriter
-from equipoise.model.arms.iiwa import iiwa
-from tests.logs.made_up import rig_conditions
+from equipoise.log.conditions import RunEnd
+from equipoise.log.recorder import Recorder, push_event
+from equipoise.log.writer import RunWriter
+from tests.log.made_up import rig_conditions
 
 ESCAPES = "\x1b[2J\x1b]0;owned\x07\x9b31m\x7f\u202e"
 """Clears the screen, sets the title, colours, deletes, and reverses what follows."""
@@ -120,7 +120,7 @@ def guest(tmp_path):
         ("end()", "evaluate {}:end"),
         ("class P:\n    act, __init__ = end, end", "evaluate {}:P"),
         ("def r(state, u, after, failed):\n    return end()", "train --reward {}:r"),
-        ("def l(tables, transition, params):\n    end()", "train --learner {}:l"),
+        ("def l(tables, transition, params):\n    end()", "train --algorithm {}:l"),
     ],
 )
 def test_code_of_a_guest(equipoise, guest, tmp_path, text, command):

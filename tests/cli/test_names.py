@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from equipoise.control.policy import shipped_policy
-from equipoise.logs.run_log import RunLog
+from equipoise.log.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
 from equipoise.rig.simulate import simulate_run
 from tests.cli.conftest import contents

@@ -30,7 +30,7 @@ REFUSED = {
     # A wrong word comes before the name of a file.
     ("evaluate", "--world", "nominal", "--out", "taken.json"): "did you mean twin:nominal?",
     ("evaluate", "--actuator", "none.json", "--out", "taken.json"): "none.json",
-    ("train", "--learner", "sarsaa", "--out", "taken.json"): "unknown learner 'sarsaa'",
+    ("train", "--algorithm", "sarsaa", "--out", "taken.json"): "unknown algorithm 'sarsaa'",
     ("train", "--reward", "nope", "--out", "taken.json"): "unknown reward 'nope'",
     ("deploy", "--excite", "--world", "frii", "--out", "taken.mcap"): "did you mean twin:fri?",
     ("deploy", "--robot", KST, "--encoder", "usb:///x", "--out", "taken.mcap"): "serial:",

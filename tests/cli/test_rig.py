@@ -7,7 +7,7 @@ import time
 import pytest
 
 from equipoise.control.policy import shipped_policy
-from equipoise.logs.run_log import RunLog
+from equipoise.log.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.rig import clocks
 from equipoise.robots.kst.robot import KstRobot
@@ -23,11 +23,11 @@ URI = "serial:///dev/ttyACM0"
 def test_a_run_on_a_twin_is_told_and_written(equipoise, tmp_path):
     ran = equipoise("deploy", "--robot", "twin:nominal", "--duration", 1, "--json")
     assert ran.code == 0, ran
-    assert ran.json["lasted_s"] == 1.0
+    assert ran.json["survival_s"] == 1.0
     # The operator is notified, although a program reads the result.
     assert "Moving to home" in ran.err
     log = RunLog.load(tmp_path / "run.mcap", damaged=True)
-    assert log.lasted == 1.0
+    assert log.survival == 1.0
 
 
 def test_a_dry_run_ends_before_the_arm_moves_and_names_the_run_itself(equipoise):
@@ -67,7 +67,7 @@ def test_a_driver_that_sleeps_ends_a_run_on_a_twin(equipoise, monkeypatch):
         ("deploy", "rig.simulate.simulate_run"),
         ("rig doctor", "rig.checks.examine"),
         ("train", "learning.train.train_to_target"),
-        ("evaluate", "worlds.evaluation.evaluate"),
+        ("evaluate", "simulation.evaluation.evaluate"),
         ("reproduce", "reproduction.pipeline.reproduce"),
         ("warm-up", "reproduction.warm_up.warm_up"),
     ],

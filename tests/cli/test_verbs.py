@@ -8,14 +8,14 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from equipoise.artefacts import Estimate, read_document
 from equipoise.control.policy import TabularPolicy, shipped_policy
-from equipoise.logs.run_log import RunLog
+from equipoise.files import Estimate, read_document
+from equipoise.log.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.rig.simulate import simulate_run
-from equipoise.worlds.evaluation import Evaluation
+from equipoise.simulation.evaluation import Evaluation
 from tests.cli.conftest import contents
 
 SHORT = (
@@ -65,7 +65,7 @@ def test_evaluate_compares_with_baselines(equipoise, policy_file, tmp_path):
     summary = evaluation.results.summary()
     assert ran.code == int(summary.median < 1.0)
     assert ran.json["median_s"] == summary.median
-    assert set(ran.json["baselines"]) == {each.name for each in evaluation.baselines}
+    assert set(ran.json["baselines"]) == {item.name for item in evaluation.baselines}
     before = contents(tmp_path)
     assert "LQR" in equipoise("evaluate", policy_file, *FEW).out
     assert contents(tmp_path) == before
@@ -85,7 +85,7 @@ def test_deploy_and_the_verbs_for_logs(equipoise, tmp_path):
     assert ran.code == 0, ran
     assert RunLog.load(tmp_path / "run.mcap").conditions.world == "twin:nominal"
     found = equipoise("deploy", "--duration=0.5", "--force", "--json").json
-    assert found["lasted_s"] == 0.5
+    assert found["survival_s"] == 0.5
     assert "x [mm]" in equipoise("log", "explain", "run.mcap").out
     found = equipoise("log", "explain", "run.mcap", "--json").json
     log = RunLog.load(tmp_path / "run.mcap")
@@ -144,7 +144,7 @@ def test_reproduce_writes_a_report_and_ends_with_the_comparison(equipoise, tmp_p
         assert found["robot_or_twin_median_s"] == statistics.median(trials["survival"])
         assert found["robot_or_twin_ended_by"] == Counter(trials["outcomes"])
         run = RunLog.load(folder / f"{prefix}run.mcap")
-        assert (found["run_s"], found["run_ended_by"]) == (run.lasted, run.outcome)
+        assert (found["run_s"], found["run_ended_by"]) == (run.survival, run.outcome)
 
 
 @pytest.mark.full
@@ -155,4 +155,4 @@ def test_pages_are_served_until_a_signal(equipoise, monkeypatch, tmp_path, verb)
     threading.Timer(8.0, signal.raise_signal, (signal.SIGINT,)).start()
     ran = equipoise(*verb.split(), "--json")
     assert ran.code == 0, ran
-    assert any(str(each).startswith("http://") for each in ran.json.values())
+    assert any(str(item).startswith("http://") for item in ran.json.values())

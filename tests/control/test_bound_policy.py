@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from equipoise import paper
+from equipoise.arm.iiwa import iiwa
 from equipoise.control.baselines import lqr_gains
 from equipoise.control.bound_policy import BUILT_IN, load_policy
 from equipoise.control.policy import act, shipped_policy
 from equipoise.errors import ArtefactError, InputError, MissingExtraError
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.settings import Settings
 from tests.reference.onnx_network import DOUBLE, FLOAT, linear_network

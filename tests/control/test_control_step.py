@@ -1,6 +1,6 @@
 """The controller: how far it looks ahead, what it makes of measurements, and whether that is true.
 
-That all of it together equals a slow loop is shown in tests/worlds/test_plant.py.
+That all of it together equals a slow loop is shown in tests/simulation/test_plant.py.
 """
 
 from math import pi
@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from equipoise.arm.iiwa import iiwa
 from equipoise.arrays import fields, new_records
-from equipoise.artefacts import Estimate
 from equipoise.control.baselines import lqr_gains
 from equipoise.control.control_step import (
     ControllerState,
@@ -18,14 +18,14 @@ from equipoise.control.control_step import (
     make_controller_params,
 )
 from equipoise.control.controller import command_tick, estimate_of, observe_tick, start
-from equipoise.control.grid import TRUNCATED
+from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import SettingsError
+from equipoise.files import Estimate
 from equipoise.model.actuator import Actuator
-from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.elementary import BATCH_SIZE
+from equipoise.model.grid import TRUNCATED
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import resolve
-from equipoise.worlds.plant import DomainRandomization, make_loop_params
+from equipoise.simulation.plant import DomainRandomization, make_loop_params
 from tests.batch import Batch
 from tests.reference.closed_loop import Joints
 

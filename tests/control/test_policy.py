@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise import paper
-from equipoise.control.grid import make_grid
+from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import (
     LINEAR,
     RANDOM,
@@ -19,7 +19,7 @@ from equipoise.control.policy import (
     table_kernel,
 )
 from equipoise.model.actuator import IDEAL_ACTUATOR
-from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.grid import make_grid
 from equipoise.settings import BoxSettings, Settings
 from tests.reference.intervals import place
 

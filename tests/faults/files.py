@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from equipoise.errors import EquipoiseError
-from equipoise.logs.run_log import RunLog
+from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Outcome
 from tests.faults.harness import Trigger
 from tests.faults.table import Fault
@@ -59,12 +59,17 @@ def _step_the_date(harness):
     time.time = lambda: real() - 3600.0
 
 
-LASTED = frozenset({Outcome.LASTED})
+SURVIVED = frozenset({Outcome.SURVIVED})
 MOMENT = Trigger("balancing", 1.5)
 FILES = (
-    Fault("disk full", LASTED, _fill_the_disk, MOMENT, _with_a_log, check=_readable(".mcap")),
+    Fault("disk full", SURVIVED, _fill_the_disk, MOMENT, _with_a_log, check=_readable(".mcap")),
     Fault(
-        "power cut in the log", LASTED, _cut_the_power, MOMENT, _with_a_log, check=_readable(".cut")
+        "power cut in the log",
+        SURVIVED,
+        _cut_the_power,
+        MOMENT,
+        _with_a_log,
+        check=_readable(".cut"),
     ),
-    Fault("wall clock stepped", LASTED, _step_the_date),
+    Fault("wall clock stepped", SURVIVED, _step_the_date),
 )

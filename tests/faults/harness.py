@@ -15,7 +15,7 @@ from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.errors import EquipoiseError
 from equipoise.identification.actuator import identify_actuator
-from equipoise.logs.conditions import RunEnd
+from equipoise.log.conditions import RunEnd
 from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig.clocks import DrainingClock
 from equipoise.rig.config import RigSettings

@@ -13,14 +13,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from equipoise import paper
+from equipoise.arm.arm import Joint
+from equipoise.arm.posture import condition
 from equipoise.control.bound_policy import bind_policy
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.ticks import TickInputs
-from equipoise.model.arms.arm import Joint
-from equipoise.model.arms.posture import condition
 from equipoise.outcomes import Outcome
 from equipoise.rig.config import RigSettings
-from equipoise.worlds.twin.hand import draw_hand_params
+from equipoise.simulation.twin.hand import draw_hand_params
 from tests.faults.harness import START, FaultHarness, Scenario, Trigger
 
 BALANCING = Trigger("balancing", 0.5)
@@ -121,7 +121,7 @@ ENCODER = (
           _change("board", frozen=True), Trigger("swing")),
     Fault("count jump", _ends("count jump", "encoder gap", "encoder lost"),
           _call("board.jump", round(8192 * 5 / 360)), within=0.02),
-    Fault("slow count loss", FELL | _ends("lasted"), _change("board", loss=0.05),
+    Fault("slow count loss", FELL | _ends("survived"), _change("board", loss=0.05),
           Trigger("balancing"), _with(duration=8.0)),
     Fault("wrong sign", _ends("self-test"), _change("board", sign=-1), AT_START, says="sign"),
     Fault("wrong counts: half", _ends("self-test"), _change("board", factor=0.5), AT_START,
@@ -132,16 +132,16 @@ ENCODER = (
           AT_START, says="4096"),
     Fault("zeroed while swinging", _ends("count jump", "encoder gap", "encoder lost"),
           _call("board.zero"), Trigger("swing", 1.4), within=0.03),
-    Fault("zero error", _ends("lasted"), _slip_slowly, Trigger("swing"), check=_referenced_twice),
-    Fault("zero error while balancing", FELL | _ends("lasted"), _slip_slowly),
+    Fault("zero error", _ends("survived"), _slip_slowly, Trigger("swing"), check=_referenced_twice),
+    Fault("zero error while balancing", FELL | _ends("survived"), _slip_slowly),
     Fault("stale samples", _ends("stale encoder"), _change("sensor.link", delay=0.1),
           within=0.09, says="old"),
-    Fault("late samples at the release", FELL | _ends("lasted", "encoder lost"),
+    Fault("late samples at the release", FELL | _ends("survived", "encoder lost"),
           _change("sensor.link", delay=0.047), Trigger("armed")),
-    Fault("stall of the encoder", _ends("lasted"), lambda harness: hold_back(harness, "sensor")),
+    Fault("stall of the encoder", _ends("survived"), lambda harness: hold_back(harness, "sensor")),
     Fault("malformed lines", _ends("encoder gap"), _change("board", malformed=0.02), within=0.5,
           says="missing"),
-    Fault("one lost line", _ends("lasted"), _call("board.skip", 1), says="was lost"),
+    Fault("one lost line", _ends("survived"), _call("board.skip", 1), says="was lost"),
     Fault("lost lines", _ends("encoder gap"), _call("board.skip", 3), within=0.03),
     Fault("illegal transition", _ends("illegal transition"), _call("board.meet_illegal"),
           within=0.03, says="wiring"),
@@ -163,10 +163,10 @@ def _stall(*times: float) -> Inject:
 # fmt: off
 TIME = (
     Fault("late tick", _ends("late tick"), _stall(0.09), within=0.11),
-    Fault("stall of the loop", _ends("lasted"), _stall(0.06), says="loop stalled"),
+    Fault("stall of the loop", _ends("survived"), _stall(0.06), says="loop stalled"),
     Fault("repeated stalls", _ends("repeated stalls"),
           _stall(*(3 * (0.03, *(9 * (0.0,))))), within=0.3, says="at last the loop"),
-    Fault("one late tick", _ends("lasted"), _stall(0.008)),
+    Fault("one late tick", _ends("survived"), _stall(0.008)),
     Fault("late ticks", _ends("repeated stalls"), _stall(*(3 * (0.012, 0.0, 0.0))), within=0.08),
 )
 # fmt: on
@@ -334,7 +334,7 @@ ROBOT = (
           check=_no_bytes_after),
     Fault("half-open link", _ends("link lost"), _half_open, stoppable=False, within=0.1),
     Fault("command backlog", _ends("link overdue"), _back_up, within=0.1, says="has not answered"),
-    Fault("stall of the link", _ends("lasted"), lambda harness: hold_back(harness, "robot"),
+    Fault("stall of the link", _ends("survived"), lambda harness: hold_back(harness, "robot"),
           says="link stalled"),
     Fault("short stalls of the link", _ends("repeated stalls"), stall_shortly, within=0.2,
           says="at last the robot's link"),
@@ -484,7 +484,7 @@ RELEASE = (
           check=_never_began, says="still holding"),
     Fault("hand that falls with the pendulum", FELL | _ends("operator"), _take_away(2.5),
           Trigger("armed"), ARMING_MISSED, held_at_start=True),
-    Fault("push", FELL | _ends("lasted"), _call("bench.push", radians(20.0))),
+    Fault("push", FELL | _ends("survived"), _call("bench.push", radians(20.0))),
     Fault("hard push", FELL | _ends("count jump"), _call("bench.push", radians(250.0)),
           within=0.6),
 )

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from equipoise.control.policy import shipped_policy
-from equipoise.logs.run_log import RunLog
+from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Outcome
 from equipoise.rig.config import RigSettings
 from tests.program import LONGEST, program, wait_until
@@ -45,4 +45,4 @@ def balances(tmp_path, arm, *words):
                 return run.process.poll() is not None
 
             wait_until(over, "end of the run", 2.0 * LONGEST)
-    assert RunLog.load(log).end.outcome is Outcome.LASTED, "\n".join(run.lines)
+    assert RunLog.load(log).end.outcome is Outcome.SURVIVED, "\n".join(run.lines)

@@ -14,7 +14,7 @@ import numpy as np
 
 from equipoise import paper
 from equipoise.errors import EquipoiseError
-from equipoise.logs.run_log import RunLog
+from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Outcome
 from equipoise.safety.rules import POSITION_MARGIN, STOP_DECELERATION
 from tests.faults.harness import FaultHarness, Scenario
@@ -108,9 +108,9 @@ def check_stop(arm, sent, stop):
     if steps[-1] > MAX_HOLD_STEP:
         problems.append("the last setpoint still moves the arm")
     # 4 m/s^2 bring the fastest flange to rest in v / 4.
-    lasted = times[int(after[np.argmax(steps[after] <= MAX_HOLD_STEP)])] - stop
-    if lasted > paper.X_LIMIT * 10.0 / STOP_DECELERATION:
-        problems.append(f"the stop took {lasted:.2f} s")
+    duration = times[int(after[np.argmax(steps[after] <= MAX_HOLD_STEP)])] - stop
+    if duration > paper.X_LIMIT * 10.0 / STOP_DECELERATION:
+        problems.append(f"the stop took {duration:.2f} s")
     return problems
 
 

@@ -9,13 +9,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from equipoise.arm.iiwa import iiwa
 from equipoise.errors import RecordingError
 from equipoise.identification.actuator import identify_actuator, identify_run
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.worlds import read_world
 from equipoise.rig.simulate import excite as excite_run
-from equipoise.worlds.twin.servo_model import equivalent_actuator
+from equipoise.simulation.twin.servo_model import equivalent_actuator
 
 pytestmark = pytest.mark.compiled_only
 

@@ -10,8 +10,8 @@ from math import pi, radians, sqrt
 import numpy as np
 import pytest
 
-from equipoise.artefacts import Estimate
 from equipoise.errors import RecordingError
+from equipoise.files import Estimate
 from equipoise.identification.recording import (
     Trajectory,
     fitted_curve,

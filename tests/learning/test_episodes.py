@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise import paper
+from equipoise.arm.iiwa import iiwa
 from equipoise.arrays import fields
 from equipoise.learning.choice import compile_functions
 from equipoise.learning.episodes import (
@@ -16,7 +17,7 @@ from equipoise.learning.episodes import (
     new_training_state,
     training_config,
 )
-from equipoise.learning.learner import (
+from equipoise.learning.q_learning import (
     Tables,
     Transition,
     best_action,
@@ -26,9 +27,8 @@ from equipoise.learning.learner import (
     q_learning,
 )
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
-from equipoise.worlds.plant import make_loop_params
+from equipoise.simulation.plant import make_loop_params
 from tests.reference import learning as reference
 
 WORD = 2**32

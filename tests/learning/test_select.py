@@ -5,16 +5,16 @@ import pytest
 from scipy.stats import binomtest
 
 from equipoise import paper
-from equipoise.control.grid import make_grid
+from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import shipped_policy, table_kernel
 from equipoise.errors import InputError
 from equipoise.learning import select
 from equipoise.model.actuator import shipped_actuator
-from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.grid import make_grid
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
 from equipoise.settings import resolve
-from equipoise.worlds import Setup
-from equipoise.worlds.ideal import PlantSimulation
+from equipoise.simulation import Setup
+from equipoise.simulation.ideal import PlantSimulation
 
 pytestmark = pytest.mark.compiled_only
 

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from equipoise.artefacts import Estimate
+from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, SettingsError
+from equipoise.files import Estimate
 from equipoise.learning import train as train_module
 from equipoise.learning.episodes import Training
 from equipoise.learning.select import measure_survival
 from equipoise.learning.train import check_task, train, train_to_target
 from equipoise.model.actuator import Actuator, shipped_actuator
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
-from equipoise.worlds import Setup
+from equipoise.simulation import Setup
 
 # Thousands of episodes' worth of steps: minutes without compilation.
 pytestmark = pytest.mark.compiled_only
@@ -127,7 +127,7 @@ def test_without_candidates_the_last_table_is_kept(pendulum):
 def test_the_learning_curve_counts_all_steps(policies):
     policy = policies[0]
     points = policy.learning_curve
-    episodes, steps = [each.episodes for each in points], [each.steps for each in points]
+    episodes, steps = [point.episodes for point in points], [point.steps for point in points]
     assert episodes == sorted(set(episodes))
     assert episodes[-1] == policy.episodes == 60
     assert steps == sorted(set(steps))

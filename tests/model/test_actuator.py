@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from equipoise.arrays import new_records
+from equipoise.elementary import BATCH_SIZE
 from equipoise.jit import compilable, kernel
 from equipoise.model.actuator import (
     AMPLITUDE,
@@ -25,12 +26,11 @@ from equipoise.model.actuator import (
     Servos,
     follow,
     follow_setpoint,
-    lag_share,
+    lag_fraction,
     shaped_step,
     steady_error,
     track,
 )
-from equipoise.model.elementary import BATCH_SIZE
 
 compiled = compilable(follow_setpoint)
 
@@ -58,7 +58,7 @@ def servos(q, dq, target, fraction):
 
 def moved(targets, actuator, lag=0.0):
     """Return positions and velocities of a joint after each cycle, from rest at zero."""
-    joint = servos(0.0, 0.0, 0.0, lag_share(lag))
+    joint = servos(0.0, 0.0, 0.0, lag_fraction(lag))
     positions, velocities = [], []
     for target in targets:
         joint["target"] = target

@@ -4,8 +4,8 @@ from math import radians
 
 import pytest
 
-from equipoise.artefacts import Estimate
 from equipoise.errors import SettingsError
+from equipoise.files import Estimate
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import (
     TwinSettings,

@@ -1,6 +1,6 @@
 """One trial of the closed loop as one reads it: lists of times, small matrices, joint by joint.
 
-What `step` of `equipoise.worlds.plant`, with the controller in it, must equal. It takes
+What `step` of `equipoise.simulation.plant`, with the controller in it, must equal. It takes
 from the package the numbers of settings, actuator and arm, and the arm's uncompiled kinematics,
 which has tests of its own; delay line, servo, Riccati recursion, pendulum, observer and prediction
 are written here a second time. Times are whole milliseconds from the start of the trial, at which

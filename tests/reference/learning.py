@@ -1,4 +1,4 @@
-"""Learners as one reads them: a dictionary of boxes, one episode after the other in a list.
+"""Algorithms as one reads them: a dictionary of boxes, one episode after the other in a list.
 
 The loop of `equipoise.learning.episodes` must equal it. Both
 share the compiled plant (`reset`, `draw_noise`, `step`) and the random words; boxes, table, mirror,
@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from equipoise import paper
-from equipoise.control.grid import TRUNCATED
+from equipoise.model.grid import TRUNCATED
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import (
     TRAINING_ACTION,
@@ -28,7 +28,7 @@ from equipoise.model.random import (
     philox,
     uniform,
 )
-from equipoise.worlds.plant import DomainRandomization, draw_noise
+from equipoise.simulation.plant import DomainRandomization, draw_noise
 from tests.batch import Batch
 from tests.reference.intervals import place
 

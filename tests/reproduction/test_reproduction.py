@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from equipoise import paper
-from equipoise.apps.report.page import build
-from equipoise.artefacts import read_document
+from equipoise.arm.urdf import read_urdf
 from equipoise.errors import ArtefactError, OutsideError, RecordingError
+from equipoise.files import read_document
 from equipoise.identification.recording import Trajectory
 from equipoise.model.actuator import shipped_actuator
-from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.worlds import IDEAL, MODEL
+from equipoise.report.page import build
 from equipoise.reproduction.pipeline import TWIN, reproduce
 from equipoise.reproduction.results import RECORD, SWING, load
 from equipoise.reproduction.synthetic_swing import (
@@ -19,8 +19,8 @@ from equipoise.reproduction.synthetic_swing import (
     synthetic_swing,
 )
 from equipoise.settings import resolve
+from tests.arm.witnesses import ELBOW
 from tests.arms import without_masses
-from tests.model.arms.witnesses import ELBOW
 
 SHORT = resolve(
     overrides=[

@@ -1,6 +1,6 @@
 """Simulated rigs in process, in virtual time."""
 
-from equipoise.model.arms.iiwa import iiwa
+from equipoise.arm.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.clocks import VirtualClock

@@ -12,7 +12,7 @@ import numpy as np
 from equipoise.control.bound_policy import BoundPolicy
 from equipoise.control.ticks import TickInputs, TickRecord
 from equipoise.identification.actuator import identify_actuator
-from equipoise.logs.recorder import FAILED, WORD_TYPED
+from equipoise.log.recorder import FAILED, WORD_TYPED
 from equipoise.outcomes import End, Outcome
 from equipoise.rig.config import RigSettings
 from equipoise.rig.interfaces import Reply, Sample

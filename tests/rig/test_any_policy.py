@@ -9,7 +9,7 @@ import pytest
 from equipoise.control.bound_policy import bind_policy, load_policy
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError
-from equipoise.logs.run_log import RunLog
+from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Phase
 from equipoise.rig.checks import warm_up
 from equipoise.rig.config import RigSettings
@@ -84,7 +84,7 @@ def test_a_policy_that_fails_ends_in_the_latched_stop_with_the_arm_at_rest(tmp_p
     result, log = run(policy, tmp_path / "run.mcap", 5.0, failing)
     assert (result.outcome, result.stoppable, result.exit_code) == ("policy failed", True, 1)
     assert FAILURES[fail] in result.reason
-    assert result.lasted == pytest.approx(0.5)
+    assert result.survival == pytest.approx(0.5)
     tick = log.tables["tick"]
     stopping = tick["state"] == PHASES.index(Phase.STOPPING)
     first = int(np.argmax(stopping))

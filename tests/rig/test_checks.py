@@ -37,7 +37,7 @@ def states(gap, n):
 
 def encoder(**change):
     usual = {"counts": 8192, "rate": 1000.0, "ages": np.full(100, 0.001)}
-    return checks.check_encoder(RIG, **usual | {"lost_share": 0.0, "illegal": 0} | change)
+    return checks.check_encoder(RIG, **usual | {"lost_fraction": 0.0, "illegal": 0} | change)
 
 
 def fit(**rig):
@@ -77,8 +77,8 @@ def later(change):
         (encoder(ages=np.full(100, 0.006)), "encoder's samples", "warning"),
         (encoder(rate=190.0), "encoder's samples", "bad"),
         (encoder(ages=np.full(100, 0.021)), "encoder's samples", "bad"),
-        (encoder(lost_share=0.009), "encoder's line", "good"),
-        (encoder(lost_share=0.011), "encoder's line", "warning"),
+        (encoder(lost_fraction=0.009), "encoder's line", "good"),
+        (encoder(lost_fraction=0.011), "encoder's line", "warning"),
         (encoder(illegal=1), "encoder's line", "bad"),
         (fit(), "policy and arm", "good"),
         (fit(arm="iiwa14"), "policy and arm", "bad"),

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
+from equipoise.arm.urdf import read_urdf
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, SettingsError
-from equipoise.model.arms.urdf import read_urdf
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import RigSettings, read_rig
 from equipoise.rig.connection import connect
 from equipoise.rig.plugins import Session, robot_plugin
 from equipoise.rig.request import RunRequest
-from tests.model.arms.witnesses import ELBOW, ELBOW_HOME
+from tests.arm.witnesses import ELBOW, ELBOW_HOME
 
 POLICY = shipped_policy()
 
@@ -67,7 +67,7 @@ def test_a_rig_describes_an_arm_from_a_urdf_beside_it(tmp_path):
         "load_kg = true",
         "pivot_mm = [-1000, 0, 0]",
         "load_kg = 0.5\nload_mm = [0, 0, 500]",
-        "torque_share = 1e-6",
+        "torque_fraction = 1e-6",
     ],
 )
 def test_what_cannot_be_is_refused(tmp_path, text):
@@ -93,7 +93,7 @@ def test_an_address_that_is_none_is_refused(robot, encoder):
 
 
 def test_what_a_rig_says_of_its_limits_becomes_its_rules(tmp_path):
-    file = written(tmp_path, "position_margin_deg = 10\nspeed_share = 0.5\ntorque_share = 0.2\n")
+    file = written(tmp_path, "position_margin_deg = 10\nspeed_fraction = 0.5\ntorque_fraction = 0.2\n")
 
     def safety(rig):
         request = RunRequest(POLICY, POLICY.actuator, rig, "twin:nominal", None, 1.0)

@@ -7,8 +7,8 @@ import pytest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.identification.refine import read_motion
-from equipoise.logs.conditions import RunEnd
-from equipoise.logs.run_log import RunLog
+from equipoise.log.conditions import RunEnd
+from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.explanation import (
     RootCause,
@@ -18,7 +18,7 @@ from equipoise.rig.explanation import (
 )
 from equipoise.rig.simulate import simulate_run
 from equipoise.settings import changed
-from tests.logs.made_up import changed_table
+from tests.log.made_up import changed_table
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
 
@@ -44,7 +44,7 @@ def motion(run):
 
 
 def test_a_run_in_which_nothing_goes_wrong_raises_no_suspicion(run):
-    assert [each.cause for each in explain(run)] == [Outcome.LASTED]
+    assert [cause.cause for cause in explain(run)] == [Outcome.SURVIVED]
     # Nor would it if it had ended: the unexplained rate stays where it is, to 1 deg/s over 80 ms.
     assert root_causes(run) == []
     rate = unexplained_rate(run, motion(run))[1]

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from equipoise.arm.iiwa import iiwa
 from equipoise.errors import LinkError
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.outcomes import Outcome
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.safety.rules import FIRST_LIMIT, limits_of
@@ -161,17 +161,19 @@ wild = st.one_of(st.floats(), st.floats(-3.0, 3.0))
 
 @given(
     start=st.lists(st.floats(0.02, 0.98), min_size=7, max_size=7),
-    shares=st.lists(st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7), min_size=1, max_size=4),
+    fractions=st.lists(
+        st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7), min_size=1, max_size=4
+    ),
     late=st.integers(0, 200),
     bad=st.lists(wild, min_size=5, max_size=9),
 )
-def test_whatever_goes_in_what_leaves_keeps_all_limits(start, shares, late, bad):
+def test_whatever_goes_in_what_leaves_keeps_all_limits(start, fractions, late, bad):
     at = LOWER + np.array(start) * (UPPER - LOWER)
     robot, tape = guarded(at)
     robot.send(at)
     q = at
-    for share in shares:
-        for setpoint in along(q, np.array(share) * VELOCITY, 30):
+    for fraction in fractions:
+        for setpoint in along(q, np.array(fraction) * VELOCITY, 30):
             robot.send(setpoint)
             q = np.array(setpoint)
     robot.send(bad)

@@ -6,7 +6,7 @@ import pytest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import LinkError, OutsideError
-from equipoise.logs.run_log import RunLog
+from equipoise.log.run_log import RunLog
 from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig

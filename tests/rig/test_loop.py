@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from equipoise.arm.iiwa import iiwa
 from equipoise.control.ticks import OperatorMessage, TickOutput, TickRecord
 from equipoise.errors import LinkError
-from equipoise.logs.recorder import Recorder
-from equipoise.model.arms.iiwa import iiwa
+from equipoise.log.recorder import Recorder
 from equipoise.outcomes import Outcome, describe
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.guarded import GuardedRobot

@@ -2,7 +2,7 @@
 
 The loop's process runs the real loop, guard and signals; in place of the course stands a heart that
 moves one joint to and fro until a word comes. A whole run over ports and a terminal is in
-`tests/apps/console/test_run.py`.
+`tests/console/test_run.py`.
 """
 
 import multiprocessing
@@ -17,12 +17,12 @@ import numpy as np
 import psutil
 import pytest
 
+from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import shipped_policy
 from equipoise.control.ticks import OperatorMessage, Sample, TickOutput, TickRecord
 from equipoise.errors import LinkError, OutsideError
-from equipoise.logs.conditions import RunEnd
-from equipoise.logs.run_log import RunLog
-from equipoise.model.arms.iiwa import iiwa
+from equipoise.log.conditions import RunEnd
+from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Phase
 from equipoise.rig import host, processes
 from equipoise.rig.clocks import SystemClock
@@ -68,7 +68,7 @@ class Heart:
         events = [OperatorMessage("homing", f"process {os.getpid()}")] if n == 1 else []
         if self.rest is None and (inputs.lines or n > 200):
             self.rest, self.typed = n, "".join(inputs.lines[:1])
-            events.append(OperatorMessage("stopping", self.typed or "lasted"))
+            events.append(OperatorMessage("stopping", self.typed or "survived"))
         done, state = False, Phase.BALANCING
         setpoints = [(*ARM.home[:6], self.at(2 * n - half)) for half in (1, 0)]
         if self.rest is not None:
@@ -92,9 +92,9 @@ def move(request, rig, operators, recorder, *, measures, submit):
     ending = run_loop(robot, encoder, clock, heart, recorder, operator, submit=submit)
     if "SENT" in os.environ:
         np.save(os.environ["SENT"], [q[6] for _, q in arm.sent])
-    outcome = "operator" if heart.typed else "lasted"
+    outcome = "operator" if heart.typed else "survived"
     evidence = {"typed": heart.typed}
-    return RunEnd(outcome=outcome, evidence=evidence, stoppable=ending.stoppable, lasted=0.0)
+    return RunEnd(outcome=outcome, evidence=evidence, stoppable=ending.stoppable, survival=0.0)
 
 
 def moving(request, memory, joints, pipe, course=move):

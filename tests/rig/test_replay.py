@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from equipoise.control.policy import shipped_policy
-from equipoise.logs.run_log import RunLog
+from equipoise.log.run_log import RunLog
 from tests.faults.harness import FaultHarness, Scenario, Trigger
-from tests.logs.made_up import changed_table
+from tests.log.made_up import changed_table
 from tests.rig.replayed import replay
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
@@ -34,7 +34,7 @@ def test_a_run_with_a_stall_replays_to_the_bit(tmp_path):
     scenario = Scenario(duration=1.5, out=tmp_path / "run.mcap")
     # The second setpoint of a tick is late, and is not sent.
     stall = Trigger("balancing", 0.5), lambda harness: harness.clock.stalls.extend((0.0, 0.05))
-    assert FaultHarness(scenario, stall).run().outcome == "lasted"
+    assert FaultHarness(scenario, stall).run().outcome == "survived"
     log = RunLog.load(scenario.out)
     ticks, rows = len(log.tables["tick"]), len(log.tables["stream"])
     assert rows < 2 * ticks

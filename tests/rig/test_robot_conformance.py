@@ -1,4 +1,4 @@
-"""Every robot of this package passes the suite that a guest's robot passes; no broken driver does.
+"""Every robot of this package passes the suite that a user's robot passes; no broken driver does.
 
 Another robot adds a class that says how to make it.
 """
@@ -52,7 +52,7 @@ class TestGuest(RobotConformance):
 
 
 def changed(measured=lambda q: q, setpoint=lambda q: q):
-    """Return the guest's driver with other measured joints or setpoints."""
+    """Return the user's driver with other measured joints or setpoints."""
 
     class Changed(guest.GuestRobot):
         def measured(self):

@@ -7,7 +7,7 @@ import pytest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.identification.actuator import identify_actuator
-from equipoise.logs.run_log import RunLog
+from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Phase
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import connect
@@ -44,7 +44,7 @@ def request(robot="twin:nominal", **changes):
 def test_it_stands_on_the_twin_and_the_log_says_how(tmp_path):
     out, spy = tmp_path / "run.mcap", Spy()
     outcome = run_virtually(request(), out, spy)
-    assert (outcome.outcome, outcome.lasted, outcome.exit_code) == ("lasted", 2.0, 0)
+    assert (outcome.outcome, outcome.survival, outcome.exit_code) == ("survived", 2.0, 0)
     order = ["homing", "home", "reference", "swing", "self-test", "lift", "armed", "balancing"]
     assert [name for name in spy.names if name in order] == order
     run = RunLog.load(out, damaged=True)
@@ -58,7 +58,7 @@ def test_it_stands_on_the_twin_and_the_log_says_how(tmp_path):
     steps = np.diff(stream["q"], axis=0) / 0.005
     assert (np.abs(steps) <= limits[0] * 1.001).all()
     assert (np.abs(np.diff(steps, axis=0)) / 0.005 <= limits[1] * 1.001).all()
-    assert run.end.outcome == "lasted"
+    assert run.end.outcome == "survived"
 
 
 @pytest.mark.slow
@@ -66,7 +66,7 @@ def test_an_excitation_before_the_lift_refuses_a_policy_for_another_arm(tmp_path
     out = tmp_path / "run.mcap"
     wanted = request(robot="twin:pd", identify=identify_actuator)
     end = run_virtually(wanted, out, Spy())
-    assert (end.outcome, end.exit_code, end.lasted) == ("arm not identified", 1, 0.0)
+    assert (end.outcome, end.exit_code, end.survival) == ("arm not identified", 1, 0.0)
     assert "It does not fit the actuator of policy" in end.reason
     run = RunLog.load(out, damaged=True)
     found = run.end.identified
@@ -127,5 +127,5 @@ def test_a_mistyped_word_is_asked_again(typed, cause, asked):
 
 def test_a_stop_that_came_with_the_last_answer_is_heard_in_the_first_tick():
     end, told = answered(request(), "estop", "fence", "monitoring", "t1", "y", "stop")
-    assert (end.outcome, end.lasted) == ("operator", 0.0)
+    assert (end.outcome, end.survival) == ("operator", 0.0)
     assert "stopped by the operator (stop)" in told

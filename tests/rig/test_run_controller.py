@@ -159,8 +159,8 @@ def armed(make=Course):
     lifted = course.now
 
     def lifting(time):
-        share = min(max((time - lifted) / 2.0, 0.0), 1.0)
-        return pi * share**2 * (3.0 - 2.0 * share)
+        fraction = min(max((time - lifted) / 2.0, 0.0), 1.0)
+        return pi * fraction**2 * (3.0 - 2.0 * fraction)
 
     course.theta = lifting
     return course.until(Phase.ARMED)
@@ -489,9 +489,9 @@ def away():
     return tuple(angle + 0.2 for angle in ARM.home)
 
 
-def push(course, joint, share):
+def push(course, joint, fraction):
     limit = course.guard.torque[joint]
-    course.torques = TORQUES + share * limit * np.eye(7)[joint]
+    course.torques = TORQUES + fraction * limit * np.eye(7)[joint]
 
 
 @pytest.mark.parametrize("joint", range(7))

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
+from equipoise.arm.iiwa import iiwa
 from equipoise.arrays import fields, new_records
-from equipoise.model.actuator import Servos, follow, lag_share
-from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.actuator import Servos, follow, lag_fraction
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
-from equipoise.worlds.twin.excitation import excitation
-from equipoise.worlds.twin.physics import TICK
-from equipoise.worlds.twin.servo_model import equivalent_actuator
-from equipoise.worlds.twin.twin import Twin
+from equipoise.simulation.twin.excitation import excitation
+from equipoise.simulation.twin.physics import TICK
+from equipoise.simulation.twin.servo_model import equivalent_actuator
+from equipoise.simulation.twin.twin import Twin
 
 ARM = iiwa(7)
 PENDULUM = PendulumParameters(w2=70.2, k=7.16, c=0.15)
@@ -66,7 +66,7 @@ def test_an_arm_without_load_moves_as_the_equivalent_actuator(changes):
     found = equivalent_actuator(settings)
     model = found.parameters
     servos = new_records(Servos)
-    servos["q"], servos["fraction"] = ARM.home_free[:, None], lag_share(found.lags[0].value)
+    servos["q"], servos["fraction"] = ARM.home_free[:, None], lag_fraction(found.lags[0].value)
     apart = []
     for row in setpoints:
         twin.send(row)

@@ -1,12 +1,13 @@
-"""A simulated run and its log; `tests/worlds/test_plant.py` recomputes the motion of its plant."""
+"""A simulated run and its log; `tests/simulation/test_plant.py` recomputes the motion of its
+plant."""
 
 import numpy as np
 import pytest
 
 from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.rig.simulate import DEPLOYMENT, simulate_run
-from equipoise.worlds.plant import make_loop_params
-from tests.worlds.recorded import on_the_plant, run_all
+from equipoise.simulation.plant import make_loop_params
+from tests.simulation.recorded import on_the_plant, run_all
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 
 from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY
-from equipoise.worlds.twin.twin import FLANGE, Twin
+from equipoise.simulation.twin.twin import FLANGE, Twin
 from tests.rig.in_process import ARM, PENDULUM, stand
 
 pytestmark = pytest.mark.compiled_only

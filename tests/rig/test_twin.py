@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from equipoise.model.arms.iiwa import iiwa
+from equipoise.arm.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY
-from equipoise.worlds.twin.excitation import PERIOD, excitation
-from equipoise.worlds.twin.physics import TICK
-from equipoise.worlds.twin.twin import HISTORY_MS, Twin, reset
+from equipoise.simulation.twin.excitation import PERIOD, excitation
+from equipoise.simulation.twin.physics import TICK
+from equipoise.simulation.twin.twin import HISTORY_MS, Twin, reset
 
 ARM = iiwa(7)
 PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)

@@ -4,14 +4,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from equipoise.arm.iiwa import iiwa
 from equipoise.errors import ArmError
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY
-from equipoise.worlds.twin.physics import build, mass_matrix
+from equipoise.simulation.twin.physics import build, mass_matrix
+from tests.arm.witnesses import ARMS, by_mujoco, by_pinocchio
 from tests.arms import without_masses
-from tests.model.arms.witnesses import ARMS, by_mujoco, by_pinocchio
 
 PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
 BARE = TwinSettings(bracket_mass=0.0, pendulum_mass=1e-9, rotor_inertia=(0.0,))

@@ -5,7 +5,7 @@ from math import inf, nan, pi
 import numpy as np
 import pytest
 
-from equipoise.model.arms.iiwa import iiwa
+from equipoise.arm.iiwa import iiwa
 from equipoise.safety.monitors import REPEAT_WINDOW, JointPlausibility, RepeatMonitor
 from equipoise.safety.rules import limits_of
 
@@ -55,8 +55,8 @@ def test_a_step_is_as_large_as_acceleration_noise_and_uncertain_times_allow(join
     most = 4.0 * (5e-4 + 0.5 * trip * v) + 5.0 * a * PERIOD**2
     most = min(most, 2.0 * (5e-4 + 0.5 * trip * v) + v * PERIOD)
     there = COMMANDED + np.linspace(0.0, 1.0, 64)[:, None] * only(joint, 0.1)
-    for share, plausible in ((0.995, True), (1.005, False)):
-        step = only(joint, share * most)
+    for fraction, plausible in ((0.995, True), (1.005, False)):
+        step = only(joint, fraction * most)
         course = lambda t, step=step: step * (t > 0.5 * trip + 3.5 * PERIOD)  # noqa: E731
         assert (doubt(course, 5, trip, there) == "") is plausible
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from equipoise.model.arms.iiwa import iiwa
+from equipoise.arm.iiwa import iiwa
 from equipoise.outcomes import Outcome, SafetyInputs
 from equipoise.safety.rules import (
     MonitorState,
@@ -125,13 +125,13 @@ def of_joint(violation, rule, joint, value, limit):
 @pytest.mark.parametrize("dt", [0.002, 0.01])
 def test_no_joint_is_sent_faster_or_harder_than_it_can(joint, side, dt):
     fastest, hardest = LIMITS.velocity[joint - 1], LIMITS.acceleration[joint - 1]
-    for share, may in ((0.999, True), (1.001, False)):
-        v, change = side * share * fastest * dt, side * share * hardest * dt**2
+    for fraction, may in ((0.999, True), (1.001, False)):
+        v, change = side * fraction * fastest * dt, side * fraction * hardest * dt**2
         fast = check_setpoint(LIMITS, moved(HOME, joint, v), HOME, moved(HOME, joint, -v), dt)
         if may:
             assert fast is None
         else:
-            assert of_joint(fast, Outcome.VELOCITY, joint, share * fastest, fastest)
+            assert of_joint(fast, Outcome.VELOCITY, joint, fraction * fastest, fastest)
         # From rest, while moving on, and to rest.
         for v in (0.0, 0.3 * side * dt):
             q, before = moved(HOME, joint, v + change), moved(HOME, joint, -v)
@@ -139,7 +139,7 @@ def test_no_joint_is_sent_faster_or_harder_than_it_can(joint, side, dt):
             if may:
                 assert hard is None
             else:
-                assert of_joint(hard, Outcome.ACCELERATION, joint, share * hardest, hardest)
+                assert of_joint(hard, Outcome.ACCELERATION, joint, fraction * hardest, hardest)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -248,7 +248,7 @@ def seen(*views, guard=GUARD):
 
 
 def along(n, follow, *, joint=1, speed=0.1):
-    """Return views of an arm that is expected to move steadily, and does by a share of it."""
+    """Return views of an arm that is expected to move steadily, and does by a fraction of it."""
     return [
         SafetyInputs(
             measured=moved(HOME, joint, follow * speed * H * i),
@@ -320,7 +320,7 @@ def test_an_arm_that_is_elsewhere_for_long_is_not_following(side):
 def test_a_following_error_lasts_through_ticks_without_measured_joints():
     far, blind = off(8, 0.031), SafetyInputs()
     assert seen(far[0], *(blind,) * 9)[1] is None
-    # An error before and after them has lasted; one measurement is not enough.
+    # An error before and after them persists; one measurement is not enough.
     assert seen(far[0], *(blind,) * 4, far[5])[1].outcome is Outcome.FOLLOWING
     assert seen(far[0], *(blind,) * 3, far[4])[1] is None
     assert seen(*(blind,) * 9, far[0])[1] is None

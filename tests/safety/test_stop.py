@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from equipoise.arm.iiwa import iiwa
 from equipoise.errors import InputError
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.safety.rules import STOP_DECELERATION, check_setpoint, limits_of
 from equipoise.safety.stop import (
     RETURN_FRACTION,
@@ -22,7 +22,7 @@ LIMITS = limits_of(ARM)
 HOME = ARM.home
 DT = 0.005
 
-shares = st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7)
+fractions = st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7)
 
 
 def stream(way, n=None):
@@ -31,9 +31,9 @@ def stream(way, n=None):
     return np.array([way.at(i * DT).q for i in range(n)])
 
 
-@given(shares, st.floats(0.0, 2.0))
-def test_the_arm_slows_down_at_once_goes_on_straight_and_ends_at_rest(share, speed):
-    dq = [s * limit for s, limit in zip(share, LIMITS.velocity, strict=True)]
+@given(fractions, st.floats(0.0, 2.0))
+def test_the_arm_slows_down_at_once_goes_on_straight_and_ends_at_rest(fraction, speed):
+    dq = [s * limit for s, limit in zip(fraction, LIMITS.velocity, strict=True)]
     way = ramp(HOME, dq, speed, LIMITS)
     q = stream(way)
     steps = np.diff(q, axis=0)
@@ -49,9 +49,9 @@ def test_the_arm_slows_down_at_once_goes_on_straight_and_ends_at_rest(share, spe
     assert way.at(1e9) == (tuple(q[-1]), pytest.approx((0.0,) * 7))
 
 
-@given(shares, st.floats(0.0, 2.0))
-def test_each_setpoint_may_be_sent(share, speed):
-    dq = [s * limit for s, limit in zip(share, LIMITS.velocity, strict=True)]
+@given(fractions, st.floats(0.0, 2.0))
+def test_each_setpoint_may_be_sent(fraction, speed):
+    dq = [s * limit for s, limit in zip(fraction, LIMITS.velocity, strict=True)]
     way = ramp(HOME, dq, speed, LIMITS)
     last = HOME
     before = tuple(q - DT * v for q, v in zip(HOME, dq, strict=True))
@@ -65,9 +65,9 @@ def test_each_setpoint_may_be_sent(share, speed):
     st.floats(0.0, 5.0),
 )  # fmt: skip
 def test_a_ramp_from_where_a_joint_can_just_be_stopped_ends_inside_its_limit(
-    joint, side, share, before_the_last, flange_speed
+    joint, side, fraction, before_the_last, flange_speed
 ):
-    v = side * share * LIMITS.velocity[joint]
+    v = side * fraction * LIMITS.velocity[joint]
     limit = LIMITS.upper[joint] if side > 0.0 else LIMITS.lower[joint]
     farthest = limit - side * 0.5 * v * v / LIMITS.acceleration[joint]
 
@@ -193,13 +193,13 @@ def test_the_way_back_ends_where_the_arm_is():
 
 
 @given(
-    shares,
+    fractions,
     st.lists(st.floats(-10.0, 10.0), min_size=7, max_size=7),
     st.integers(1, 200),
     st.sampled_from(["hold", "rest", ""]),
 )
-def test_no_setpoint_leaves_the_reach_of_the_ramp_whatever_is_measured(share, away, ticks, then):
-    dq = [0.3 * s * limit for s, limit in zip(share, LIMITS.velocity, strict=True)]
+def test_no_setpoint_leaves_the_reach_of_the_ramp_whatever_is_measured(fraction, away, ticks, then):
+    dq = [0.3 * s * limit for s, limit in zip(fraction, LIMITS.velocity, strict=True)]
     motion, sent = stopped(dq)
     reach = np.abs(sent[-1] - HOME)
     motion.go_back(tuple(np.add(HOME, away).tolist()))

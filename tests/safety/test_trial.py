@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from equipoise.arm.iiwa import iiwa
 from equipoise.arrays import fields, new_records
 from equipoise.control.control_step import ControllerState, make_controller_params
 from equipoise.jit import kernel
 from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import read_world
 from equipoise.outcomes import SAFETY_RULES, Outcome

@@ -8,7 +8,7 @@ import numpy as np
 from equipoise_franka.velocity import PERIOD
 
 SHARE = 0.2
-"""Share of its distance from the desired joints that the arm makes up for in a cycle [-]."""
+"""Fraction of its distance from the desired joints that the arm makes up for in a cycle [-]."""
 
 
 class JointVelocities:

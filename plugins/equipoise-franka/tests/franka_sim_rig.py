@@ -22,7 +22,7 @@ from franka_sim.franka_sim_server import FrankaSimServer
 from franka_sim.server import state_stream
 
 from equipoise.rig.simulated_rig import Bench, Mechanism
-from equipoise.worlds.twin.physics import rod_inertia
+from equipoise.simulation.twin.physics import rod_inertia
 from equipoise_franka import franky
 
 ASSETS = Path(franky_sim.__file__).parent / "assets"

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
+from equipoise.arm.iiwa import iiwa
 from equipoise.errors import LinkError
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.rig.clocks import VirtualClock
 from equipoise_franka.paced import MARGIN, PacedStream
 from equipoise_franka.robot import Request

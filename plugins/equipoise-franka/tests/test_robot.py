@@ -10,7 +10,7 @@ pytest.importorskip("franky_sim")
 
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import LinkError
-from equipoise.logs.run_log import RunLog
+from equipoise.log.run_log import RunLog
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.outcomes import Outcome, Phase
@@ -111,7 +111,7 @@ FAULTS = {
     "a controller that dies": (lambda rig, now: rig.reset_state(), "requested nothing"),
     "a cable that is pulled": (lambda rig, now: rig.plug(False), "requested nothing"),
     "joints that stand still": (lambda rig, now: rig.freeze(times=True), "the same joints"),
-    "a time that stands still": (lambda rig, now: rig.freeze(times=False), "UDP receive: Timeout"),
+    "a time that stalls": (lambda rig, now: rig.freeze(times=False), "UDP receive: Timeout"),
 }
 """For each fault its act on the rig, and words of the error."""
 
@@ -160,7 +160,7 @@ def test_a_fault_ends_a_balance_with_the_arm_at_rest_and_its_cause_in_the_log(
     end = run_virtually(request, log, rig=rig, wrap=wrap)
     assert end.outcome is Outcome.LINK_LOST
     assert re.search(words, end.reason)
-    assert 1.0 <= end.lasted < 1.2
+    assert 1.0 <= end.survival < 1.2
     cause = explain(RunLog.load(log))[0]
     assert cause.cause is Outcome.LINK_LOST
     assert re.search(words, cause.evidence)
@@ -207,7 +207,7 @@ def requested():
 
 def test_a_policy_balances_a_pendulum_on_an_fr3():
     end = run_virtually(requested(), None)
-    assert end.outcome is Outcome.LASTED, end.reason
+    assert end.outcome is Outcome.SURVIVED, end.reason
 
 
 @pytest.mark.slow

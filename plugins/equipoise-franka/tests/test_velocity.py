@@ -48,8 +48,8 @@ def test_any_desired_velocities_keep_the_limits(seed):
 
 def test_a_joint_can_stop_before_the_end_of_its_range():
     """A braking at the controller's deceleration ends before the limit, wherever it begins."""
-    for share in np.linspace(0.0, 1.0, 50):
-        q = LOWER + share * (UPPER - LOWER)
+    for fraction in np.linspace(0.0, 1.0, 50):
+        q = LOWER + fraction * (UPPER - LOWER)
         low, high = velocity_limits(q)
         assert (low <= 0.0).all()
         assert (high >= 0.0).all()

@@ -13,7 +13,7 @@ from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
 from equipoise.errors import InputError
-from equipoise.user_code import guest_code
+from equipoise.user_code import user_code
 
 if TYPE_CHECKING:
     from equipoise.rig.request import RunRequest
@@ -77,7 +77,7 @@ def deploy(
     from equipoise.model.worlds import read_world
     from equipoise.outcomes import Outcome
     from equipoise.rig.simulate import excite, simulate_run
-    from equipoise.worlds import setup_of
+    from equipoise.simulation import setup_of
 
     world, seed = run.world, run.seed
     if run.excite:
@@ -96,12 +96,12 @@ def deploy(
             log = simulate_run(
                 chosen, world=world, actuator=actuator, duration=run.duration, seed=seed
             )
-        code, then = int(log.outcome != Outcome.LASTED), command("log explain", out)
+        code, then = int(log.outcome != Outcome.SURVIVED), command("log explain", out)
         inputs = {"policy": log.conditions.policy}
     log.save(out, command="deploy", inputs=inputs)
     output.result(
         outcome=log.outcome,
-        lasted_s=log.lasted,
+        survival_s=log.survival,
         run=out,
         world=log.conditions.world,
         code=code,
@@ -175,13 +175,13 @@ def _run_on_rig(
     request = _request(output, policy, run, task, rig, on_rig)
     with output.busy("checking policy and addresses"):
         require(check_fit(request.policy, request.actuator, request.settings))
-        with guest_code(f"the driver of {request.robot}"):
+        with user_code(f"the driver of {request.robot}"):
             devices = connect(request)  # nothing is opened before the run
     identified = ("-actuator.json",) if on_rig.identify else ()
     read = policy, task.pendulum, rig.rig
     out = files.file(output, "run.mcap", *read, suffix=".mcap", beside=identified)
     if world_of(request.robot):
-        with signals() as stopped, guest_code(f"the driver of {request.robot}"):
+        with signals() as stopped, user_code(f"the driver of {request.robot}"):
             end = run_virtually(request, out, TerminalOperator(output, stopped), rig=devices)
     else:
         with single_keys():
@@ -201,7 +201,7 @@ def _run_on_rig(
     output.result(
         outcome=end.outcome,
         reason=end.reason,
-        lasted_s=end.lasted,
+        survival_s=end.survival,
         run=out,
         identified=end.identified and end.identified.summary,
         actuator=actuator,

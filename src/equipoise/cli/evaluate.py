@@ -13,7 +13,7 @@ from equipoise.errors import InputError
 from equipoise.settings import changed
 
 if TYPE_CHECKING:
-    from equipoise.worlds.evaluation import TrialResults
+    from equipoise.simulation.evaluation import TrialResults
 
 
 class Trials(Options):
@@ -55,8 +55,8 @@ def evaluate(
     """
     from equipoise.control.bound_policy import BUILT_IN
     from equipoise.executors import counted
-    from equipoise.worlds import setup_of
-    from equipoise.worlds.evaluation import (
+    from equipoise.simulation import setup_of
+    from equipoise.simulation.evaluation import (
         CLAIM_CONFIDENCE,
         allowed_failures,
         evaluate,

@@ -11,7 +11,7 @@ from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output
 from equipoise.errors import InputError
-from equipoise.user_code import guest_code
+from equipoise.user_code import user_code
 
 
 class Swing(Options):
@@ -62,11 +62,11 @@ def identify(
     if recording.suffix.lower() == ".mcap":
         _identify_actuator(output, recording, files)
         return
-    from equipoise.apps.report.figures import free_swing
-    from equipoise.apps.style import save
-    from equipoise.artefacts import Estimate
+    from equipoise.files import Estimate
     from equipoise.identification.recording import read_swing
     from equipoise.identification.swing import identify
+    from equipoise.report.figures import free_swing
+    from equipoise.report.style import save
 
     settings = changes.resolve(**{"identification.friction": model.friction})
     mass = length = None
@@ -97,7 +97,7 @@ def identify(
 
 def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:
     from equipoise.identification.actuator import identify_run
-    from equipoise.logs.run_log import load_run
+    from equipoise.log.run_log import load_run
     from equipoise.model.pendulum import shipped_pendulum
 
     run = load_run(log)
@@ -125,7 +125,7 @@ def refine(output: Output, policy: Path, run: Path, *, files: opt.Files) -> None
     """
     from equipoise.control.policy import TabularPolicy
     from equipoise.identification.refine import inspect
-    from equipoise.logs.run_log import load_run
+    from equipoise.log.run_log import load_run
     from equipoise.model.actuator import shipped_actuator
     from equipoise.model.pendulum import shipped_pendulum
 
@@ -183,7 +183,7 @@ def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
     clock = SystemClock()
     sensor = open_encoder(recording.encoder, clock, counts_per_rev=recording.counts_per_rev)
     out = files.file(output, "swing.csv", suffix=".csv")
-    driver = guest_code(f"the driver of {recording.encoder}")
+    driver = user_code(f"the driver of {recording.encoder}")
     with output.busy("connecting") as rename, driver, closing(sensor):
         sensor.connect()
         swing, missing = record_swing(

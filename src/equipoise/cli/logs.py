@@ -12,7 +12,7 @@ from equipoise.errors import InputError
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from equipoise.logs.run_log import RunLog
+    from equipoise.log.run_log import RunLog
 
 
 @verb
@@ -24,7 +24,7 @@ def explain(output: Output, run: Path) -> None:
     run that survived, or that the operator ended: motion and limits.
     A truncated log is read as far as it is readable.
     """
-    from equipoise.logs.run_log import RunLog
+    from equipoise.log.run_log import RunLog
     from equipoise.outcomes import Outcome, describe
     from equipoise.rig.explanation import explain as why
 
@@ -33,7 +33,7 @@ def explain(output: Output, run: Path) -> None:
     then = command("log show", run)
     if end.outcome is Outcome.EXCITED:
         then = command("identify", run)
-    if end.outcome in (Outcome.LASTED, Outcome.OPERATOR) and len(read.ticks):
+    if end.outcome in (Outcome.SURVIVED, Outcome.OPERATOR) and len(read.ticks):
         found = _standing(read)
     else:
         found: dict[str, Any] = {
@@ -48,7 +48,7 @@ def explain(output: Output, run: Path) -> None:
         warnings=[read.damage],
         outcome=end.outcome,
         reason=describe(end) if end.evidence else None,
-        lasted_s=causes[0].time and read.lasted,
+        survival_s=causes[0].time and read.survival,
         **found,
         phase=None if read.conditions.simulated else read.last_phase and read.last_phase.value,
         log_complete=read.end is not None,
@@ -66,9 +66,9 @@ def _standing(run: "RunLog") -> dict[str, Any]:
 
     arm, h, sent = run.conditions.arm, run.conditions.h, run.stream.q
     dq = np.diff(sent, axis=0) / (0.5 * h) if len(sent) > 1 else run.dq  # of two setpoints a tick
-    share = (run.conditions.rig or {}).get("speed_share")
+    fraction = (run.conditions.rig or {}).get("speed_fraction")
     limits = np.array([joint.velocity for joint in arm.joints])
-    limits *= share if isinstance(share, float) else 1.0
+    limits *= fraction if isinstance(fraction, float) else 1.0
     fastest = int(np.argmax(np.abs(dq).max(axis=0) / limits))
     return {
         "x_mm": extent(1e3 * run.estimated_x, 1e3 * paper.X_LIMIT),
@@ -100,7 +100,7 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
     choose another part.
     """
     from equipoise.film import check_format, write_film
-    from equipoise.logs.run_log import RunLog
+    from equipoise.log.run_log import RunLog
 
     video, tables = film.video, None
     if video is None and film != Film():

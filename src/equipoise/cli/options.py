@@ -20,18 +20,18 @@ import typer
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from rich.markup import escape
 
-from equipoise.artefacts import reserved
 from equipoise.cli.output import Output, complain, signals
 from equipoise.entry_points import registered
 from equipoise.errors import INTERRUPTED, InputError
+from equipoise.files import reserved
 from equipoise.learning.rewards import REWARDS
 from equipoise.model.worlds import named_twins
 from equipoise.settings import RECIPES, Friction
 
 if TYPE_CHECKING:
-    from equipoise.artefacts import Artefact
+    from equipoise.arm.arm import Arm
     from equipoise.control.policy import TaskPolicy
-    from equipoise.model.arms.arm import Arm
+    from equipoise.files import Artefact
     from equipoise.settings import Settings
 
 TABLES: Final = {
@@ -143,8 +143,8 @@ class Changes(Options):
         """Return the settings, with those that an option of their own names, where given."""
         from equipoise.settings import resolve
 
-        given = [f"{name}={value}" for name, value in named.items() if value is not None]
-        return resolve(self.recipe, self.settings, [*(self.set or ()), *given])
+        chosen = [f"{name}={value}" for name, value in named.items() if value is not None]
+        return resolve(self.recipe, self.settings, [*(self.set or ()), *chosen])
 
 
 class Task(Options):
@@ -304,7 +304,7 @@ def read_arm(name: str) -> "Arm":
     Raises:
         InputError: There is no such arm.
     """
-    from equipoise.model.arms import resolve
+    from equipoise.arm import resolve
     from equipoise.rig.config import read_rig
 
     toml = Path(name).suffix.lower() == ".toml"

@@ -79,7 +79,7 @@ class Output:
         else:
             shown = _labelled(value) if value else {}
             self.warn(*(fields.pop("warnings", None) or ()), *shown.pop("warnings", ()))
-            shown |= {label(name): each for name, each in fields.items()}
+            shown |= {label(name): value for name, value in fields.items()}
             self._words.print(*_tables(shown), sep="\n")
             if then:
                 line = Text.assemble(("next: ", "dim"), f"equipoise {printable(then)}")

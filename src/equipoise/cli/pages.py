@@ -17,7 +17,7 @@ def console(output: Output, *, page: opt.Page) -> None:
     replays a run in virtual time. STOP and the space bar stop the arm. A run
     does not depend on the console.
     """
-    from equipoise.apps.console.live import serve
+    from equipoise.console.live import serve
 
     with signals() as stopped:
         serve(
@@ -36,8 +36,8 @@ def play(
     Everyone who has it plays with the same pendulum. It runs until Ctrl-C.
     Needs no robot and no recording.
     """
-    from equipoise.apps.console.play import SCENES, PlayPage
-    from equipoise.apps.console.web import serving
+    from equipoise.console.play import SCENES, PlayPage
+    from equipoise.console.web import serving
 
     if scene not in SCENES:
         raise InputError(f"there is no scene {scene!r}; choose one of {', '.join(SCENES)}")
@@ -55,9 +55,9 @@ def show(output: Output, run: Path, *, page: opt.Page) -> None:
     times its speed, steps by a tick, and jumps to events. A truncated log is
     shown as far as it is readable.
     """
-    from equipoise.apps.console.replay import ReplayPage
-    from equipoise.apps.console.web import serving
-    from equipoise.logs.run_log import RunLog
+    from equipoise.console.replay import ReplayPage
+    from equipoise.console.web import serving
+    from equipoise.log.run_log import RunLog
 
     log = RunLog.load(run, damaged=True)
     with signals() as stopped, serving(page.listen, page.port) as (server, address):

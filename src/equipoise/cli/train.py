@@ -25,7 +25,7 @@ class Plant(Options):
 class Learning(Options):
     """Learning."""
 
-    learner: str | None = None
+    algorithm: str | None = None
     """q_learning (the paper's), or MODULE:NAME."""
     reward: str | None = None
     """{rewards}, or MODULE:NAME of a function; by default the recipe's."""
@@ -58,13 +58,13 @@ def train(
     from equipoise.learning.train import TARGET, check_task, train_to_target
     from equipoise.model.pendulum import read_pendulum
 
-    named = {f"learning.{n}": getattr(learning, n) for n in ("learner", "reward", "episodes")}
+    named = {f"learning.{n}": getattr(learning, n) for n in ("algorithm", "reward", "episodes")}
     settings = changes.resolve(**named)
-    source, arm, given = read_pendulum(pendulum), opt.read_arm(plant.arm), plant.actuator
+    source, arm, actuator = read_pendulum(pendulum), opt.read_arm(plant.arm), plant.actuator
     target = learning.target
     if target is None:
         target = TARGET if settings.selection.every else 0.0
-    output.warn(check_task(source, settings, given, world=plant.world, target=target))
+    output.warn(check_task(source, settings, actuator, world=plant.world, target=target))
     out = files.file(output, "policy.json", pendulum, changes.settings)
     with output.progress() as show:
         best = train_to_target(
@@ -73,7 +73,7 @@ def train(
             settings,
             target=target,
             attempts=learning.attempts,
-            actuator=given,
+            actuator=actuator,
             world=plant.world,
             seed=random.seed,
             workers=random.threads,
@@ -122,9 +122,9 @@ def reproduce(
     beside the paper's robot. Writes every file to a folder (equipoise-report),
     with a self-contained report in HTML.
     """
-    from equipoise.apps.report.page import build, comparison
     from equipoise.identification.recording import read_swing
     from equipoise.learning.choice import with_digests
+    from equipoise.report.page import build, comparison
     from equipoise.reproduction.pipeline import reproduce
     from equipoise.reproduction.results import POLICY
 

@@ -19,8 +19,9 @@ from typing import Any, Final, Protocol, Self
 
 from equipoise import paper
 from equipoise.arguments import checked
+from equipoise.arm.arm import Arm
+from equipoise.arm.resolve import read_arm
 from equipoise.arrays import Array
-from equipoise.artefacts import DIGEST_PREFIX, StrPath
 from equipoise.control.baselines import baselines
 from equipoise.control.onnx_policy import OnnxPolicy
 from equipoise.control.policy import (
@@ -31,12 +32,11 @@ from equipoise.control.policy import (
     shipped_policy,
 )
 from equipoise.errors import ArtefactError, InputError
+from equipoise.files import DIGEST_PREFIX, StrPath
 from equipoise.model.actuator import Actuator, read_actuator
-from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.resolve import read_arm
 from equipoise.model.pendulum import Pendulum, read_pendulum
 from equipoise.settings import Settings
-from equipoise.user_code import guest_code, load_object, source_digest
+from equipoise.user_code import load_object, source_digest, user_code
 
 BUILT_IN: Final = {"lqr": "LQR", "lqr-snapped": "LQR, snapped", "pd": "PD", "random": "random"}
 """Built-in policies, and their names among the baselines."""
@@ -120,7 +120,7 @@ class PythonPolicy:
 
     def _made(self) -> Any:
         cure = "give a class that needs no arguments, or an object of it"
-        with guest_code(f"calling {self.name}()", cure):
+        with user_code(f"calling {self.name}()", cure):
             return self._source()  # type: ignore[reportCallIssue]  # a class
 
 
@@ -128,17 +128,17 @@ AnyPolicy = TaskPolicy | PolicySource | StrPath | None
 """A policy with its task, one for `bind_policy`, or the name of one for `load_policy`."""
 
 
-def read_policy(given: AnyPolicy) -> TaskPolicy:
+def read_policy(policy: AnyPolicy) -> TaskPolicy:
     """Return a given policy with its task: its own, or the one that ships.
 
     Raises:
         InputError: There is no such policy.
     """
-    if isinstance(given, TabularPolicy | BoundPolicy):
-        return given
-    if given is None or isinstance(given, str | os.PathLike):
-        return load_policy(given)
-    return bind_policy(given)
+    if isinstance(policy, TabularPolicy | BoundPolicy):
+        return policy
+    if policy is None or isinstance(policy, str | os.PathLike):
+        return load_policy(policy)
+    return bind_policy(policy)
 
 
 @checked

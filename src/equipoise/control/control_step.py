@@ -21,7 +21,7 @@ CLIK closes its loop on the *commanded* joints: no delay can make it unstable. T
 the pendulum relative to the flange; the flange's own rotation about the spindle is added.
 
 Training, evaluation and deployment run these kernels, on blocks of lanes
-(`equipoise.model.elementary`); a rig uses one lane.
+(`equipoise.elementary`); a rig uses one lane.
 """
 
 from collections.abc import Sequence
@@ -32,8 +32,8 @@ import numba
 import numpy as np
 from numba import types
 
-from equipoise.arrays import Array, IntArray, record_type
-from equipoise.control.clik import (
+from equipoise.arm.arm import FREE_JOINTS, Arm
+from equipoise.arm.clik import (
     GAMMA,
     REFERENCE_SIZE,
     ClikParameters,
@@ -42,7 +42,10 @@ from equipoise.control.clik import (
     pose_error,
     solve,
 )
+from equipoise.arm.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST
+from equipoise.arrays import Array, IntArray, record_type
 from equipoise.control.estimator import Gains, observer_gains
+from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import ArmError, SettingsError
 from equipoise.jit import call, compilable, inlined, pointer
 from equipoise.model.actuator import (
@@ -53,22 +56,19 @@ from equipoise.model.actuator import (
     ActuatorParameters,
     Servos,
     follow_setpoint,
-    lag_share,
+    lag_fraction,
     motion_of,
     steady_error,
 )
-from equipoise.model.arms.arm import FREE_JOINTS, Arm
-from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST
-from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters, runge_kutta
 from equipoise.settings import Settings
 
 CORRECTION: Final = 0.1
-"""Share of the difference between measured and modelled joints that is corrected per tick: a
+"""Fraction of the difference between measured and modelled joints that is corrected per tick: a
 time constant of 0.1 s. The model is faster than the measurement; only slow differences, such
 as the sag under the pendulum's weight, are significant."""
-SINGULAR_SHARE: Final = 0.05
-"""Share of the manipulability at home below which the inverse is damped."""
+SINGULAR_FRACTION: Final = 0.05
+"""Fraction of the manipulability at home below which the inverse is damped."""
 DAMPING: Final = 0.05
 """Damping factor at a singularity."""
 MIN_MANIPULABILITY: Final = 1e-6
@@ -139,7 +139,7 @@ class ControllerParams(NamedTuple):
     resolution: float
     """Angle of one encoder count, with the encoder's sign [rad]."""
     correction: float
-    """Share of the difference between measured and modelled q that is corrected per tick [-]."""
+    """Fraction of the difference between measured and modelled q that is corrected per tick [-]."""
 
 
 class Motion(Protocol):
@@ -297,7 +297,7 @@ def make_controller_params(
     params = ControllerParams(
         code=ControllerCode(compiled.kinematics, compiled.motion),
         clik=ClikParameters(
-            clik.K_p, clik.K_d, SINGULAR_SHARE * w, DAMPING, (wrist_x, wrist_y, wrist_z)
+            clik.K_p, clik.K_d, SINGULAR_FRACTION * w, DAMPING, (wrist_x, wrist_y, wrist_z)
         ),
         limits=np.array(
             [compiled.lower, compiled.upper, compiled.max_velocity, compiled.max_acceleration]
@@ -440,7 +440,7 @@ def start_controller(
         dq = state.dq[i, n]
         q = state.q[i, n] - steady_error(dq, controller.lags[i], controller.actuator)
         model.q[i, n], model.dq[i, n], state.offset[i, n] = q, dq, 0.0
-        model.fraction[i, n] = lag_share(controller.lags[i])
+        model.fraction[i, n] = lag_fraction(controller.lags[i])
         for j in range(HISTORY_TICKS):
             tick_before(state, j).q[i, n] = q - j * h * dq
     for j in range(HISTORY_TICKS):

@@ -10,21 +10,21 @@ from typing import NamedTuple
 
 import numpy as np
 
+from equipoise.arm.arm import Arm
+from equipoise.arm.clik import manipulability
+from equipoise.arm.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST
 from equipoise.arrays import Array, Records, fields, new_records
-from equipoise.control.clik import manipulability
 from equipoise.control.control_step import (
     HISTORY_TICKS,
     ControllerParams,
     ControllerState,
     kinematics,
 )
-from equipoise.control.grid import box_index, make_grid
 from equipoise.control.policy import Policy
+from equipoise.elementary import BATCH_SIZE
 from equipoise.jit import call, compilable, kernel
 from equipoise.model.actuator import ROWS
-from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST
-from equipoise.model.elementary import BATCH_SIZE
+from equipoise.model.grid import box_index, make_grid
 from equipoise.settings import BoxSettings
 
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from equipoise import paper
 from equipoise.arrays import Array
-from equipoise.artefacts import DIGEST_PREFIX, MAX_FILE_SIZE, StrPath, read_bytes
 from equipoise.errors import InputError, import_optional
+from equipoise.files import DIGEST_PREFIX, MAX_FILE_SIZE, StrPath, read_bytes
 
 
 class OnnxPolicy:

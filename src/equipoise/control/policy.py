@@ -19,19 +19,19 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from equipoise import paper
+from equipoise.arm.arm import Arm
 from equipoise.arrays import Array
-from equipoise.artefacts import DIGEST_PREFIX, Artefact, Count, Number, Seed, Share, Value
-from equipoise.control import grid
-from equipoise.control.grid import Grid, box_index
 from equipoise.errors import InputError
+from equipoise.files import DIGEST_PREFIX, Artefact, Count, Fraction, Number, Seed, Value
 from equipoise.jit import compilable
+from equipoise.model import grid
 from equipoise.model.actuator import Actuator
-from equipoise.model.arms.arm import Arm
+from equipoise.model.grid import Grid, box_index
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import DEPLOYMENT, philox, uniform
 from equipoise.outcomes import Outcome
 from equipoise.settings import BoxSettings, Settings, describe_recipe
-from equipoise.user_code import guest_code
+from equipoise.user_code import user_code
 
 TABLE, LINEAR, SNAPPED, RANDOM = range(4)
 """Kinds of `PolicyKernel`."""
@@ -171,7 +171,7 @@ class Checkpoint(Value):
 class TargetTest(Value):
     """Held-out trials of a selected policy on the plant of its training."""
 
-    target: Share
+    target: Fraction
     """Required probability to survive a trial [-]; 0 without a requirement."""
     duration: Number
     """Length of a trial [s]."""
@@ -179,7 +179,7 @@ class TargetTest(Value):
     """Number of trials."""
     survived: Count
     """Number of trials survived."""
-    at_least: Share
+    at_least: Fraction
     """Lower bound of the probability to survive a trial [-], exact for each attempt, with 95 %
     confidence over all attempts of one command."""
     causes: dict[Outcome, Count]
@@ -192,21 +192,21 @@ class TargetTest(Value):
 
     def __str__(self) -> str:
         """Return the result in one line."""
-        target = f"; target {format_share(self.target)}" if self.target else ""
+        target = f"; target {format_fraction(self.target)}" if self.target else ""
         return (
             f"{self.survived:,} of {self.trials:,} trials survived {self.duration:g} s "
-            f"(at least {format_share(self.at_least)}, 95 % confidence){target}"
+            f"(at least {format_fraction(self.at_least)}, 95 % confidence){target}"
         )
 
 
-def format_share(share: float) -> str:
-    """Return a share in per cent, rounded down to two digits.
+def format_fraction(fraction: float) -> str:
+    """Return a fraction in per cent, rounded down to two digits.
 
     Example:
-        >>> format_share(0.99), format_share(0.98999), format_share(1.0)
+        >>> format_fraction(0.99), format_fraction(0.98999), format_fraction(1.0)
         ('99 %', '98.99 %', '100 %')
     """
-    return f"{floor(1e4 * share + 1e-6) / 100.0:g} %"
+    return f"{floor(1e4 * fraction + 1e-6) / 100.0:g} %"
 
 
 class TabularPolicy(Artefact):
@@ -345,7 +345,7 @@ class BoundPolicy:
         Raises:
             InputError: The policy raised an exception.
         """
-        with guest_code(self.name, where=lambda: " in its reset"):
+        with user_code(self.name, where=lambda: " in its reset"):
             self.policy.reset()
 
     def act(self, observation: Array) -> float:
@@ -355,7 +355,7 @@ class BoundPolicy:
             InputError: The policy raised an exception, or returned no finite number.
         """
         state = observation.copy()  # the policy may write into its argument
-        with guest_code(self.name, where=lambda: f" in the state {_format_state(state)}"):
+        with user_code(self.name, where=lambda: f" in the state {_format_state(state)}"):
             u: Any = self.policy.act(observation)
             u = u.item() if isinstance(u, np.ndarray) and u.size == 1 else u
             value = float(u) if isinstance(u, numbers.Real) else nan

@@ -60,7 +60,7 @@ class OperatorMessage(NamedTuple):
 class TickRecord(NamedTuple):
     """Observation and decision of a tick, for the log; NaN outside the balance.
 
-    Each field is a column of the log, which `equipoise.logs.columns` describes.
+    Each field is a column of the log, which `equipoise.log.columns` describes.
     """
 
     x: float = np.nan
@@ -116,10 +116,10 @@ class TickInputs(NamedTuple):
     result: Any = None
     """Result of a job, passed once; an exception where it failed."""
     unsent: bool = False
-    """Whether the second setpoint of the tick before was not sent, because the loop stood still."""
+    """Whether the second setpoint of the tick before was not sent, because the loop stalled."""
 
     def paused(self, h: float) -> bool:
-        """Return whether the arm has come to rest at the last setpoint sent: the loop stood still.
+        """Return whether the arm has come to rest at the last setpoint sent: the loop stalled.
 
         Args:
             h: Time between ticks [s].

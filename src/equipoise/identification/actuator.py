@@ -29,9 +29,10 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.arguments import checked
+from equipoise.arm.arm import FREE_JOINTS
 from equipoise.arrays import Array
-from equipoise.artefacts import DIGEST_PREFIX, Estimate, StrPath
 from equipoise.errors import RecordingError
+from equipoise.files import DIGEST_PREFIX, Estimate, StrPath
 from equipoise.identification.least_squares import (
     blocks_of_time,
     fit_unknowns,
@@ -39,7 +40,7 @@ from equipoise.identification.least_squares import (
     jackknife,
     sensitivities,
 )
-from equipoise.logs.run_log import RunLog
+from equipoise.log.run_log import RunLog
 from equipoise.model.actuator import (
     CYCLE,
     KINDS,
@@ -51,7 +52,6 @@ from equipoise.model.actuator import (
     Kind,
     track,
 )
-from equipoise.model.arms.arm import FREE_JOINTS
 
 DELAY, T_C, LAG, LOAD_BIAS = 0, 1, 2, 2 + FREE_JOINTS
 """Indices of the unknowns: the delay, t_c, a lag and a load bias of each joint."""

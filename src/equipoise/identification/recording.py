@@ -28,7 +28,8 @@ from pydantic import Field
 
 from equipoise.arguments import Duration, checked
 from equipoise.arrays import Array
-from equipoise.artefacts import (
+from equipoise.errors import RecordingError
+from equipoise.files import (
     DIGEST_PREFIX,
     MEBIBYTE,
     Seed,
@@ -38,7 +39,6 @@ from equipoise.artefacts import (
     shortened,
     write_whole,
 )
-from equipoise.errors import RecordingError
 from equipoise.model.encoder import counts_from_theta, theta_from_counts
 from equipoise.model.pendulum import STEPS_PER_PERIOD, Pendulum, PendulumParameters, swing
 from equipoise.printable import printable

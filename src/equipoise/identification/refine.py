@@ -35,15 +35,15 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from equipoise.arm.arm import FREE_JOINTS, Arm
 from equipoise.arrays import Array
-from equipoise.artefacts import Estimate, Value
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError, RecordingError
+from equipoise.files import Estimate, Value
 from equipoise.identification.actuator import LEAST_SPEED, identify_actuator, speed_ranges
 from equipoise.identification.least_squares import half_width, jackknife
-from equipoise.logs.run_log import RunLog
+from equipoise.log.run_log import RunLog
 from equipoise.model.actuator import Actuator
-from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.encoder import theta_from_counts
 from equipoise.model.pendulum import Pendulum
 from equipoise.settings import GRAVITY, PlantSettings

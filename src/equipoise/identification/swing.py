@@ -29,8 +29,8 @@ import numpy.typing as npt
 
 from equipoise.arguments import checked
 from equipoise.arrays import Array
-from equipoise.artefacts import Estimate, StrPath
 from equipoise.errors import RecordingError
+from equipoise.files import Estimate, StrPath
 from equipoise.identification.least_squares import (
     fit_unknowns,
     half_width,

@@ -1,10 +1,10 @@
-"""Choice of learner and reward, by name or from a guest's module, and their compilation.
+"""Choice of algorithm and reward, by name or from a user's module, and their compilation.
 
 A name is one of the project's, or MODULE:NAME of an object outside the package. A policy records a
-guest's as MODULE:NAME@DIGEST, where DIGEST begins the SHA-256 of the source file: trained again, it
+user's as MODULE:NAME@DIGEST, where DIGEST begins the SHA-256 of the source file: trained again, it
 needs the same source.
 
-Numba compiles a guest's functions, in each process anew. Code that Numba cannot compile is
+Numba compiles a user's functions, in each process anew. Code that Numba cannot compile is
 rejected: in plain Python a training would take hours.
 """
 
@@ -14,12 +14,12 @@ from typing import Any, Final
 
 import numba
 
-from equipoise.artefacts import shortened
 from equipoise.control.controller import Observation
 from equipoise.errors import InputError, SettingsError
+from equipoise.files import shortened
 from equipoise.jit import inlined
-from equipoise.learning.learner import (
-    Learner,
+from equipoise.learning.q_learning import (
+    Algorithm,
     Transition,
     UpdateParams,
     new_tables,
@@ -27,27 +27,27 @@ from equipoise.learning.learner import (
 )
 from equipoise.learning.rewards import REWARDS
 from equipoise.settings import LearningSettings
-from equipoise.user_code import guest_code, load_object, source_digest
+from equipoise.user_code import load_object, source_digest, user_code
 
-LEARNERS: Final[Mapping[str, Learner]] = {"q_learning": Learner(q_learning)}
-"""Learners of the project by name, for `equipoise train --learner NAME`."""
+ALGORITHMS: Final[Mapping[str, Algorithm]] = {"q_learning": Algorithm(q_learning)}
+"""Algorithms of the project by name, for `equipoise train --algorithm NAME`."""
 
 
 def with_digests(settings: LearningSettings) -> LearningSettings:
-    """Return settings in which the name of a guest's learner or reward carries its digest.
+    """Return settings in which the name of a user's algorithm or reward carries its digest.
 
     Raises:
-        InputError: A guest's object cannot be loaded, or its source is not the recorded one.
+        InputError: A user's object cannot be loaded, or its source is not the recorded one.
         SettingsError: The name is unknown.
     """
-    names = {"learner": settings.learner, "reward": settings.reward}
-    for (option, name), known in zip(names.items(), (LEARNERS, REWARDS), strict=True):
+    names = {"algorithm": settings.algorithm, "reward": settings.reward}
+    for (option, name), known in zip(names.items(), (ALGORITHMS, REWARDS), strict=True):
         item = _load(name, option, known)
         if ":" not in name:
             continue
         bare, _, recorded = name.partition("@")
-        with guest_code(bare):
-            source = item.update if isinstance(item, Learner) else item
+        with user_code(bare):
+            source = item.update if isinstance(item, Algorithm) else item
             digest = source_digest(source)[:16]
         if recorded and recorded != digest:
             raise InputError(
@@ -58,25 +58,26 @@ def with_digests(settings: LearningSettings) -> LearningSettings:
     return settings.model_copy(update=names)
 
 
-def load_learner(settings: LearningSettings) -> Learner:
-    """Return the learner that settings name.
+def load_algorithm(settings: LearningSettings) -> Algorithm:
+    """Return the algorithm that settings name.
 
     Raises:
-        InputError: A guest's learner cannot be loaded, or has another type.
+        InputError: A user's algorithm cannot be loaded, or has another type.
         SettingsError: The name is unknown.
     """
-    learner = _load(settings.learner, "learner", LEARNERS)
-    if inspect.isfunction(function := getattr(learner, "py_func", learner)):
-        learner = Learner(function)
-    if not isinstance(learner, Learner):
+    algorithm = _load(settings.algorithm, "algorithm", ALGORITHMS)
+    if inspect.isfunction(function := getattr(algorithm, "py_func", algorithm)):
+        algorithm = Algorithm(function)
+    if not isinstance(algorithm, Algorithm):
         raise InputError(
-            f"{settings.learner} is of type {type(learner).__name__}, expected a function "
-            "update(tables, transition, params) or an equipoise.learning.learner.Learner; give one"
+            f"{settings.algorithm} is of type {type(algorithm).__name__}, expected a function "
+            "update(tables, transition, params) or an "
+            "equipoise.learning.q_learning.Algorithm; give one"
         )
-    tables: Any = learner.tables
+    tables: Any = algorithm.tables
     if not isinstance(tables, int) or tables < 0:
-        raise InputError(f"{settings.learner}: tables is {tables!r}; expected 0 or more")
-    return learner
+        raise InputError(f"{settings.algorithm}: tables is {tables!r}; expected 0 or more")
+    return algorithm
 
 
 def compile_functions(settings: LearningSettings) -> tuple[Any, Any, bool]:
@@ -89,7 +90,7 @@ def compile_functions(settings: LearningSettings) -> tuple[Any, Any, bool]:
         InputError: A user's function has another type or cannot be compiled.
         SettingsError: The name is unknown.
     """
-    learner, reward = load_learner(settings), _load(settings.reward, "reward", REWARDS)
+    algorithm, reward = load_algorithm(settings), _load(settings.reward, "reward", REWARDS)
     if not callable(reward):
         raise InputError(
             f"{settings.reward} is of type {type(reward).__name__}, expected a function "
@@ -98,11 +99,11 @@ def compile_functions(settings: LearningSettings) -> tuple[Any, Any, bool]:
     state = Observation(0.0, 0.0, 0.0, 0.0)
     transition = Transition(0, 0, 0.0, 0, False, False, 0.0, 0.0, 0)
     params = UpdateParams(0.0, 0.0, 0.0, 0.0, False)
-    kinds = map(numba.typeof, (new_tables(1, learner.tables), transition, params))
-    update = _compiled(learner.update, tuple(kinds))
+    kinds = map(numba.typeof, (new_tables(1, algorithm.tables), transition, params))
+    update = _compiled(algorithm.update, tuple(kinds))
     result, kinds = numba.float64, map(numba.typeof, (state, 0.0, state, False))
     reward = _compiled(getattr(reward, "py_func", reward), result(*kinds))
-    return update, reward, ":" not in settings.learner + settings.reward
+    return update, reward, ":" not in settings.algorithm + settings.reward
 
 
 def _load(name: str, option: str, known: Mapping[str, Any]) -> Any:

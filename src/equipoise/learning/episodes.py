@@ -1,11 +1,12 @@
-"""Episode loop of the training: it acts, collects rewards, and lets a learner update its table.
+"""Episode loop of the training: it acts, collects rewards, and lets an algorithm update its table.
 
-One loop runs whole episodes, `BATCH_SIZE` of them at once on the compiled plant, that share one
+One loop runs whole episodes, `BATCH_SIZE` of them at once on the compiled plant, that fraction one
 table: in each step every lane acts by the current table, then the updates follow one after the
 other. An episode that reaches the time limit ends without a failure. In any other world, the same
 loop runs in Python, an episode after the other, as the paper trained in V-REP.
 
-The learning rule is in `equipoise.learning.learner`, the rewards in `equipoise.learning.rewards`.
+The learning rule is in `equipoise.learning.q_learning`, the rewards in
+`equipoise.learning.rewards`.
 """
 
 import functools
@@ -19,19 +20,19 @@ from equipoise import paper
 from equipoise.arrays import Array, IntArray, Records, fields, new_records, rows_of
 from equipoise.control.control_step import LANES, Observed
 from equipoise.control.controller import Observation
-from equipoise.control.grid import TRUNCATED, Grid, make_grid
 from equipoise.control.policy import LearningPoint
+from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import InputError
 from equipoise.jit import call, compilable, inlined, kernel
-from equipoise.learning.choice import compile_functions, load_learner
-from equipoise.learning.learner import (
+from equipoise.learning.choice import compile_functions, load_algorithm
+from equipoise.learning.q_learning import (
     Tables,
     Transition,
     UpdateParams,
     epsilon_greedy,
     new_tables,
 )
-from equipoise.model.elementary import BATCH_SIZE
+from equipoise.model.grid import TRUNCATED, Grid, make_grid
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import (
     TRAINING_ACTION,
@@ -45,10 +46,9 @@ from equipoise.model.random import (
 )
 from equipoise.model.worlds import MODEL
 from equipoise.settings import Settings
-from equipoise.user_code import guest_code
-from equipoise.worlds import ClosedLoop, Setup, Trial, predicted, simulate
-from equipoise.worlds.ideal import PlantSimulation
-from equipoise.worlds.plant import (
+from equipoise.simulation import ClosedLoop, Setup, Trial, predicted, simulate
+from equipoise.simulation.ideal import PlantSimulation
+from equipoise.simulation.plant import (
     BatchState,
     DomainRandomization,
     LoopParams,
@@ -56,6 +56,7 @@ from equipoise.worlds.plant import (
     copy_lane,
     draw_noise,
 )
+from equipoise.user_code import user_code
 
 
 class TrainingConfig(NamedTuple):
@@ -108,7 +109,7 @@ class Episodes(Protocol):
     epsilon: Annotated[Array, LANES]
     """Probability of a random action in the episode."""
     chance: Annotated[Array, LANES]
-    """Uniform random number in [0, 1) of the step, for the learner."""
+    """Uniform random number in [0, 1) of the step, for the algorithm."""
     place: Annotated[IntArray, LANES]
     """Index among the running episodes, constant over an episode."""
     episode: Annotated[IntArray, LANES]
@@ -136,7 +137,7 @@ class TrainingState(NamedTuple):
     """State of a training, changed in place."""
 
     tables: Tables
-    """Tables that the learner changes."""
+    """Tables that the algorithm changes."""
     episodes: Records
     """`Episodes`."""
     lanes: IntArray
@@ -150,7 +151,7 @@ def new_training_state(boxes: int, tables: int = 0) -> TrainingState:
 
     Args:
         boxes: Number of boxes of a table.
-        tables: Number of tables of the learner's own.
+        tables: Number of tables of the algorithm's own.
     """
     episodes = new_records(Episodes)
     episodes["place"] = np.arange(BATCH_SIZE)
@@ -241,10 +242,10 @@ def episode_loop(
     release: Callable[..., None],
     advance: Callable[..., None],
 ) -> Callable[..., None]:
-    """Return the episode loop of a learner, a reward and a world.
+    """Return the episode loop of an algorithm, a reward and a world.
 
     Args:
-        update: `Learner.update`.
+        update: `Algorithm.update`.
         reward: A reward of `equipoise.learning.rewards`.
         release: Releases the pendulum of an episode, as `release_on_plant`.
         advance: Advances the running episodes, as `step_on_plant`.
@@ -324,7 +325,7 @@ def episode_loop(
 
 
 class Training:
-    """Episodes of one learner in a world."""
+    """Episodes of one algorithm in a world."""
 
     def __init__(self, setup: Setup, world: str, seed: int) -> None:
         """Begin with tables of zeros.
@@ -339,10 +340,10 @@ class Training:
             SettingsError: The world does not exist.
         """
         self._settings = setup.settings
-        learner = load_learner(setup.settings.learning)
+        algorithm = load_algorithm(setup.settings.learning)
         update, reward, cached = compile_functions(setup.settings.learning)
         self._config = training_config(setup.settings, setup.pendulum.parameters().k, seed)
-        self._state = new_training_state(setup.settings.boxes.count, learner.tables)
+        self._state = new_training_state(setup.settings.boxes.count, algorithm.tables)
         self.tables = self._state.tables
         """The tables."""
         self.totals = fields(self._state.totals, Totals)
@@ -366,12 +367,12 @@ class Training:
         """
         totals, learning = self.totals, self._settings.learning
         ended, ended_steps = int(totals.ended), int(totals.ended_steps)
-        with guest_code(f"the learner {learning.learner} or the reward {learning.reward}"):
+        with user_code(f"the algorithm {learning.algorithm} or the reward {learning.reward}"):
             self._train(self._world, self._config, self._state, until, self._batch_size)
         if not np.isfinite(self.tables.Q).all():
             raise InputError(
                 f"the table holds a value that is not finite after {totals.ended} episodes with "
-                f"the learner {learning.learner} and the reward {learning.reward}; bound the "
+                f"the algorithm {learning.algorithm} and the reward {learning.reward}; bound the "
                 "reward, or lower the learning rate"
             )
         duration = paper.STEP * (totals.ended_steps - ended_steps) / (totals.ended - ended)

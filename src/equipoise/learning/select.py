@@ -13,16 +13,16 @@ import numpy as np
 
 from equipoise import paper
 from equipoise.arrays import Array
-from equipoise.control.grid import TRUNCATED, make_grid
 from equipoise.control.policy import Checkpoint, TabularPolicy, TargetTest, table_kernel
 from equipoise.errors import InputError
+from equipoise.model.grid import TRUNCATED, make_grid
 from equipoise.model.random import SELECTION, TARGET_TEST
 from equipoise.model.worlds import MODEL
 from equipoise.settings import SelectionSettings
-from equipoise.worlds import setup_of
-from equipoise.worlds.evaluation import lower_bound, trial_results
-from equipoise.worlds.ideal import PlantSimulation
-from equipoise.worlds.interface import Setup
+from equipoise.simulation import setup_of
+from equipoise.simulation.evaluation import lower_bound, trial_results
+from equipoise.simulation.ideal import PlantSimulation
+from equipoise.simulation.interface import Setup
 
 RMS_X_WEIGHT: Final = 0.2
 """Weight of rms(x) in the score = mean duration / duration - weight * rms(x) / 0.22 m. Trials end

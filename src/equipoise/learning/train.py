@@ -13,8 +13,9 @@ from pydantic import Field
 
 from equipoise import paper
 from equipoise.arguments import Workers, checked
+from equipoise.arm.arm import Arm
+from equipoise.arm.resolve import read_arm
 from equipoise.arrays import Array
-from equipoise.artefacts import Seed, Share, StrPath
 from equipoise.control.policy import (
     LearningPoint,
     TabularPolicy,
@@ -22,17 +23,16 @@ from equipoise.control.policy import (
 )
 from equipoise.errors import InputError
 from equipoise.executors import Show, counted
+from equipoise.files import Fraction, Seed, StrPath
 from equipoise.learning.choice import with_digests
 from equipoise.learning.episodes import Training
 from equipoise.learning.select import check_target, measure_survival, score_tables
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, read_actuator, shipped_actuator
-from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.resolve import read_arm
 from equipoise.model.pendulum import Pendulum, read_pendulum
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.settings import Settings
-from equipoise.worlds import Setup, world_class
-from equipoise.worlds.reachability import check_releases
+from equipoise.simulation import Setup, world_class
+from equipoise.simulation.reachability import check_releases
 
 ATTEMPTS: Final = 6
 """Maximum number of trainings of `train_to_target` by default."""
@@ -127,7 +127,7 @@ def train_to_target(
     arm: Arm | StrPath | None = None,
     settings: Settings | None = None,
     *,
-    target: Share = TARGET,
+    target: Fraction = TARGET,
     attempts: Annotated[int, Field(ge=1)] = ATTEMPTS,
     actuator: Actuator | StrPath | None = None,
     world: str = MODEL,
@@ -212,15 +212,15 @@ def check_task(
         settings: Resolved settings.
         actuator: Actuator of the arm; as in `train`.
         world: World of the episodes; as in `train`.
-        target: Share of the releases that a policy shall balance.
+        target: Fraction of the releases that a policy shall balance.
 
     Returns:
-        A warning with the share of releases that no controller saves, or None.
+        A warning with the fraction of releases that no controller saves, or None.
 
     Raises:
-        InputError: The world takes no such actuator, or a guest's learner or reward is invalid.
-        SettingsError: The learner or the reward is unknown, or no controller saves any of the
-            releases, or the share that the target needs.
+        InputError: The world takes no such actuator, or a user's algorithm or reward is invalid.
+        SettingsError: The algorithm or the reward is unknown, or no controller saves any of the
+            releases, or the fraction that the target needs.
     """
     with_digests(settings.learning)
     parameters = pendulum.parameters(linearised=settings.plant.linearised)
@@ -228,7 +228,7 @@ def check_task(
     return check_releases(parameters, settings, response, least=target)
 
 
-def actuator_in(world: str, settings: Settings, given: Actuator | StrPath | None) -> Actuator:
+def actuator_in(world: str, settings: Settings, actuator: Actuator | StrPath | None) -> Actuator:
     """Return the actuator of a training in a world: the ideal one for an arm without delay.
 
     Raises:
@@ -241,10 +241,10 @@ def actuator_in(world: str, settings: Settings, given: Actuator | StrPath | None
             "the recipe paper or --set plant.ideal=true"
         )
     kinematic = world != MODEL and world_class(world).ideal_arm
-    if given is None:
+    if actuator is None:
         ideal = kinematic or settings.plant.ideal
         return IDEAL_ACTUATOR if ideal else shipped_actuator()
-    actuator = read_actuator(given)
+    actuator = read_actuator(actuator)
     if kinematic and actuator != IDEAL_ACTUATOR:
         raise InputError(f"the arm of the world {world} has no delay; leave out the actuator")
     return actuator

@@ -24,11 +24,11 @@ from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Protocol, Se
 
 from pydantic import Field, model_validator
 
+from equipoise.arm.arm import FREE_JOINTS
 from equipoise.arrays import Array
-from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, StrPath, Value
+from equipoise.elementary import BATCH_SIZE, fma
+from equipoise.files import Artefact, Count, Estimate, Name, Number, Sentence, StrPath, Value
 from equipoise.jit import PACKAGE, compilable, inlined, kernel
-from equipoise.model.arms.arm import FREE_JOINTS
-from equipoise.model.elementary import BATCH_SIZE, fma
 
 Kind = Literal["ideal", "lag", "unshaped", "kst"]
 
@@ -90,7 +90,7 @@ def _near_gain(z: float, amplitude: float, width: float) -> float:
 
 @inlined
 def _saturation(z: float) -> float:
-    """Return 1 - exp(-z) for z >= 0, to 1e-12, without a call: see `equipoise.model.elementary`."""
+    """Return 1 - exp(-z) for z >= 0, to 1e-12, without a call: see `equipoise.elementary`."""
     # Taylor's series at z / 256, doubled eight times: 1 - (1 - p)^2 = p (2 - p).
     t = min(z, 40.0) * (1.0 / 256.0)
     p = 1.0 / 24.0 - t * (1.0 / 120.0 - t * (1.0 / 720.0))
@@ -152,7 +152,7 @@ class Servos(Protocol):
     velocity: Annotated[Array, ROWS]
     """Mean velocity of the motion under the last setpoint [rad/s]; unused behind `KST`."""
     fraction: Annotated[Array, ROWS]
-    """Gain of the lag per cycle, from `lag_share`."""
+    """Gain of the lag per cycle, from `lag_fraction`."""
     before: Annotated[Array, ROWS]
     """Setpoints in force in the cycles before `turn` [rad]."""
     target: Annotated[Array, ROWS]
@@ -335,7 +335,7 @@ def track(
     delay, lag, actuator, spread, push = response
     rate, amplitude, width = 1.0 / actuator.cycle, actuator.amplitude, actuator.width
     shaped, driven = actuator.kind == KST, actuator.kind >= UNSHAPED
-    share = 1.0 if actuator.kind == IDEAL else lag_share(lag)
+    fraction = 1.0 if actuator.kind == IDEAL else lag_fraction(lag)
     q, dq = reply_q[0], (reply_q[1] - reply_q[0]) / (reply_time[1] - reply_time[0])
     before, now, cycles, newest = q, reply_time[0], 0, 0
     for j in range(len(reply_time)):
@@ -359,10 +359,10 @@ def track(
                 step, i = other, i + 1
             before = q
             if driven:
-                dq += (rate * mean + push - dq) * share
+                dq += (rate * mean + push - dq) * fraction
                 q += CYCLE * dq
             else:
-                q += (mean + push) * share
+                q += (mean + push) * fraction
         predicted[j] = q + (now - reply_time[j]) / CYCLE * (before - q)
 
 
@@ -407,8 +407,8 @@ def speed_of_peak(peak: float, period: float) -> float:
 
 
 @compilable
-def lag_share(lag: float) -> float:
-    """Return the share of a change that a first-order lag follows within one servo cycle.
+def lag_fraction(lag: float) -> float:
+    """Return the fraction of a change that a first-order lag follows within one servo cycle.
 
     Args:
         lag: Time constant [s]; zero gives 1.
@@ -524,17 +524,17 @@ IDEAL_ACTUATOR: Final = Actuator.assumed("ideal")
 """Actuator of the paper: the arm reaches a setpoint immediately."""
 
 
-def read_actuator(given: Actuator | StrPath | None) -> Actuator:
+def read_actuator(actuator: Actuator | StrPath | None) -> Actuator:
     """Return a given actuator, that of a file, the ideal one (`ideal`), or by default the shipped.
 
     Raises:
         ArtefactError: The file holds no actuator.
     """
-    if given is None:
+    if actuator is None:
         return shipped_actuator()
-    if isinstance(given, Actuator):
-        return given
-    return IDEAL_ACTUATOR if given == "ideal" else Actuator.load(given)
+    if isinstance(actuator, Actuator):
+        return actuator
+    return IDEAL_ACTUATOR if actuator == "ideal" else Actuator.load(actuator)
 
 
 @functools.cache

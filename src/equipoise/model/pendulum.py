@@ -19,9 +19,9 @@ from pydantic import Field, model_validator
 
 from equipoise.arguments import checked
 from equipoise.arrays import Array
-from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, StrPath, Value
+from equipoise.elementary import fma, sincos
+from equipoise.files import Artefact, Count, Estimate, Name, Number, Sentence, StrPath, Value
 from equipoise.jit import PACKAGE, compilable, inlined, kernel
-from equipoise.model.elementary import fma, sincos
 from equipoise.settings import GRAVITY, Friction, IdentificationSettings
 
 MIN_PERIOD: Final = 1e-5
@@ -189,7 +189,7 @@ def swing(
         if node == 0:
             thetas[i], theta_dots[i] = theta, theta_dot
             continue
-        # Elapsed share of the last step.
+        # Elapsed fraction of the last step.
         s = 1.0 + (time[i] - time[0] - node * h) / h
         if pendulum.coulomb != 0.0 and before_dot * phi_dot <= 0.0:
             # Dry friction causes a kink at the reversal, which no cubic fits.
@@ -249,7 +249,7 @@ class SwingFit(Value):
 
     @property
     def unexplained(self) -> float:
-        """Residual that noise does not explain, as a share of the amplitude [-]."""
+        """Residual that noise does not explain, as a fraction of the amplitude [-]."""
         return float(np.sqrt(max(self.rms**2 - self.noise**2, 0.0)) / self.amplitude)
 
 
@@ -344,19 +344,19 @@ class Pendulum(Artefact):
         Args:
             linearised: Use sin(phi) = phi, cos(phi) = 1, as equation (7) is printed.
         """
-        best = (each.value for each in (self.w2, self.k, self.c, self.coulomb, self.drag))
+        best = (estimate.value for estimate in (self.w2, self.k, self.c, self.coulomb, self.drag))
         return PendulumParameters(*best, linearised=linearised)
 
 
-def read_pendulum(given: Pendulum | StrPath | None) -> Pendulum:
+def read_pendulum(pendulum: Pendulum | StrPath | None) -> Pendulum:
     """Return a given pendulum, that of a file, or by default the shipped one.
 
     Raises:
         ArtefactError: The file holds no pendulum.
     """
-    if given is None:
+    if pendulum is None:
         return shipped_pendulum()
-    return given if isinstance(given, Pendulum) else Pendulum.load(given)
+    return pendulum if isinstance(pendulum, Pendulum) else Pendulum.load(pendulum)
 
 
 @functools.cache

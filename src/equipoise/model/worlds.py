@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
-from equipoise.artefacts import Value, first_fault, quoted
 from equipoise.entry_points import how_to_install, registered
 from equipoise.errors import SettingsError
+from equipoise.files import Value, first_fault, quoted
 from equipoise.settings import FINEST_ENCODER, QUARTER_TURN, read_toml
 
 if TYPE_CHECKING:
@@ -155,8 +155,8 @@ def rotor_inertias(settings: TwinSettings, n: int) -> "npt.NDArray[np.float64]":
     """
     import numpy as np
 
-    given = settings.rotor_inertia
-    return np.array([given[min(joint, len(given) - 1)] for joint in range(n)])
+    rotors = settings.rotor_inertia
+    return np.array([rotors[min(joint, len(rotors) - 1)] for joint in range(n)])
 
 
 class World(NamedTuple):

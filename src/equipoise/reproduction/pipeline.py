@@ -4,7 +4,7 @@ The policy of the default recipe is trained and evaluated on the training plant,
 that was identified on the digital twin; that of the literal recipe, `paper`, on the paper's own
 simulation. Then both are evaluated on the twin, and one run of each is recorded there, as the paper
 recorded one on the robot. An arm with unknown masses has no twin: each run is in the simulation of
-its training. `equipoise.apps.report.page.build` makes the page from the folder.
+its training. `equipoise.report.page.build` makes the page from the folder.
 """
 
 import os
@@ -17,16 +17,16 @@ from pathlib import Path
 from typing import Final
 
 from equipoise.arguments import Workers, checked
-from equipoise.artefacts import Seed, StrPath
+from equipoise.arm.arm import Arm
+from equipoise.arm.resolve import read_arm
 from equipoise.control.bound_policy import BUILT_IN
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArmError
 from equipoise.executors import Show, available_cores, counted
+from equipoise.files import Seed, StrPath
 from equipoise.identification.recording import Trajectory, read_swing, write_swing
 from equipoise.identification.swing import identify
 from equipoise.learning.train import TARGET, train, train_to_target
-from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.resolve import read_arm
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.reproduction.results import (
     SWING,
@@ -40,7 +40,7 @@ from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.reproduction.warm_up import TWIN, is_warm, warm_up
 from equipoise.rig.simulate import simulate_run
 from equipoise.settings import Settings, changed, resolve
-from equipoise.worlds.evaluation import evaluate
+from equipoise.simulation.evaluation import evaluate
 
 QUICK: Final = {
     "learning.episodes": 5000,

@@ -12,13 +12,13 @@ Both evaluations on the twin are missing for an arm without a digital twin.
 from pathlib import Path
 from typing import ClassVar, Final, NamedTuple
 
-from equipoise.artefacts import Artefact, Name, Number, Seed
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError
+from equipoise.files import Artefact, Name, Number, Seed
 from equipoise.identification.recording import Trajectory, read_swing
-from equipoise.logs.run_log import RunLog
+from equipoise.log.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
-from equipoise.worlds.evaluation import Evaluation
+from equipoise.simulation.evaluation import Evaluation
 
 SWING: Final = "swing.csv"
 PENDULUM: Final = "pendulum.json"

@@ -10,18 +10,18 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import OutsideError
 from equipoise.executors import Show
 from equipoise.identification.swing import identify
 from equipoise.jit import DISABLED, kernel_folder
 from equipoise.learning.train import train_to_target
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.rig.simulate import simulate_run
 from equipoise.settings import Settings, changed
-from equipoise.worlds.evaluation import evaluate
+from equipoise.simulation.evaluation import evaluate
 
 TWIN: Final = "twin:nominal"
 """World of the reproduction's evaluations on the twin and of its runs."""

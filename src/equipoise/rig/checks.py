@@ -14,13 +14,13 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
+from equipoise.arm.arm import Arm
 from equipoise.arrays import Array
 from equipoise.control.controller import Controller, FlangeKinematics
 from equipoise.control.policy import TaskPolicy, shipped_policy, tick_policy
 from equipoise.errors import EquipoiseError, InputError, LinkError
 from equipoise.identification.driven_swing import MODEL_STEP, driven_swing
 from equipoise.model.actuator import Actuator
-from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.outcomes import MAX_STALL
 from equipoise.rig.clocks import DrainingClock, SystemClock
@@ -30,7 +30,7 @@ from equipoise.rig.host import prepare
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Robot
 from equipoise.rig.request import RunRequest, actuator_fits
 from equipoise.rig.script import POLICY_TIME_FRACTION
-from equipoise.user_code import guest_code
+from equipoise.user_code import user_code
 
 STALL: Final = 0.020
 """Delay from which a loop, an encoder or a link counts as stalled [s]: two ticks. A robot that sets
@@ -161,7 +161,7 @@ def check_encoder(
     counts: int,
     rate: float,
     ages: Array,
-    lost_share: float,
+    lost_fraction: float,
     illegal: int,
 ) -> list[Finding]:
     """Judge an encoder by its stream.
@@ -171,7 +171,7 @@ def check_encoder(
         counts: Counts per revolution after x4, as the board reports them.
         rate: Samples per second [1/s].
         ages: Age of the newest sample at each read [s], shape (n,).
-        lost_share: Share of samples lost on the way, damaged or out of sequence [-].
+        lost_fraction: Fraction of samples lost on the way, damaged or out of sequence [-].
         illegal: Number of samples with an illegal transition on the board.
     """
     age = float(np.percentile(ages, 99.0))
@@ -194,10 +194,10 @@ def check_encoder(
         ),
         find(
             "encoder's line",
-            f"{lost_share:.2%} of the samples lost, {illegal} illegal transitions",
+            f"{lost_fraction:.2%} of the samples lost, {illegal} illegal transitions",
             "check the encoder's supply, screen, plugs and baud rate, and keep its cable away "
             "from the motors'",
-            warning=lost_share > 0.01,
+            warning=lost_fraction > 0.01,
             bad=illegal > 0,
         ),
     ]
@@ -365,7 +365,7 @@ def examine(
             continue
         name = "encoder" if device is sensor else "robot"
         try:
-            with guest_code(f"the driver of the {name}"):
+            with user_code(f"the driver of the {name}"):
                 device.connect()
                 if isinstance(device, AngleSensor):
                     findings += check_encoder(rig, *listen(device, clock, seconds))
@@ -491,8 +491,8 @@ def listen(
         ages.append(now - newest)
     lost = missing + sensor.rejected - before
     rate = received / (clock.now() - begin)
-    share = lost / max(received + lost, 1)
-    return sensor.counts_per_rev, rate, np.array(ages), share, illegal
+    fraction = lost / max(received + lost, 1)
+    return sensor.counts_per_rev, rate, np.array(ages), fraction, illegal
 
 
 def _reads(clock: Clock, seconds: float) -> Generator[None]:

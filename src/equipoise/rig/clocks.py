@@ -99,7 +99,7 @@ def ended_stalls(clock: Clock, *devices: object) -> Generator[None]:
         devices: The devices, the clock among them if it runs a rig.
 
     Raises:
-        LinkError: The clock stood still for `STALL` real seconds; names call and line.
+        LinkError: The clock stalled for `STALL` real seconds; names call and line.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -117,7 +117,7 @@ def ended_stalls(clock: Clock, *devices: object) -> Generator[None]:
                 where, line = stack[0].f_code.co_filename, stack[0].f_lineno
                 raise LinkError(
                     f"{type(caller).__name__}.{call.f_code.co_name} has waited for {STALL:g} s, "
-                    f"in which virtual time stood still at {seen:.3f} s ({where}, line {line}); "
+                    f"in which virtual time stalled at {seen:.3f} s ({where}, line {line}); "
                     "a driver waits with the clock that it receives, never with time.sleep"
                 )
 

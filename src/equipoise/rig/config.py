@@ -18,12 +18,12 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, ValidationError, field_validator
 
-from equipoise.artefacts import Name, Value, first_fault
+from equipoise.arm.arm import Arm
+from equipoise.arm.resolve import SUFFIXES, read_arm
 from equipoise.errors import ArmError, SettingsError
-from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.resolve import SUFFIXES, read_arm
+from equipoise.files import Name, Value, first_fault
 from equipoise.model.worlds import PREFIX as TWIN
-from equipoise.safety.rules import POSITION_MARGIN, TORQUE_SHARE
+from equipoise.safety.rules import POSITION_MARGIN, TORQUE_FRACTION
 from equipoise.settings import read_toml
 
 Degrees = Annotated[float, Field(ge=-3600.0, le=3600.0)]
@@ -72,11 +72,11 @@ class RigSettings(Value):
     """1 if counts grow with theta, the pendulum's angle from hanging, else -1."""
     position_margin_deg: float = Field(default=degrees(POSITION_MARGIN), ge=1.0, le=30.0)
     """Minimum distance of setpoints from the joints' position limits [deg]."""
-    speed_share: float = Field(default=1.0, ge=0.01, le=1.0)
-    """Maximum share of the joints' velocity limits [-]; a run stops before exceeding it."""
-    torque_share: float = Field(default=TORQUE_SHARE, ge=0.01, le=1.0)
-    """Maximum change of an external torque from its value at home, as a share of the joint's torque
-    limit [-]; a run stops beyond it."""
+    speed_fraction: float = Field(default=1.0, ge=0.01, le=1.0)
+    """Maximum fraction of the joints' velocity limits [-]; a run stops before exceeding it."""
+    torque_fraction: float = Field(default=TORQUE_FRACTION, ge=0.01, le=1.0)
+    """Maximum change of an external torque from its value at home, as a fraction of the joint's
+    torque limit [-]; a run stops beyond it."""
 
     @field_validator("encoder_sign", mode="before")
     @classmethod

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from equipoise.arm.arm import FREE_JOINTS
 from equipoise.errors import InputError, SettingsError
-from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import World, pendulum_on, read_world
 from equipoise.rig.clocks import DrainingClock, SystemClock, VirtualClock

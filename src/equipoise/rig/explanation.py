@@ -30,11 +30,11 @@ import numpy as np
 from equipoise.arrays import Array
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.identification.refine import ModelMotion, read_motion
-from equipoise.logs.run_log import RunLog
+from equipoise.log.run_log import RunLog
 from equipoise.outcomes import SYMPTOMS, EndCause, Outcome, describe
 from equipoise.rig.checks import STALL
 from equipoise.rig.script import RESTART_ACCELERATION
-from equipoise.worlds.reachability import diverging_angle, fall_rate, recoverable_angle
+from equipoise.simulation.reachability import diverging_angle, fall_rate, recoverable_angle
 
 GRID_STEP: Final = 0.005
 """Sampling period of the unexplained rate and of the delay [s]."""
@@ -103,12 +103,12 @@ def explain(run: RunLog) -> list[Cause]:
     end, balanced = run.ending, run.conditions.simulated
     with suppress(ArtefactError):  # the encoder's angles need the zero of the balancing
         balanced = balanced or (len(run.ticks) > 0 and len(run.encoder.time) >= 0)
-    time = run.lasted if balanced else None
+    time = run.survival if balanced else None
     busy = _missed(run) if end.outcome in DELAYS else ""
     causes = [Cause(RootCause.BUSY, 0.95, time, busy)] if busy else []
     score = 0.2 if busy or end.outcome in SYMPTOMS else 0.95
     causes.append(Cause(end.outcome, score, time, describe(end)))
-    regular = end.outcome in (Outcome.LASTED, Outcome.OPERATOR, Outcome.EXCITED)
+    regular = end.outcome in (Outcome.SURVIVED, Outcome.OPERATOR, Outcome.EXCITED)
     if balanced and len(run.time) > 0 and not regular:
         causes += root_causes(run)
     return sorted(causes, key=lambda cause: -cause.score)
@@ -137,7 +137,7 @@ def unexplained_rate(run: RunLog, moved: ModelMotion) -> tuple[Array, Array]:
         RecordingError: The run is too short, or its samples exceed its ticks.
     """
     pendulum = run.conditions.pendulum
-    if moved.time[-1] - moved.time[0] > 2.0 * run.lasted + 1.0:
+    if moved.time[-1] - moved.time[0] > 2.0 * run.survival + 1.0:
         raise RecordingError("its samples reach far beyond its ticks")
     # A rate is fitted over at least three samples.
     half = max(0.015, 1.5 * float(np.median(np.diff(moved.time))))
@@ -249,13 +249,13 @@ def _delay(log: RunLog, moved: ModelMotion) -> Cause | None:
         f"{exp(fall_rate(log.conditions.pendulum) * rest) - 1.0:.0%}"
     )
     # With 20 ms a table falls within seconds; without a push such a run may show one up to 0.6.
-    return Cause(RootCause.DELAY, 0.6 + 0.2 * min(rest / 0.02, 1.0), log.lasted, text)
+    return Cause(RootCause.DELAY, 0.6 + 0.2 * min(rest / 0.02, 1.0), log.survival, text)
 
 
 def _pause(log: RunLog) -> Cause | None:
     """Detect the largest speed that the flange lost at once in the last part."""
     lost = np.append(0.0, -np.diff(log.x_dot))
-    lost[log.time < log.lasted - LATE] = 0.0
+    lost[log.time < log.survival - LATE] = 0.0
     i = int(np.argmax(np.abs(lost)))
     u_max = _u_max(log)
     if abs(lost[i]) < 1.2 * (u_max + RESTART_ACCELERATION) * log.conditions.h:  # of a command
@@ -281,7 +281,7 @@ def _push(log: RunLog, time: Array, rate: Array) -> Cause | None:
         return None
     steps = rate[wide:] - rate[:-wide]
     middle = time[wide // 2 : wide // 2 + len(steps)]
-    late = middle >= log.lasted - LATE
+    late = middle >= log.survival - LATE
     unusual = np.where(late, steps - np.median(steps), 0.0)
     i = int(np.argmax(np.abs(unusual)))
     size, when = float(unusual[i]), float(middle[i])
@@ -313,4 +313,4 @@ def _zero(log: RunLog, time: Array, rate: Array) -> Cause | None:
         f"while gravity pulled as upright (the observer's estimate: "
         f"{degrees(float(log.bias[-1])):+.1f} deg)"
     )
-    return Cause(RootCause.ZERO, score, log.lasted, text)
+    return Cause(RootCause.ZERO, score, log.survival, text)

@@ -1,10 +1,10 @@
 """Control loop of a run: read, decide, send; wait; send the setpoint of half a tick; wait.
 
 The loop runs in one thread. Deadlines are absolute times of the rig's clock, so that they do not
-drift. A loop that stands still sends no setpoint that is later than the next one should be: the arm
+drift. A loop that stalls sends no setpoint that is later than the next one should be: the arm
 comes to rest at the last one sent, the missed ticks are skipped and counted, and the controller
 begins anew from there at the time of a later tick. A tick waits for no lock, prints nothing, and
-writes its records to preallocated rings (`equipoise.logs.recorder`).
+writes its records to preallocated rings (`equipoise.log.recorder`).
 
 A failure ends in one of two ways. While the robot accepts setpoints, the controller brings the arm
 to rest inside the stream; if it fails itself, the guard around the robot does. If the link to the
@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 
 from equipoise.control.ticks import Job, OperatorMessage, TickInputs, missed_ticks
 from equipoise.errors import LinkError
-from equipoise.logs.recorder import Recorder, push_event
+from equipoise.log.recorder import Recorder, push_event
 from equipoise.outcomes import End, Outcome, describe
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import AngleSensor, Clock, Operator, Sample

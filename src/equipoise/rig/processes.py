@@ -2,7 +2,7 @@
 
 The *loop* serves the devices and meets the deadlines; a helper process does its longer jobs. The
 *parent* serves the operator, writes the log from a thread, and monitors the loop's heartbeat: it
-warns the operator as soon as the heartbeat stops while the servo runs. A console (`apps.console`)
+warns the operator as soon as the heartbeat stops while the servo runs. A console (`console`)
 may watch the rings, and answer; the run does not depend on it. A run continues without its log,
 with a warning. A loop without its parent, or without a reachable operator, brings the arm to rest.
 
@@ -25,8 +25,8 @@ from typing import Any, Final
 
 from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import EquipoiseError, OutsideError
-from equipoise.logs.conditions import RunEnd
-from equipoise.logs.recorder import (
+from equipoise.log.conditions import RunEnd
+from equipoise.log.recorder import (
     CONNECTING,
     ENDED,
     Recorder,
@@ -36,7 +36,7 @@ from equipoise.logs.recorder import (
     read_events,
     share,
 )
-from equipoise.logs.writer import RunWriter
+from equipoise.log.writer import RunWriter
 from equipoise.rig import host
 from equipoise.rig.checks import warm_up
 from equipoise.rig.connection import connect
@@ -47,7 +47,7 @@ from equipoise.rig.plugins import robot_plugin
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import ALONE, STOP, log_warning, run_on_rig
 from equipoise.rig.run_controller import PHASES
-from equipoise.user_code import format_error, guest_code
+from equipoise.user_code import format_error, user_code
 
 Live = Callable[[str, float], None]
 """Shows the phase of the run and the angle from upright [rad]; never blocks."""
@@ -78,7 +78,7 @@ def run_in_processes(request: RunRequest, out: Path, person: Operator, live: Liv
         OutsideError: The log cannot be written, or the loop's process ended without a result.
         EquipoiseError: Error of the loop's process.
     """
-    with guest_code(f"sending {request.policy.name} to another process", "give it as MODULE:NAME"):
+    with user_code(f"sending {request.policy.name} to another process", "give it as MODULE:NAME"):
         data = pickle.dumps(request)
     arm = request.settings.described_arm
     title = f"{request.policy.name} on {request.robot}"[:1024]

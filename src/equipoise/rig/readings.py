@@ -18,7 +18,7 @@ HISTORY: Final = 64
 MAX_ROUND_TRIP: Final = 0.0175
 """Round trip of a reply beyond which the robot's link stalls [s]: three and a half periods, because
 a driver reads replies once per setpoint. A sound link takes 9 ms at most. A moving arm is sent
-nothing until the replies have come: a link that stands still delivers all setpoints at once, and
+nothing until the replies have come: a link that stalls delivers all setpoints at once, and
 the arm then goes to the last one at its highest speed. The joints of such a reply do not count,
 because the time of their measurement is too uncertain."""
 

@@ -9,12 +9,12 @@ import numpy as np
 from equipoise.arrays import Array
 from equipoise.control.control_step import ControllerParams, horizon, make_controller_params
 from equipoise.control.policy import TaskPolicy, shipped_policy
-from equipoise.logs.conditions import RunConditions
+from equipoise.log.conditions import RunConditions
 from equipoise.model.actuator import Actuator
 from equipoise.outcomes import Phase
 from equipoise.rig.config import RigSettings
 from equipoise.safety.rules import SafetyParams, make_safety_params
-from equipoise.worlds.twin.excitation import excitation
+from equipoise.simulation.twin.excitation import excitation
 
 
 @dataclass(frozen=True)
@@ -75,8 +75,8 @@ class RunRequest:
             counts_per_rev=counts_per_rev,
             speed=max_speed,
             margin=radians(rig.position_margin_deg),
-            speed_share=rig.speed_share,
-            torque_share=rig.torque_share,
+            speed_fraction=rig.speed_fraction,
+            torque_fraction=rig.torque_fraction,
         )
         return params, safety
 

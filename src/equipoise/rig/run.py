@@ -13,9 +13,9 @@ from typing import Any, Final
 
 from equipoise.control.ticks import Job, OperatorMessage
 from equipoise.errors import EquipoiseError, LinkError, OutsideError
-from equipoise.logs.conditions import RunEnd
-from equipoise.logs.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
-from equipoise.logs.writer import RunWriter
+from equipoise.log.conditions import RunEnd
+from equipoise.log.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
+from equipoise.log.writer import RunWriter
 from equipoise.outcomes import End, Outcome
 from equipoise.printable import printable
 from equipoise.rig.checks import check_fit, preflight, require
@@ -197,7 +197,7 @@ def run_on_rig(
         return RunEnd(
             outcome=end.outcome,
             evidence=dict(end.evidence),
-            lasted=controller.lasted,
+            survival=controller.survival,
             stoppable=ending.stoppable,
             zero=None if isnan(zero) else zero,
             max_speed=max_speed if max_speed < inf else None,
@@ -210,7 +210,7 @@ def run_on_rig(
 
 
 def _unmoved(outcome: Outcome, **evidence: float | str) -> RunEnd:
-    return RunEnd(outcome=outcome, evidence=evidence, lasted=0.0)
+    return RunEnd(outcome=outcome, evidence=evidence, survival=0.0)
 
 
 def log_warning(problem: str) -> OperatorMessage:

@@ -97,7 +97,7 @@ class RunController:
         self._warnings = set[str]()
 
     @property
-    def lasted(self) -> float:
+    def survival(self) -> float:
         """Time for which the policy has acted [s]."""
         return self.run.balanced * self.h
 

@@ -15,6 +15,7 @@ from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
 
+from equipoise.arm.arm import FREE_JOINTS
 from equipoise.arrays import Array
 from equipoise.control.controller import Controller, FlangeKinematics
 from equipoise.control.minimum_jerk import MinimumJerk, path_within
@@ -30,7 +31,6 @@ from equipoise.identification.driven_swing import (
     self_test,
 )
 from equipoise.model.actuator import Actuator
-from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.outcomes import End, Outcome, Phase
 from equipoise.printable import printable
 from equipoise.rig.readings import ArmReadings, EncoderReadings, TimedJoints
@@ -390,7 +390,7 @@ def excite(run: Run, motion: Array, identify: Callable[[Array, Array], Actuator]
     while 0.5 * run.h * (row - len(motion)) <= REST_BEFORE:
         tick = yield setpoints
         if tick.stalled:
-            text = "the computer or the robot's link stood still during the excitation; run again"
+            text = "the computer or the robot's link stalled during the excitation; run again"
             raise PhaseError(Outcome.UNIDENTIFIED, text=text)
         sent += tick.sent
         measured += tick.joints
@@ -458,7 +458,7 @@ def balance(run: Run, released: float, policy: Policy, clock: Callable[[], float
         yield run.accelerate(_decide(run, policy, clock, first=run.balanced == begin))
         if run.controller.limit_exceeded:
             raise PhaseError(Outcome.JOINT_LIMIT)
-    return End(Outcome.LASTED, {"duration": duration})
+    return End(Outcome.SURVIVED, {"duration": duration})
 
 
 def _decide(run: Run, policy: Policy, clock: Callable[[], float], *, first: bool = False) -> float:

@@ -15,17 +15,17 @@ import numpy as np
 
 from equipoise import paper
 from equipoise.arguments import Duration, checked
+from equipoise.arm.arm import FREE_JOINTS, Arm
+from equipoise.arm.resolve import read_arm
 from equipoise.arrays import Array
-from equipoise.artefacts import Seed, StrPath
 from equipoise.control.bound_policy import AnyPolicy, read_policy
 from equipoise.control.control_step import SETPOINTS_PER_TICK
-from equipoise.control.grid import TRUNCATED, box_indices, make_grid
 from equipoise.control.ticks import TickRecord
-from equipoise.logs.conditions import RunConditions, RunEnd
-from equipoise.logs.run_log import RunLog, simulated_log
+from equipoise.files import Seed, StrPath
+from equipoise.log.conditions import RunConditions, RunEnd
+from equipoise.log.run_log import RunLog, simulated_log
 from equipoise.model.actuator import Actuator
-from equipoise.model.arms.arm import FREE_JOINTS, Arm
-from equipoise.model.arms.resolve import read_arm
+from equipoise.model.grid import TRUNCATED, box_indices, make_grid
 from equipoise.model.pendulum import Pendulum, read_pendulum
 from equipoise.model.random import DEPLOYMENT
 from equipoise.model.worlds import (
@@ -38,7 +38,7 @@ from equipoise.model.worlds import (
 )
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import Settings
-from equipoise.worlds import Recorder, run_trial, setup_of, simulate
+from equipoise.simulation import Recorder, run_trial, setup_of, simulate
 
 
 @checked
@@ -109,7 +109,7 @@ def simulate_run(
             pendulum=loop.pendulum,
             **_twin_conditions(twin),
         ),
-        RunEnd(outcome=TRIAL_OUTCOMES[cause], evidence=evidence, lasted=round(len(time) * h, 9)),
+        RunEnd(outcome=TRIAL_OUTCOMES[cause], evidence=evidence, survival=round(len(time) * h, 9)),
         {
             "time": time,
             **dict(zip(state, rows.observation.T, strict=True)),
@@ -153,8 +153,8 @@ def excite(
         ArmError: The masses of the arm are unknown, or home is close to a limit.
         SettingsError: The world is unknown.
     """
-    from equipoise.worlds.twin.excitation import PERIOD, excitation
-    from equipoise.worlds.twin.twin import Twin
+    from equipoise.simulation.twin.excitation import PERIOD, excitation
+    from equipoise.simulation.twin.twin import Twin
 
     arm, pendulum = read_arm(arm), read_pendulum(pendulum)
     twin = world if isinstance(world, World) else read_world(world)

@@ -16,16 +16,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from equipoise.arm.arm import Arm
 from equipoise.arrays import Array
 from equipoise.control.ticks import OperatorMessage
-from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.interfaces import Clock
-from equipoise.worlds.twin.hand import Hand, HandParams, Side, draw_hand_params
-from equipoise.worlds.twin.physics import TICK, rod_centre, rod_inertia
-from equipoise.worlds.twin.simulated_arm import SimulatedArm
-from equipoise.worlds.twin.twin import FLANGE, ROD, Twin
+from equipoise.simulation.twin.hand import Hand, HandParams, Side, draw_hand_params
+from equipoise.simulation.twin.physics import TICK, rod_centre, rod_inertia
+from equipoise.simulation.twin.simulated_arm import SimulatedArm
+from equipoise.simulation.twin.twin import FLANGE, ROD, Twin
 
 
 class Bodies(NamedTuple):

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from equipoise.model.arms.arm import Arm
+from equipoise.arm.arm import Arm
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.interfaces import Clock

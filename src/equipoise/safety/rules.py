@@ -33,8 +33,8 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
+from equipoise.arm.arm import Arm
 from equipoise.jit import compilable
-from equipoise.model.arms.arm import Arm
 from equipoise.outcomes import SAFETY_RULES, End, Numbers, Outcome, SafetyInputs
 
 Row = Sequence[float] | npt.NDArray[np.float64]
@@ -64,9 +64,9 @@ rad/s."""
 MAX_PENDULUM_ACCELERATION: Final = 150.0
 """Maximum plausible acceleration of a pendulum [rad/s^2]: gravity 70, its pivot 15, a hand the
 rest."""
-TORQUE_SHARE: Final = 0.10
-"""Maximum change of an external torque from that at rest, as a share of the joint's limit [-]: 32 N
-m at A1 of an iiwa 14, a push of some 60 N at the flange."""
+TORQUE_FRACTION: Final = 0.10
+"""Maximum change of an external torque from that at rest, as a fraction of the joint's limit [-]:
+32 N m at A1 of an iiwa 14, a push of some 60 N at the flange."""
 FOLLOWING_LIMIT: Final = 0.03
 """Maximum following error of a joint [rad]: 20 mm at the flange, seven times the largest difference
 in 100 trials of 60 s on `twin:nominal`."""
@@ -77,9 +77,9 @@ STILL_ANGLE: Final = 5e-4
 EXPECTED_MOTION: Final = 0.01
 """Expected motion of a joint after which it does not follow if it is still measured at rest [rad]:
 emergency stop, enabling switch, protective stop, another mode, or an encoder that stands still."""
-SINGULAR_SHARE: Final = 0.1
-"""Minimum |det J| as a share of its value at home [-]: twice the share at which CLIK begins to
-damp."""
+SINGULAR_FRACTION: Final = 0.1
+"""Minimum |det J| as a fraction of its value at home [-]: twice the fraction at which CLIK begins
+to damp."""
 DRIFT_LIMIT: Final = 0.015
 """Maximum distance of the flange from its line [m]; in 100 trials of 60 s on `twin:nominal` it is
 0.7 mm, and a load unknown to the drives may be heavier."""
@@ -131,18 +131,18 @@ class Limits(NamedTuple):
         return len(self.lower)
 
 
-def limits_of(arm: Arm, *, margin: float = POSITION_MARGIN, speed_share: float = 1.0) -> Limits:
+def limits_of(arm: Arm, *, margin: float = POSITION_MARGIN, speed_fraction: float = 1.0) -> Limits:
     """Return the limits of an arm's setpoints.
 
     Args:
         arm: The arm.
         margin: Margin of setpoints inside the joints' position limits [rad].
-        speed_share: Usable share of the joints' velocity limits [-].
+        speed_fraction: Usable fraction of the joints' velocity limits [-].
     """
     return Limits(
         lower=tuple(joint.lower + margin for joint in arm.joints),
         upper=tuple(joint.upper - margin for joint in arm.joints),
-        velocity=tuple(speed_share * joint.velocity for joint in arm.joints),
+        velocity=tuple(speed_fraction * joint.velocity for joint in arm.joints),
         acceleration=tuple(joint.acceleration for joint in arm.joints),
     )
 
@@ -177,8 +177,8 @@ def make_safety_params(
     counts_per_rev: int,
     speed: float = inf,
     margin: float = POSITION_MARGIN,
-    speed_share: float = 1.0,
-    torque_share: float = TORQUE_SHARE,
+    speed_fraction: float = 1.0,
+    torque_fraction: float = TORQUE_FRACTION,
 ) -> SafetyParams:
     """Return the safety limits of a rig.
 
@@ -190,17 +190,17 @@ def make_safety_params(
         counts_per_rev: Encoder counts per revolution, after x4.
         speed: Flange speed limit [m/s]; inf for none.
         margin: Margin of setpoints inside the joints' position limits [rad].
-        speed_share: Usable share of the joints' velocity limits [-].
-        torque_share: Maximum change of an external torque from that at home, as a share of the
-            joint's torque limit [-].
+        speed_fraction: Usable fraction of the joints' velocity limits [-].
+        torque_fraction: Maximum change of an external torque from that at home, as a fraction of
+            the joint's torque limit [-].
     """
     at_home = abs(float(np.linalg.det(arm.kinematics(arm.home_free).jacobian)))
     return SafetyParams(
-        limits=limits_of(arm, margin=margin, speed_share=speed_share),
-        torque=tuple(torque_share * joint.torque for joint in arm.joints),
+        limits=limits_of(arm, margin=margin, speed_fraction=speed_fraction),
+        torque=tuple(torque_fraction * joint.torque for joint in arm.joints),
         reaction=reaction,
         u_max=u_max,
-        min_manipulability=SINGULAR_SHARE * at_home,
+        min_manipulability=SINGULAR_FRACTION * at_home,
         h=h,
         resolution=2.0 * pi / counts_per_rev,
         speed=speed,
@@ -381,10 +381,10 @@ def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs
     for joint, (torque, limit) in enumerate(torques, start=1):
         if abs(torque) > limit:
             broken.append(_violation(Outcome.TORQUE, torque, limit, joint=joint))
-    lasted, measured, expected = monitor.error_time, inputs.measured, inputs.expected
-    if error_time_exceeded(lasted) and measured is not None and expected is not None:
+    duration, measured, expected = monitor.error_time, inputs.measured, inputs.expected
+    if error_time_exceeded(duration) and measured is not None and expected is not None:
         error, joint = largest_difference(measured, expected)
-        evidence = {"joint": joint, "lasted": lasted}
+        evidence = {"joint": joint, "duration": duration}
         broken.append(_violation(Outcome.FOLLOWING, error, FOLLOWING_LIMIT, **evidence))
     if inputs.on_track:
         x, x_dot = inputs.x, inputs.x_dot
@@ -414,7 +414,7 @@ def next_error_time(before: float, error: float, h: float) -> float:
 
 @compilable
 def error_time_exceeded(time: float) -> bool:
-    """Return whether a following error has lasted too long [s]."""
+    """Return whether a following error persists for too long [s]."""
     return time > FOLLOWING_TIME
 
 

@@ -9,6 +9,8 @@ from math import inf
 from typing import Annotated, Final, NamedTuple, Protocol
 
 from equipoise import paper
+from equipoise.arm.arm import FREE_JOINTS, Arm
+from equipoise.arm.compiler import FRAME_SIZE
 from equipoise.arrays import Array, Records, new_records
 from equipoise.control.control_step import (
     SETPOINTS_PER_TICK,
@@ -18,11 +20,9 @@ from equipoise.control.control_step import (
     kinematics,
 )
 from equipoise.control.controller import flange_pose
+from equipoise.elementary import BATCH_SIZE
 from equipoise.jit import compilable, inlined
 from equipoise.model.actuator import ROWS, Actuator
-from equipoise.model.arms.arm import FREE_JOINTS, Arm
-from equipoise.model.arms.compiler import FRAME_SIZE
-from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.worlds import TwinSettings
 from equipoise.safety import rules
 from equipoise.safety.rules import NO_VIOLATION, Limits, SafetyParams

@@ -1,1 +1,1 @@
-"""A guest of Equipoise: a robot, a learner, a reward and a policy."""
+"""A guest of Equipoise: a robot, an algorithm, a reward and a policy."""

@@ -1,6 +1,6 @@
 """Q-learning with a step size of one tenth."""
 
-from equipoise.learning.learner import Learner, best_value
+from equipoise.learning.q_learning import Algorithm, best_value
 
 
 def update(tables, transition, params):
@@ -13,4 +13,4 @@ def update(tables, transition, params):
     tables.visits[box, action] += 1
 
 
-learner = Learner(update)
+algorithm = Algorithm(update)

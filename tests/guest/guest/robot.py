@@ -68,14 +68,14 @@ class GuestRobot:
         setpoint = checked_setpoint(q, self.joints)
         link = self._working()
         if not self._streams:
-            raise LinkError("the guest's servo does not run; start it first")
+            raise LinkError("the user's servo does not run; start it first")
         link.write(self._frames.pack(SETPOINT, setpoint.tolist()))
         self._sent.append(self._clock.now())
 
     def replies(self):
         self._read()
         if self._sent and self._clock.now() > self._sent[0] + TIMEOUT:
-            self._fail(f"the guest's robot did not answer a setpoint within {TIMEOUT:g} s")
+            self._fail(f"the user's robot did not answer a setpoint within {TIMEOUT:g} s")
         replies, self._replies = self._replies, []
         return replies
 
@@ -95,7 +95,7 @@ class GuestRobot:
         self._joints, deadline = None, self._clock.now() + TIMEOUT
         while self._joints is None:
             if self._clock.now() > deadline:
-                self._fail(f"the guest's robot said nothing for {TIMEOUT:g} s; switch it on")
+                self._fail(f"the user's robot said nothing for {TIMEOUT:g} s; switch it on")
             self._clock.wait_until(self._clock.now() + 1e-3)
             self._read()
         return np.array(self._joints)
@@ -109,7 +109,7 @@ class GuestRobot:
 
     def _working(self):
         if self._failure or self._link is None:
-            raise LinkError(self._failure or "the guest's robot is not connected; connect first")
+            raise LinkError(self._failure or "the user's robot is not connected; connect first")
         return self._link
 
     def _fail(self, why):
@@ -141,7 +141,7 @@ def host_and_port(address):
         parts = urlsplit(address)
         if parts.hostname and parts.port:
             return parts.hostname, parts.port
-    raise InputError(f"{address!r} is no address of a guest's robot; expected guest://HOST:4000")
+    raise InputError(f"{address!r} is no address of a user's robot; expected guest://HOST:4000")
 
 
 def open_robot(address, session):

@@ -2,7 +2,7 @@
 
 from math import exp, isnan
 
-from equipoise.model.arms.iiwa import iiwa7
+from equipoise.arm.iiwa import iiwa7
 from equipoise.rig.clocks import TICK, VirtualClock
 from equipoise.rig.transports import memory_pipe
 from equipoise.robots.kst.emulator import KstServer
@@ -39,9 +39,9 @@ class Follower:
 
     def advance(self, now):
         if self.running:
-            share = 1.0 - exp(-TICK / LAG)
+            fraction = 1.0 - exp(-TICK / LAG)
             self.q = [
-                q + (0.0 if isnan(goal) else share * (goal - q))
+                q + (0.0 if isnan(goal) else fraction * (goal - q))
                 for q, goal in zip(self.q, self.goal, strict=True)
             ]
 

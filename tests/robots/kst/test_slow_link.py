@@ -5,11 +5,11 @@ from math import expm1, sqrt
 import numpy as np
 import pytest
 
+from equipoise.arm.iiwa import iiwa
 from equipoise.model.actuator import AMPLITUDE, CYCLE, INTERVAL_WIDTH
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.worlds import TwinSettings
 from equipoise.robots.kst.plugin import T1_SPEED, flange_speed
-from equipoise.worlds.twin.servo_model import new_servo, send, serve, start
+from equipoise.simulation.twin.servo_model import new_servo, send, serve, start
 
 WORLD = TwinSettings(transport=0.0, transport_jitter=0.0)
 IIWA = {size: iiwa(size) for size in (7, 14)}
@@ -56,7 +56,7 @@ def test_the_shaped_peak_is_that_of_the_cabinet_with_a_perfect_drive(speed, peri
 def test_at_the_limit_the_worst_joint_has_a_peak_of_80_percent_of_its_speed(size):
     arm, period = IIWA[size], 0.008
     limit = flange_speed(arm, period)
-    shares = []
+    fractions = []
     for x in np.linspace(-0.22, 0.22, 23):
         # Found by Newton's method, where the limit follows the track from home.
         q, home = arm.home_free, arm.kinematics(arm.home_free)
@@ -66,10 +66,10 @@ def test_at_the_limit_the_worst_joint_has_a_peak_of_80_percent_of_its_speed(size
             away = np.concatenate((home.position + np.array([x, 0.0, 0.0]) - here.position, turn))
             q = q + np.linalg.solve(here.jacobian, away)
         dq = np.linalg.solve(arm.kinematics(q).jacobian, limit * np.eye(6)[0])
-        shares += [
+        fractions += [
             shaped_peak(abs(rate), period) / joint.velocity
             for rate, joint in zip(dq, arm.free_joints, strict=True)
         ]
-    assert max(shares) == pytest.approx(0.8, rel=0.01)
+    assert max(fractions) == pytest.approx(0.8, rel=0.01)
     # The slower the link, the slower the flange; T1 is slower than any link that a run allows.
     assert limit > flange_speed(arm, 0.009) > T1_SPEED

@@ -9,8 +9,8 @@ from math import radians
 from pathlib import Path
 from typing import Final
 
-from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.urdf import read_urdf
+from equipoise.arm.arm import Arm
+from equipoise.arm.urdf import read_urdf
 
 URDF: Final = Path(__file__).with_name("fr3.urdf")
 """The arm from its first link to its flange."""

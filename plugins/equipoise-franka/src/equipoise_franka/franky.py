@@ -26,14 +26,14 @@ from franky_sim.franka_robot_server import FrankaRobotServer
 from franky_sim.franka_server import BaseCommand
 from franky_sim.mujoco_simulator import MujocoSimulator
 
+from equipoise.arm.arm import Arm, Inertial
+from equipoise.arm.chain import rotation_from_rpy
 from equipoise.arrays import Array
 from equipoise.errors import InputError, OutsideError
-from equipoise.model.arms.arm import Arm, Inertial
-from equipoise.model.arms.chain import rotation_from_rpy
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.simulated_rig import Bench, Bodies, Mechanism
-from equipoise.worlds.twin.physics import (
+from equipoise.simulation.twin.physics import (
     DRY_TIME,
     bar_inertial,
     pivot,

@@ -5,8 +5,8 @@ from contextlib import suppress
 from typing import Any, Final
 from urllib.parse import urlsplit
 
+from equipoise.arm.arm import Arm
 from equipoise.errors import InputError
-from equipoise.model.arms.arm import Arm
 from equipoise.rig.plugins import Emulated, Hardware, RobotPlugin, Session
 from equipoise.rig.simulated_rig import Bodies
 from equipoise_franka.lockstep import Lockstep, require_emulator

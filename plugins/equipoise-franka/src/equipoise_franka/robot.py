@@ -67,7 +67,7 @@ CAUSES: Final = {
     "reflex": "a force on the arm exceeded its threshold; look for a contact",
     "discontinuity": "the commanded motion jumped; see log explain for stalls of the loop",
     "position_limits": "a joint came to its position limit; move home away from it",
-    "velocity": "a joint came to its velocity limit; lower speed_share in rig.toml",
+    "velocity": "a joint came to its velocity limit; lower speed_fraction in rig.toml",
     "self_collision": "the arm came near itself; choose another home",
     "tau_j_range": "the load exceeds the arm; check its load in Desk",
     "power_limit": "the arm needs more power than it has; check its load in Desk",

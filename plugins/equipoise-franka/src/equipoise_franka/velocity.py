@@ -30,7 +30,7 @@ GAIN: Final = 100.0
 """Rate at which the correction removes the distance from the path, K [1/s]. A change of velocity of
 0.1 rad/s, which takes 11 ms, leaves 0.5 mrad."""
 SHARE: Final = 0.95
-"""Share of the controller's limits that is used [-]."""
+"""Fraction of the controller's limits that is used [-]."""
 JERK: Final = 5000.0
 """Jerk at which the controller stops the arm [rad/s^3]."""
 LOWER, UPPER, VELOCITY = np.array(

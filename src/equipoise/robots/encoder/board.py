@@ -54,13 +54,13 @@ class Board:
     factor: float = 1.0
     """Ratio of actual to nominal counts; other than 1 is a fault."""
     loss: float = 0.0
-    """Share of upward counts that are lost: a slow fault."""
+    """Fraction of upward counts that are lost: a slow fault."""
     frozen: bool = False
     """Whether the count is frozen: a fault."""
     silent: bool = False
     """Whether the board sends no lines: a fault."""
     malformed: float = 0.0
-    """Share of damaged lines: a fault."""
+    """Fraction of damaged lines: a fault."""
 
     def __post_init__(self) -> None:
         """Switch the board on."""
@@ -125,8 +125,8 @@ class Board:
         period = 1.0 / (self.rate_hz * (1.0 + self.drift))
         while self._next + period <= now + 1e-9:
             self._next += period
-            share = (self._next - since) / (now - since) if now > since else 1.0
-            self._move(before + min(max(share, 0.0), 1.0) * (theta - before))
+            fraction = (self._next - since) / (now - since) if now > since else 1.0
+            self._move(before + min(max(fraction, 0.0), 1.0) * (theta - before))
             sent += self._line_now()
         self._theta, self._at, self._now = theta, max(now, since), now
         return bytes(sent)

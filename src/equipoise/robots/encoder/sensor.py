@@ -41,8 +41,8 @@ before its converted time [s]."""
 WRAP_US: Final = 2**32
 """Period of the board's clock [us]: 71.6 minutes."""
 MAX_CLOCK_ERROR: Final = 1e-3
-"""Maximum share by which a board's clock is slow [-]: twenty times the error of a quartz. An Uno's
-ceramic resonator can be off by 5e-3, which is not accepted."""
+"""Maximum fraction by which a board's clock is slow [-]: twenty times the error of a quartz. An
+Uno's ceramic resonator can be off by 5e-3, which is not accepted."""
 SLEW: Final = 0.1
 """Maximum fall of the estimate per elapsed time [-]; below 1, so that converted times increase."""
 

@@ -32,7 +32,7 @@ from equipoise.errors import InputError, LinkError, OutsideError
 from equipoise.rig.simulated_rig import Bodies, SimulatedRig
 from equipoise.rig.transports import SocketTransport
 from equipoise.robots.kst.codec import PORT, KstLineSplitter, java_double, numbers_reply, tokens
-from equipoise.worlds.twin.simulated_arm import SimulatedArm
+from equipoise.simulation.twin.simulated_arm import SimulatedArm
 
 T = TypeVar("T")
 
@@ -250,7 +250,7 @@ class KstServer:
         self._runs = False
 
     def _move(self, _command: str) -> Iterator[None]:
-        """Move to the target along a minimum-jerk path, at a share of the joints' speed limits."""
+        """Move to the target along a minimum-jerk path, at the set speed."""
         body, joints, goal = self._body, self._body.arm.joints, tuple(self._target)
         self._say(DONE)
         yield from self._sleep(PLANNING_TIME)
@@ -269,7 +269,7 @@ class KstServer:
         self._waiting = ""
 
     def _set_speed(self, command: str) -> Iterable[None]:
-        """Set the share of the joints' speed limits at which motions run."""
+        """Set the fraction of the joints' speed limits at which motions run."""
         self._speed = java_double("".join(tokens(command)[1:2]))
         self._say(DONE)
         return ()

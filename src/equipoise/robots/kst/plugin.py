@@ -9,10 +9,10 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from equipoise import paper
+from equipoise.arm.arm import FREE_JOINTS, Arm
 from equipoise.arrays import Array
 from equipoise.errors import InputError, LinkError
 from equipoise.model.actuator import speed_of_peak
-from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.rig.plugins import Emulated, RobotPlugin, Session
 from equipoise.rig.simulated_rig import SimulatedRig
 from equipoise.rig.transports import memory_pipe
@@ -23,8 +23,8 @@ from equipoise.robots.kst.robot import KstRobot, dial
 T1_SPEED: Final = 0.23
 """Flange speed limit of a run in T1 [m/s]: the controller stops the arm with its brakes at 0.25
 m/s, and measured speeds are noisy."""
-SHAPED_SHARE: Final = 0.8
-"""Maximum share of a joint's speed limit for the shaped peak of its velocity [-]."""
+SHAPED_FRACTION: Final = 0.8
+"""Maximum fraction of a joint's speed limit for the shaped peak of its velocity [-]."""
 TRACK_STEP: Final = 0.005
 """Distance between two evaluated points of the track [m]; the rates of the joints change by 1 %
 from one to the next."""
@@ -86,7 +86,7 @@ def flange_speed(arm: Arm, period: float) -> float:
         arm: The arm with its home posture.
         period: Maximum time between two setpoints [s].
     """
-    limits = [SHAPED_SHARE * joint.velocity for joint in arm.free_joints]
+    limits = [SHAPED_FRACTION * joint.velocity for joint in arm.free_joints]
     allowed = np.array([speed_of_peak(limit, period) for limit in limits])
     return min(float(np.min(allowed / rates)) for rates in _rates_along_track(arm))
 

@@ -1,1 +1,0 @@
-"""Applications on the public names: console, report, CoppeliaSim."""

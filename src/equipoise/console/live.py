@@ -1,0 +1,232 @@
+"""Live console of runs: the rig in 3-D, plots, messages, questions and their buttons.
+
+All browsers see the same, and each can answer and stop the run. The process belongs to nobody's
+loop: it finds runs on this computer, and shows one after the other.
+"""
+
+import os
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from importlib import resources
+from math import degrees, isfinite, nan
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from equipoise.console.scene import PERIOD, PLOTS, SPAN, RigPage, card, messages_list, shown
+from equipoise.console.watch import RunWatch
+from equipoise.console.web import serving
+from equipoise.control.ticks import OK
+from equipoise.log.recorder import ENDED, LoggedEvent, live_runs
+from equipoise.outcomes import Phase
+from equipoise.report.style import BLUE, GREEN, GREY, INK, ORANGE, VERMILION
+from equipoise.rig.processes import HEARTBEAT_TIMEOUT
+
+if TYPE_CHECKING:
+    import viser
+
+COLOURS: Final = {
+    **{Phase.BALANCING: GREEN, Phase.ARMED: GREEN, Phase.STOPPING: VERMILION},
+    **{"fault": VERMILION, "stopping": VERMILION, "warning": "#8a5a00"},
+}
+"""Colours of phases and of messages by the names of their events; others are blue and black."""
+
+
+class LivePage:
+    """Content of all browsers."""
+
+    def __init__(self, server: "viser.ViserServer") -> None:
+        """Fill a server's page.
+
+        Args:
+            server: The viser server.
+        """
+        self._server = server
+        self._watch: RunWatch | None = None
+        self._lock = threading.RLock()
+        self._question: LoggedEvent | None = None
+        self._buttons: list[Any] = []
+        self._history: deque[tuple[float, ...]] = deque()
+        self._messages: deque[LoggedEvent] = deque(maxlen=40)
+        self._began = self._ended = nan
+        self._page = RigPage(server, "Equipoise console", plots=len(PLOTS))
+        self._asked = server.gui.add_html("", order=10, visible=False)
+        self._folder = server.gui.add_folder("Messages", order=60, visible=False)
+        with self._folder:
+            self._listed = server.gui.add_html("")
+        self._page.describe(
+            "waiting for a run",
+            GREY,
+            [
+                "Start one on this computer: equipoise deploy --robot ADDRESS. It appears here.",
+                "A run in virtual time does not appear: equipoise log show replays it.",
+            ],
+        )
+
+    def begin(self, watch: RunWatch) -> None:
+        """Show another run from its begin."""
+        with self._lock:
+            self._watch = watch
+            self._page.show_arm(watch.info.arm)
+            self._history.clear()
+            self._messages.clear()
+            self._page.draw(np.zeros(0), np.zeros((len(PLOTS), 0)))
+            self._began = self._ended = nan
+
+    def show(self, run: RunWatch) -> None:
+        """Show the state of the run."""
+        with self._lock, self._server.atomic():
+            self._messages.extend(run.events)
+            self._listed.content = messages_list(
+                (event.text or event.name, COLOURS.get(event.name, INK)) for event in self._messages
+            )
+            self._folder.visible = bool(self._messages)
+            x = self._page.show(run.q, run.phi, run.u)
+            if isfinite(run.late):
+                late = 1e3 * max(run.late, 0.0)
+                self._history.append((run.time, degrees(run.phi), 1e3 * x, run.u, late))
+                self._draw_plots()
+            if run.phase is Phase.BALANCING:
+                self._began = self._began if isfinite(self._began) else run.time
+                self._ended = run.time
+            self._describe(run)
+            self._ask(run.question)
+
+    def end(self) -> None:
+        """Detach from a run that has ended; its last picture stays."""
+        with self._lock:
+            self._watch = None
+            self._ask(None)
+
+    def stop(self) -> str:
+        """Send a stop to the run; return a text for the STOP button. Never blocks."""
+        watch = self._watch
+        if watch is None:
+            return "no run to stop"
+        watch.say("stop")
+        return "stop sent"
+
+    def _describe(self, run: RunWatch) -> None:
+        """Show the state in words."""
+        name, colour, lines = "before the motion", BLUE, [run.info.title]
+        if run.phase is not None:
+            name, colour = run.phase.value, COLOURS.get(run.phase, BLUE)
+        elif not (run.question or run.ended):
+            lines += [event.text for event in self._messages][-1:]
+        if isfinite(self._began):
+            length = f" of {run.info.duration:g} s" if run.info.duration else ""
+            lines.append(f"balanced {self._ended - self._began:.1f} s{length}")
+        if run.silence > HEARTBEAT_TIMEOUT:
+            name, colour = "the loop does not answer", VERMILION
+            lines.append(f"no tick for {run.silence:.2f} s; press the E-stop if the arm moves")
+        if run.ended:
+            name, colour = "ended", INK
+            ends = [event.text for event in self._messages if event.name == ENDED]
+            lines += ends or ["its process ended without a result"]
+            lines.append("The next run appears here.")
+        self._page.describe(name, colour, lines)
+
+    def _draw_plots(self) -> None:
+        history = self._history
+        while history[0][0] < history[-1][0] - SPAN:
+            history.popleft()
+        time, *rows = np.array(history).T
+        known = np.isfinite(rows[0])  # the newest one stays, the others are continuous
+        rows[0][known] = np.unwrap(rows[0][known][::-1], period=360.0)[::-1]
+        self._page.draw(time - time[-1], np.array(rows))
+
+    def _ask(self, question: LoggedEvent | None) -> None:
+        """Show a question with its buttons."""
+        if question == self._question:
+            return
+        self._question = question
+        for button in self._buttons:
+            button.remove()
+        self._buttons, self._asked.visible = [], question is not None
+        if question is None:
+            return
+        look = f"font-size:16px;font-weight:600;border-left:5px solid {ORANGE};background:#fff7e6"
+        self._asked.content = card("question", shown(question.text), look)
+        for place, (word, label) in enumerate(answers(question).items()):
+            button = self._server.gui.add_button(label, order=11.0 + place)
+            button.on_click(lambda _, word=word: self._answer(word, question.time))
+            self._buttons.append(button)
+
+    def _answer(self, word: str, question: float) -> None:
+        """Send an answer; the run takes the first one to the question of a time [s]."""
+        watch = self._watch
+        if watch is not None:
+            watch.say(word, question)
+
+
+def answers(question: LoggedEvent) -> dict[str, str]:
+    """Return the answers to a question with the labels of their buttons.
+
+    A question with one word, which is typed to acknowledge it, has a denial as well.
+
+    Example:
+        >>> answers(LoggedEvent(1.0, "move", ("y", "n"), "Move?"))
+        {'y': 'Yes', 'n': 'No'}
+        >>> answers(LoggedEvent(2.0, "checklist", ("fence",), "Is the fence closed?"))
+        {'fence': 'Yes: fence', 'n': 'No'}
+    """
+    labels = {"y": "Yes", "n": "No", OK: "OK"}
+    words = {word: labels.get(word, f"Yes: {word}") for word in question.answers}
+    return words | ({"n": "No"} if question.name == "checklist" else {})
+
+
+def serve(
+    address: str, port: int, ready: Callable[[str], None], stopped: Callable[[], bool]
+) -> None:
+    """Serve the console until stopped: it shows the newest run without a console to its end.
+
+    Args:
+        address: Address of this computer to listen on.
+        port: Port; 0 selects a free one.
+        ready: Receives the address of the page with its token.
+        stopped: Returns whether to end; called for each picture.
+
+    Raises:
+        MissingExtraError: viser is not installed.
+        OutsideError: The address or the port is not available.
+    """
+    stay_aside()
+    actions: dict[str, Callable[[], str]] = {"/alive": lambda: "alive"}
+    overlay = resources.files("equipoise.console").joinpath("overlay.html").read_bytes()
+    with serving(address, port, actions=actions, overlay=overlay) as (server, url):
+        page = LivePage(server)
+        actions["/stop"] = page.stop
+        ready(url)
+        while not stopped():
+            watch = _next_run()
+            if watch is None:
+                time.sleep(PERIOD)
+                continue
+            page.begin(watch)
+            while not (watch.ended or stopped()):
+                watch.observe()
+                page.show(watch)
+                time.sleep(PERIOD)
+            page.end()
+            watch.close()
+
+
+def _next_run() -> RunWatch | None:
+    """Attach to the newest run without a console; None without one."""
+    for folder in live_runs():
+        with suppress(OSError, ValueError):
+            return RunWatch(folder)
+    return None
+
+
+def stay_aside() -> None:
+    """Give way to a loop: other cores than its own, the last one, and a low priority."""
+    if sys.platform == "linux":
+        os.nice(10)
+        allowed = sorted(os.sched_getaffinity(0))
+        if len(allowed) > 1:
+            os.sched_setaffinity(0, set(allowed[:-1]))

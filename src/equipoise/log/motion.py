@@ -1,0 +1,169 @@
+"""Motion of arm and pendulum in a run, for films and replays.
+
+The poses of a simulated run are its true states, those of a run on a rig its measurements. Times
+count from the release; in a run on a rig that ended before it, from the first tick.
+"""
+
+from math import isfinite, pi
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+
+from equipoise.arrays import Array
+from equipoise.errors import ArtefactError, InputError, RecordingError
+from equipoise.log.run_log import RunLog
+
+
+class Pose(NamedTuple):
+    """State of a run at a time."""
+
+    time: float
+    """Time [s]."""
+    q: Array
+    """Measured joints [rad], in simulation the true ones, shape (joints,)."""
+    x: float
+    """Displacement of the flange [m]."""
+    phi: float
+    """Angle of the pendulum from upright [rad], from -pi to pi; NaN while unknown."""
+    u: float
+    """Commanded acceleration of the flange [m/s^2]; 0 while no policy acts."""
+    late: float
+    """Lateness of the tick [s]; NaN in simulation."""
+    phase: str
+    """Phase of a run on a rig; empty in simulation."""
+
+
+class Motion(NamedTuple):
+    """Motion of a run at its ticks."""
+
+    time: Array
+    """Times of the ticks [s], increasing, shape (n,)."""
+    q: Array
+    """Joints [rad], as of `Pose`, shape (n, joints)."""
+    x: Array
+    """Displacement of the flange [m], shape (n,)."""
+    phi: Array
+    """Angle from upright [rad], continuous beyond a turn, shape (n,); NaN while unknown."""
+    u: Array
+    """Commanded acceleration [m/s^2], shape (n,)."""
+    late: Array
+    """Lateness [s], shape (n,); NaN in simulation."""
+    phases: tuple[str, ...]
+    """Phase of each tick; empty in simulation."""
+    h: float
+    """Time between ticks [s]."""
+    began: float
+    """Time zero on the run's clock [s]."""
+
+    @classmethod
+    def of(cls, run: RunLog) -> Self:
+        """Return the motion of a run.
+
+        Raises:
+            RecordingError: No policy ran, a run on a rig ended before its first tick, or the times
+                of the ticks do not increase.
+        """
+        conditions, began = run.conditions, _origin(run)
+        tick = run.ticks if conditions.simulated else run.tables["tick"]
+        time = np.asarray(tick["time"] - began, np.float64)
+        if not (np.isfinite(time).all() and np.all(np.diff(time) > 0.0)):
+            raise RecordingError(
+                "the times of the ticks in the log do not increase; give the log as it was written"
+            )
+        if conditions.simulated:
+            true = truth(run)
+            q, x, phi = true.q, true.x, true.phi
+            late, phases = np.full(len(time), np.nan), ()
+        else:
+            q = _measured_joints(run, time, began)
+            arm = conditions.arm
+            poses = [arm.kinematics(arm.without_held(row)) for row in q.tolist()]
+            home = arm.kinematics(arm.home_free).position[0]
+            x = np.array([pose.position[0] for pose in poses]) - home
+            phi, late = _measured_phi(run, time, began), tick["late"]
+            phases = tuple(conditions.phases[state].value for state in tick["state"].tolist())
+        phi = np.unwrap(phi)
+        if np.isfinite(phi).all():  # upright at the release is zero
+            phi -= 2.0 * pi * np.round(phi[int(np.searchsorted(time, 0.0))] / (2.0 * pi))
+        u = np.nan_to_num(tick["u"])
+        return cls(time, q, x, phi, u, late, phases, conditions.h, began)
+
+    @property
+    def end(self) -> float:
+        """End of the motion [s]."""
+        return float(self.time[-1]) + (0.0 if self.phases else self.h)
+
+    def part(self, begin: float | None = None, end: float | None = None) -> tuple[float, float]:
+        """Return start and end of a part [s].
+
+        Args:
+            begin: Start [s]; by default the release, on a rig shortly before it.
+            end: End [s]; by default that of the motion.
+
+        Raises:
+            InputError: The part is outside the run, or ends before its start.
+        """
+        first = float(self.time[0])
+        begin = max(first, -2.0) if begin is None else begin
+        end = self.end if end is None else end
+        if not first <= begin <= end <= self.end:
+            raise InputError(
+                f"the part from {begin:g} to {end:g} s is outside the run, which is known from "
+                f"{first:.2f} to {self.end:.2f} s; give a start and a later end in it"
+            )
+        return begin, end
+
+    def at(self, time: float) -> Pose:
+        """Return the state at a time [s]; between ticks, poses lie on straight lines."""
+        row = max(int(np.searchsorted(self.time, time + 1e-9, side="right")) - 1, 0)
+        phi = float(np.interp(time, self.time, self.phi))
+        return Pose(
+            time=time,
+            q=np.array([np.interp(time, self.time, angles) for angles in self.q.T]),
+            x=float(np.interp(time, self.time, self.x)),
+            phi=float(np.remainder(phi + pi, 2.0 * pi) - pi) if isfinite(phi) else phi,
+            u=float(self.u[row]),
+            late=float(self.late[row]),
+            phase=self.phases[row] if self.phases else "",
+        )
+
+
+def _origin(run: RunLog) -> float:
+    """Return the release on the run's clock [s], or the first tick of a rig without a release."""
+    if run.conditions.simulated or len(run.ticks):
+        run.require_balancing()
+        return run.release
+    if not len(run.tables["tick"]):
+        raise RecordingError("the run ended before its first tick, there is nothing to show")
+    return float(run.tables["tick"]["time"][0])
+
+
+def _measured_joints(run: RunLog, at: Array, began: float) -> Array:
+    """Return the joints of the replies, else the commanded ones, shape (n, joints)."""
+    tick, reply = run.tables["tick"], run.tables["reply"]
+    reply = reply[np.isfinite(reply["q"]).all(axis=1) & np.isfinite(reply["sent"])]
+    joints = reply if len(reply) else tick[np.isfinite(tick["q"]).all(axis=1)]
+    if not len(joints):
+        raise RecordingError("the run has no posture of the arm, there is nothing to show")
+    # Joints are measured midway between request and reply.
+    measured = 0.5 * (reply["sent"] + reply["time"]) if len(reply) else joints["time"]
+    return np.column_stack([np.interp(at, measured - began, joint) for joint in joints["q"].T])
+
+
+def _measured_phi(run: RunLog, at: Array, began: float) -> Array:
+    """Return the angle by the encoder; NaN without counts, or before a zero was found."""
+    encoder, unknown = run.tables["encoder"], np.full(len(at), np.nan)
+    try:
+        zero = run.encoder_zero
+    except ArtefactError:
+        return unknown
+    if not len(encoder):
+        return unknown
+    counts = np.interp(at, encoder["time"] - began, encoder["counts"])
+    turns = (counts - zero) / (run.conditions.counts_per_rev or 1)
+    return np.remainder(-2.0 * np.pi * turns, 2.0 * np.pi) - np.pi
+
+
+def truth(run: RunLog) -> Any:
+    """Return the true state if the log has it, else the observations and commands."""
+    return run.truth if len(run.truth.phi) else run

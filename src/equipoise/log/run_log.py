@@ -1,0 +1,483 @@
+"""Log of a run: the tables of the whole run, and the columns of the balancing.
+
+`tables`, `events` and `end` hold the whole run: on a rig from the connection to rest, in simulation
+from the release on. The other attributes hold the balancing, during which the policy acts: a value
+per tick, with the time since the release. On a rig the encoder's counts are then relative to the
+hanging pendulum, and the true state is unknown.
+
+A truncated or damaged log is read up to the first damage, on request: a chunk counts only with its
+checksum, messages only with consecutive sequence numbers.
+"""
+
+import csv
+import hashlib
+import io
+import json
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.arrays import Array, IntArray
+from equipoise.errors import ArtefactError, RecordingError
+from equipoise.files import DIGEST_PREFIX, Provenance, StrPath, shortened, write_whole
+from equipoise.log.columns import (
+    TABLES,
+    Rows,
+    canonical,
+    from_messages,
+    plain,
+    tables,
+    unknown_rows,
+)
+from equipoise.log.conditions import RunConditions, RunEnd
+from equipoise.log.recorder import LoggedEvent, read_events
+from equipoise.log.writer import FORMAT, LogEncoder
+from equipoise.outcomes import End, Outcome, Phase
+
+
+def read_log(
+    path: Path,
+) -> tuple[RunConditions, Mapping[str, Rows], RunEnd | None, str, Provenance]:
+    """Read a log up to the first damage; the values are those of a `RunLog`.
+
+    Raises:
+        ArtefactError: The file is missing, damaged before its conditions, not a run log, or of
+            another version.
+    """
+    entries, messages, damage = _read_mcap(path)
+    if not entries:
+        raise ArtefactError(
+            f"{path} is no run log, or damaged at its begin; give a log that deploy wrote"
+        )
+    end = None
+    try:
+        conditions = RunConditions.model_validate_json(entries["conditions"], strict=True)
+        provenance = Provenance.model_validate_json(entries["provenance"], strict=True)
+        rows = {
+            name: from_messages([json.loads(message) for message in messages[f"/{name}"]], kind)
+            for name, kind in tables(len(conditions.joints)).items()
+        }
+        if not np.isin(rows["tick"]["state"], range(len(conditions.phases))).all():
+            raise ValueError("state is no phase of the run")
+        if written := messages["/end"]:
+            end, damage = RunEnd.model_validate_json(written[-1], strict=True), ""
+    except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
+        what = damage or f"is not a valid {FORMAT!r} file: {shortened(str(error), 200)}"
+        raise ArtefactError(f"{path} {what}; record the run again") from None
+    if end is None:
+        rows = _without_partial_ticks(rows, conditions.h)
+        ticks = len(rows["tick"])
+        damage = (
+            f"the log {damage or 'lacks its end'}; sound before that: {ticks:,} ticks, "
+            f"{ticks * conditions.h:.2f} s; what came after is not known"
+        )
+    return conditions, rows, end, damage, provenance
+
+
+def _read_mcap(path: Path) -> tuple[Mapping[str, str], Mapping[str, list[bytes]], str]:
+    """Return the entries of the metadata, the messages by topic, and the damage as a clause.
+
+    Raises:
+        ArtefactError: The file is missing, cannot be read, is no MCAP file, or was changed.
+    """
+    from mcap.records import Channel, DataEnd, Message, Metadata
+    from mcap.stream_reader import StreamReader
+
+    try:
+        file = BytesIO(path.read_bytes())
+    except OSError as error:
+        raise ArtefactError(f"cannot read {path}: {error.strerror}; check the path") from None
+    entries: dict[str, str] = {}
+    messages: dict[str, list[bytes]] = defaultdict(list)
+    topics: dict[int, str] = {}
+    count = 0
+    try:
+        for record in StreamReader(file, validate_crcs=True).records:
+            if isinstance(record, Metadata) and record.name == FORMAT:
+                entries = record.metadata
+            elif isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, Message):
+                if record.sequence != count:
+                    raise ValueError("a chunk is missing")
+                messages[topics[record.channel_id]].append(record.data)
+                count += 1
+            elif isinstance(record, DataEnd):
+                break
+    except Exception as error:  # a damaged length raises exceptions of any type
+        if isinstance(getattr(error, "record", None), DataEnd):
+            raise ArtefactError(
+                f"{path} does not match its checksum: it was changed after it was written; "
+                "record the run again"
+            ) from None
+        return entries, messages, f"is cut short or damaged at byte {file.tell():,}"
+    return entries, messages, ""
+
+
+def _without_partial_ticks(rows: Mapping[str, Rows], h: float) -> dict[str, Rows]:
+    """Return tables without the last ticks, whose rows in other tables may be missing.
+
+    Messages are in the order of time: a message one period after a tick proves that all rows of the
+    tick are present.
+
+    Args:
+        rows: Rows of each table.
+        h: Time between ticks [s].
+    """
+    last = max((float(table["time"].max()) for table in rows.values() if len(table)), default=0.0)
+    whole = int(np.sum(rows["tick"]["time"] + h <= last + 1e-9))
+    if len(rows["truth"]):
+        whole = min(whole, len(rows["truth"]))
+    return dict(rows) | {name: rows[name][:whole] for name in ("tick", "truth")}
+
+
+class _TickColumn:
+    """Column of the ticks of the balancing, as an attribute of a run with the column's name."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, run: "RunLog", owner: type) -> npt.NDArray[Any]:
+        return run.ticks[self._name]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RunLog:
+    """One run."""
+
+    conditions: RunConditions
+    """Place and settings of the run."""
+    tables: Mapping[str, Rows]
+    """Rows of each table of `equipoise.log.columns`, as structured arrays."""
+    end: RunEnd | None
+    """End of the run; None for a log without one."""
+    damage: str = ""
+    """Sentence on the damage and the sound part; empty for a complete log."""
+    provenance: Provenance | None = None
+    """Provenance of the file; None for a run that was not loaded."""
+
+    def __post_init__(self) -> None:
+        """Complete the tables."""
+        kinds = tables(len(self.conditions.joints))
+        whole = {name: self.tables.get(name, np.zeros(0, kind)) for name, kind in kinds.items()}
+        rows = {name: canonical(rows) for name, rows in whole.items()}
+        object.__setattr__(self, "tables", rows)
+
+    def __repr__(self) -> str:
+        """Return one line: arm, world, duration and outcome."""
+        where = f"{self.conditions.arm.name!r} in {self.conditions.world!r}"
+        survival = f"{self.survival:g} of {self.conditions.duration:g} s"
+        return f"<RunLog of {where}: survived {survival}, ended {self.outcome}>"
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the run ended."""
+        return Outcome.BROKEN_OFF if self.end is None else self.end.outcome
+
+    @property
+    def ending(self) -> End:
+        """End of the run; of a broken-off log, the evidence is its last stop or fault."""
+        if self.end is not None:
+            return End(self.end.outcome, self.end.evidence)
+        stops = [event.text for event in self.events if event.name in ("stopping", "fault")]
+        return End(Outcome.BROKEN_OFF, {"text": stops[-1]} if stops else {})
+
+    @cached_property
+    def events(self) -> tuple[LoggedEvent, ...]:
+        """Changes of the phase, prompts and faults, in order."""
+        return tuple(read_events(self.tables["event"]))
+
+    @property
+    def survival(self) -> float:
+        """Duration of the balancing [s]; without ticks, of the stream of setpoints."""
+        if len(self.time) or not self.conditions.simulated:
+            return round(len(self.time) * self.conditions.h, 9)
+        return float(np.max(self.stream.time, initial=0.0))
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of conditions, rows and end."""
+        end = self.end.model_dump_json() if self.end else ""
+        whole = hashlib.sha256(f"{self.conditions.model_dump_json()}\n{end}".encode())
+        for name, rows in self.tables.items():
+            whole.update(name.encode() + hashlib.sha256(rows.tobytes()).digest())
+        return DIGEST_PREFIX + whole.hexdigest()
+
+    # Phases.
+
+    def phase_ticks(self, *phases: Phase) -> IntArray:
+        """Return the indices of the ticks in any of `phases`, shape (n,)."""
+        states = [i for i, phase in enumerate(self.conditions.phases) if phase in phases]
+        return np.flatnonzero(np.isin(self.tables["tick"]["state"], states))
+
+    @cached_property
+    def ticks(self) -> Rows:
+        """Rows of the balancing without unknown numbers, shape (n,)."""
+        rows = self.tables["tick"][self.phase_ticks(Phase.BALANCING)]
+        known = [np.isfinite(rows[name]) for name in ("x", "x_dot", "phi", "phi_dot", "u")]
+        known += [np.isfinite(rows[name]).all(axis=1) for name in ("q", "dq")]
+        return rows[np.all(known, axis=0)]
+
+    @property
+    def release(self) -> float:
+        """Time of the release on the run's clock [s]; zero in simulation, and without balancing."""
+        rig = not self.conditions.simulated and len(self.ticks)
+        return float(self.ticks["time"][0]) if rig else 0.0
+
+    def require_balancing(self) -> None:
+        """Reject a run without balancing.
+
+        Raises:
+            RecordingError: The run did not reach balancing.
+        """
+        if not len(self.ticks):
+            reason = f" ({self.end.reason})" if self.end else ""
+            raise RecordingError(f"the run did not reach balancing{reason}; give one that did")
+
+    @property
+    def last_phase(self) -> Phase | None:
+        """Last phase of a run on a rig before it stopped; None before the first tick."""
+        states = reversed(self.tables["tick"]["state"].tolist())
+        phases = (self.conditions.phases[state] for state in states)
+        return next((phase for phase in phases if phase is not Phase.STOPPING), None)
+
+    # Columns of the balancing.
+
+    @cached_property
+    def time(self) -> Array:
+        """Start of each tick since the release [s], shape (n,)."""
+        return self.ticks["time"] - self.release
+
+    x = _TickColumn()
+    """Displacement of the flange from home along base x, as observed by the policy [m], shape (n,).
+
+    With an encoder, this and the next three columns are predictions for the time at which the
+    command takes effect.
+    """
+    x_dot = _TickColumn()
+    """Velocity of the flange, as observed by the policy [m/s], shape (n,)."""
+    phi = _TickColumn()
+    """Angle of the pendulum from upright, as observed by the policy [rad], shape (n,)."""
+    phi_dot = _TickColumn()
+    """Angular velocity of the pendulum, as observed by the policy [rad/s], shape (n,)."""
+    box = _TickColumn()
+    """Box of the table that contains the state, shape (n,)."""
+    u = _TickColumn()
+    """Commanded acceleration of the flange along x [m/s^2], shape (n,)."""
+
+    @property
+    def tracked(self) -> Array:
+        """Acceleration u' of the flange over the tick, on a rig of its reference [m/s^2]."""
+        if len(self.truth.tracked):
+            return self.truth.tracked
+        return np.diff(self.x_dot, append=self.x_dot[-1:]) / self.conditions.h
+
+    q = _TickColumn()
+    """Joint positions commanded for the end of the tick [rad], shape (n, joints)."""
+    dq = _TickColumn()
+    """Joint velocities commanded for the end of the tick [rad/s], shape (n, joints)."""
+    estimated_phi = _TickColumn()
+    """Estimate of phi at the tick, without prediction [rad], shape (n,)."""
+    estimated_x_dot = _TickColumn()
+    """Estimate of x_dot at the tick, without prediction [m/s], shape (n,)."""
+    estimated_x = _TickColumn()
+    """Estimate of x at the tick, without prediction [m], shape (n,)."""
+    bias = _TickColumn()
+    """Estimate of the encoder's zero error [rad], shape (n,)."""
+
+    @cached_property
+    def truth(self) -> Any:
+        """True state at each tick: attributes as the columns of `truth`; in simulation only."""
+        return self.tables["truth"].view(np.recarray)
+
+    @cached_property
+    def stream(self) -> Any:
+        """Setpoints as sent: `time` since the release [s], joints `q` [rad]."""
+        return self._while_balancing("stream")
+
+    @cached_property
+    def replies(self) -> Any:
+        """Measured joints: `time` since the release [s], `q` [rad], with those of `reply`.
+
+        On a rig they count as measured half-way between request and reply.
+        """
+        rows = self._while_balancing("reply")
+        rows = rows[np.isfinite(rows["q"]).all(axis=1) & np.isfinite(rows["sent"])]
+        rows["time"] = 0.5 * (rows["sent"] - self.release + rows["time"])
+        return rows
+
+    @cached_property
+    def encoder(self) -> Any:
+        """Samples: `time` since the release [s], `counts` relative to the zero.
+
+        Raises:
+            ArtefactError: The log of a run on a rig does not contain the zero.
+        """
+        rows = self._while_balancing("encoder")
+        if len(rows) and not self.conditions.simulated:
+            rows["counts"] -= round(self.encoder_zero)
+        return rows
+
+    def _while_balancing(self, table: str) -> Any:
+        """Return the rows from one tick before the release to one after the last.
+
+        Their times count from the release.
+        """
+        rows, h = self.tables[table], self.conditions.h
+        if not self.conditions.simulated:
+            first, last = self.ticks["time"][[0, -1]] if len(self.ticks) else (np.inf, -np.inf)
+            rows = rows[(rows["time"] >= first - h) & (rows["time"] <= last + h)]
+        rows = rows.copy()
+        rows["time"] -= self.release
+        return rows.view(np.recarray)
+
+    @property
+    def encoder_zero(self) -> float:
+        """Encoder counts of the hanging pendulum, up to whole turns.
+
+        Raises:
+            ArtefactError: The log is cut short before the release.
+        """
+        if self.end and self.end.zero is not None:
+            return self.end.zero
+        # The last angle before the release, and its newest count.
+        armed, per_rev = self.phase_ticks(Phase.ARMED), self.conditions.counts_per_rev
+        tick, encoder = self.tables["tick"][armed[-1:]], self.tables["encoder"]
+        known = encoder["counts"][encoder["received"] <= tick["time"].sum()]
+        if len(tick) == 0 or per_rev is None or len(known) == 0:
+            raise ArtefactError("the log does not contain the encoder's zero; give a complete log")
+        angle = np.pi - float(tick["estimated_phi"][0])
+        return float(known[-1] - angle * per_rev / (2.0 * np.pi))
+
+    # The file.
+
+    def save(
+        self, path: StrPath, *, command: str = "python", inputs: Mapping[str, str] | None = None
+    ) -> None:
+        """Write the run to `path` atomically.
+
+        Args:
+            path: The file; a missing folder is created.
+            command: Command or function that created the run.
+            inputs: Digests of the inputs, by name.
+
+        Raises:
+            ArtefactError: The log has no end.
+            OutsideError: The disk rejects the file.
+        """
+        if self.end is None:
+            raise ArtefactError("a log without an end cannot be written; copy its file")
+        times = np.concatenate([rows["time"] for rows in self.tables.values()])
+        first, stream = float(times.min(initial=0.0)), io.BytesIO()
+        encoder = LogEncoder(stream, self.conditions, Provenance.now(command, inputs), first)
+        encoder.write(self.tables)
+        encoder.finish(float(times.max(initial=self.survival)), self.end)
+        write_whole(Path(path), stream.getvalue())
+
+    def export(self, folder: Path) -> list[Path]:
+        """Write each table as a CSV file, with units in the header and a column for each joint.
+
+        Args:
+            folder: Folder of the files, created if missing; existing files are replaced.
+
+        Returns:
+            The files that were written.
+
+        Raises:
+            OutsideError: A file cannot be written.
+            RecordingError: The log holds no rows.
+        """
+        if not any(map(len, self.tables.values())):
+            raise RecordingError("the log ends before its first row; there is nothing to export")
+        made: list[Path] = []
+        for name, rows in self.tables.items():
+            if not len(rows) and (self.conditions.simulated or name == "truth"):
+                continue
+            columns: dict[str, list[Any]] = {}
+            for column in TABLES[name]:
+                if column.kind == "joints":
+                    for joint, values in zip(
+                        self.conditions.joints, rows[column.name].T, strict=True
+                    ):
+                        header = column._replace(name=f"{column.name}_{joint}").header
+                        columns[header] = plain(values)
+                else:
+                    columns[column.header] = plain(rows[column.name])
+            text = io.StringIO()
+            writer = csv.writer(text, lineterminator="\n")
+            writer.writerow(columns)
+            writer.writerows(zip(*columns.values(), strict=True))
+            made.append(folder / f"{name}.csv")
+            write_whole(made[-1], text.getvalue().encode())
+        return made
+
+    @classmethod
+    def load(cls, path: StrPath, *, damaged: bool = False) -> Self:
+        """Read a run from `path`.
+
+        Args:
+            path: The file.
+            damaged: Read a damaged log up to the damage, described by `damage`, instead of
+                rejecting it.
+
+        Raises:
+            ArtefactError: The file is missing, corrupt, not a run log, or of another version.
+        """
+        run = cls(*read_log(Path(path)))
+        if run.damage and not damaged:
+            raise ArtefactError(
+                f"{path}: {run.damage}; log explain and log export read the sound part, or record "
+                "the run again"
+            )
+        return run
+
+
+def simulated_log(
+    conditions: RunConditions,
+    end: RunEnd,
+    ticks: Mapping[str, Any],
+    *,
+    truth: Mapping[str, Any] | None = None,
+    stream: Mapping[str, Any] | None = None,
+    replies: Mapping[str, Any] | None = None,
+    encoder: Mapping[str, Any] | None = None,
+) -> RunLog:
+    """Create a simulated run from the columns of its tables; columns that are missing are unknown.
+
+    The names are those of `equipoise.log.columns`. The times of `ticks` hold for `truth`, too;
+    `replies` need only `time` and `q`.
+    """
+    columns_of: dict[str, Mapping[str, Any] | None] = {
+        "tick": {"late": 0.0, "compute": 0.0, **ticks},
+        "truth": truth and {"time": ticks["time"], **truth},
+        "stream": stream,
+        "reply": replies and {**replies, "sent": replies["time"]},
+        "encoder": encoder,
+    }
+    kinds, filled = tables(len(conditions.joints)), dict[str, Rows]()
+    for name, columns in columns_of.items():
+        if columns:
+            filled[name] = unknown_rows(kinds[name], len(columns.get("time", ())))
+            for column, values in columns.items():
+                filled[name][column] = values
+    return RunLog(conditions, filled, end)
+
+
+def load_run(path: Path) -> RunLog:
+    """Read a run for measurements, damaged or not.
+
+    Raises:
+        ArtefactError: The file is missing, not readable, or not a run log.
+        RecordingError: A run on a rig did not reach the balancing.
+    """
+    run = RunLog.load(path, damaged=True)
+    if not run.conditions.simulated:
+        run.require_balancing()
+    return run

@@ -1,0 +1,128 @@
+"""Worlds whose arm and pendulum another program, or code from outside the package, moves.
+
+The control tick is that of all worlds: u becomes two setpoints, half a tick apart; at the end of
+the tick the controller observes. With an ideal arm the observation is the true state; otherwise it
+comes from an encoder and the measured joints, through the observer and the prediction.
+"""
+
+from abc import abstractmethod
+from math import floor, inf, pi
+
+import numpy as np
+
+from equipoise import paper
+from equipoise.arrays import Array, fields, new_records
+from equipoise.control.control_step import ControllerState, make_controller_params
+from equipoise.control.controller import command_tick, observe_tick, start
+from equipoise.simulation.interface import ClosedLoop, Simulation
+from equipoise.simulation.plant import FailureLimits, draw_noise, failure, scaled
+from equipoise.simulation.trials import Trial
+from equipoise.user_code import user_code
+
+
+class ExternalLoop(ClosedLoop):
+    """Closed loop around an arm and a pendulum that four methods of a subclass move and read."""
+
+    trial: Trial
+    """Conditions of the trial."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        """Allocate the controller.
+
+        Raises:
+            ArmError: Home is a singular posture.
+            SettingsError: The delay exceeds the controller's history.
+        """
+        setup, nominal = simulation.setup, simulation.pendulum
+        plant = setup.settings.plant
+        self.simulation, self.pendulum = simulation, nominal
+        self.params = make_controller_params(
+            setup.arm,
+            setup.settings,
+            setup.actuator,
+            nominal,
+            h=setup.h,
+            counts_per_rev=plant.counts_per_rev,
+            has_sensor=setup.actuator.kind != "ideal",
+        )
+        self._controllers = new_records(ControllerState)
+        self.controller = fields(self._controllers, ControllerState)
+        self._sigmas = np.repeat([plant.position_error_sigma, plant.orientation_error_sigma], 3)
+        max_speed = inf if plant.max_speed is None else plant.max_speed
+        self._limits = FailureLimits(paper.PHI_LIMIT, paper.X_LIMIT, max_speed)
+        self._state, self._tick = np.zeros(4), 0
+
+    @abstractmethod
+    def release(self, q: Array, start: tuple[float, float, float, float]) -> None:
+        """Place the arm, and release the pendulum `self.pendulum`.
+
+        Args:
+            q: Free joints at the release [rad], shape (6,).
+            start: x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the release.
+        """
+
+    @abstractmethod
+    def send(self, q: Array) -> None:
+        """Send a setpoint of the free joints [rad], shape (6,), and advance by half a tick."""
+
+    @abstractmethod
+    def read(self) -> Array:
+        """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
+
+    def angle(self) -> float:
+        """Return the angle of the pendulum from upright, relative to the flange [rad].
+
+        An encoder measures it; by default phi, as on a level flange.
+        """
+        return float(self._state[2])
+
+    def reset(self, trial: Trial) -> None:
+        """Release the pendulum under the conditions of a trial."""
+        own, (x, x_dot, phi, phi_dot) = trial.variation, trial.start
+        self.trial, self._tick, self.now, self.tracked = trial, 0, 0.0, 0.0
+        nominal = self.simulation.pendulum
+        self.pendulum = scaled(nominal, own.inertia_factor, own.friction_factor)
+        self.zero = own.zero if self.params.has_sensor else None
+        shown = phi + (self.zero or 0.0)
+        start(self.params, self._controllers, x, x_dot, shown, phi_dot)
+        with user_code(f"the world {self.simulation.world}"):
+            self.release(self.controller.q[:, 0].copy(), trial.start)
+            self._observe()
+
+    def step(self, u: float) -> int:
+        """Advance by one tick with u [m/s^2], and return the cause of the failure."""
+        simulation, controller, before = self.simulation, self.controller, float(self._state[1])
+        if not self.params.has_sensor:
+            tick, number = np.array([self._tick]), np.array([self.trial.number])
+            draw_noise(controller.noise, simulation.seed, tick, number, 0, simulation.stream, 1)
+            controller.noise[:, 0] *= self._sigmas
+        controller.u[0] = u
+        command_tick(self.params, self._controllers)
+        with user_code(f"the world {simulation.world}"):
+            for q in controller.setpoints[:, :, 0]:
+                self.send(q)
+            self._tick += 1
+            self.now = self._tick * self.params.h
+            self._observe()
+        if self.params.has_sensor:
+            observe_tick(self.params, self._controllers, 0.0, 0.0)
+        x, x_dot, phi, _ = self._state.tolist()
+        self.tracked = (x_dot - before) / self.params.h
+        exceeded = bool(controller.limit_exceeded[0])
+        return failure(x, x_dot, phi, exceeded, self._limits)
+
+    def _observe(self) -> None:
+        """Read the state and the measurements; without an encoder the state is the observation."""
+        self._state[:] = self.read()
+        controller = self.controller
+        if not self.params.has_sensor:
+            seen = controller.observation
+            seen.x[0], seen.x_dot[0], seen.phi[0], seen.phi_dot[0] = self._state
+            return
+        theta = pi - (self.angle() + (self.zero or 0.0))
+        controller.counts[0] = floor(theta / self.params.resolution + 0.5)
+        controller.measured[:, 0] = self.joints()[list(self.simulation.setup.arm.free)]
+
+    def state(self) -> Array:
+        """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
+        return self._state.copy()

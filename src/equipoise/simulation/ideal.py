@@ -1,0 +1,179 @@
+"""Trials on the plant of the training: worlds `ideal` and `model`.
+
+With the actuator `ideal` this is the paper's simulation; with any other, the arm follows through
+delay, servo and drive, and the controller observes through an encoder.
+"""
+
+from collections.abc import Sequence
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from equipoise.arrays import Array, IntArray, Records, fields, new_records, rows_of
+from equipoise.control.policy import PolicyKernel
+from equipoise.elementary import BATCH_SIZE
+from equipoise.errors import SettingsError
+from equipoise.jit import call, inlined, kernel
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.worlds import IDEAL, MODEL, World
+from equipoise.simulation.interface import ClosedLoop, Setup, Simulation
+from equipoise.simulation.plant import (
+    BatchState,
+    DomainRandomization,
+    LoopParams,
+    draw_noise,
+    make_loop_params,
+    measure,
+    scaled,
+)
+from equipoise.simulation.trials import Trial, Trials, trial_loop
+
+
+class PlantWorld(NamedTuple):
+    """The plant as a world of compiled trials."""
+
+    plant: LoopParams
+    """Constants of the closed loop."""
+    pendulum: PendulumParameters
+    """Nominal parameters, which the factors of each trial scale."""
+    states: Records
+    """`BatchState`."""
+    rows: IntArray
+    """Its rows of lanes, from `rows_of`."""
+    batch_size: int
+    """Number of trials that run side by side."""
+    seed: int
+    """Seed of the noise."""
+    stream: int
+    """Stream of the noise: selection or test."""
+
+
+@inlined
+def place(
+    world: PlantWorld,
+    variation: DomainRandomization,
+    start: tuple[float, float, float, float],
+    n: int,
+) -> None:
+    """Place lane `n` at the start of a trial; see `plant.reset`."""
+    batch = world.states[0]
+    call(world.plant.reset, (world.plant, batch, world.pendulum, variation, start, n))
+
+
+@inlined
+def advance(world: PlantWorld, tick: IntArray, number: IntArray, lanes: int) -> None:
+    """Advance the first lanes by one step, with the u of their controllers.
+
+    Args:
+        world: Changed in place.
+        tick: Number of steps of each lane.
+        number: Number of the trial of each lane.
+        lanes: Number of lanes.
+    """
+    batch = world.states[0]
+    draw_noise(batch.controller.noise, world.seed, tick, number, 0, world.stream, lanes)
+    call(world.plant.step, (world.plant, batch, lanes))
+
+
+run_trials = kernel(trial_loop(place, advance))
+"""Runs trials in all lanes of a batch; see `trial_loop`."""
+
+
+@kernel
+def advance_alone(world: PlantWorld, tick: IntArray, number: IntArray) -> None:
+    """Advance the first lane by one step; see `advance`."""
+    advance(world, tick, number, 1)
+
+
+@kernel
+def release(
+    world: PlantWorld, variation: DomainRandomization, start: tuple[float, float, float, float]
+) -> None:
+    """Place the first lane at the start of a trial, and measure."""
+    place(world, variation, start, 0)
+    if world.plant.controller.has_sensor:
+        measure(world.plant.controller, world.states[0], 1)
+
+
+class PlantSimulation(Simulation):
+    """Trials on the plant of the training."""
+
+    BATCH: ClassVar[int] = BATCH_SIZE
+    PIECE: ClassVar[int] = 4 * BATCH_SIZE
+
+    def __init__(self, world: str | World, setup: Setup, *, seed: int, stream: int) -> None:
+        """Set up the plant; see `Simulation`.
+
+        Raises:
+            ArmError: Home is a singular posture.
+            SettingsError: The world does not exist, or the delay exceeds the controller's history.
+        """
+        if world not in (IDEAL, MODEL):
+            raise SettingsError(f"there is no world {world}; choose {IDEAL} or {MODEL}")
+        super().__init__(world, setup, seed=seed, stream=stream)
+        arm, settings = setup.arm, setup.settings
+        self.params = make_loop_params(arm, settings, setup.h, self.pendulum, setup.actuator)
+        """Constants of the closed loop."""
+
+    def loop(self) -> "PlantLoop":
+        """Return a closed loop for `reset`."""
+        return PlantLoop(self)
+
+    def run_piece(
+        self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
+    ) -> None:
+        """Run trials of a compiled policy in this thread; see `Simulation.run`."""
+        max_steps = round(duration / self.params.controller.h)
+        run_trials(self.world_of(BATCH_SIZE), policy, trials, np.array(rows, np.int64), max_steps)
+
+    def world_of(self, batch_size: int) -> PlantWorld:
+        """Return the world of some trials that run side by side."""
+        states = new_records(BatchState)
+        rows, keys = rows_of(states, BATCH_SIZE), (self.seed, self.stream)
+        return PlantWorld(self.params, self.pendulum, states, rows, batch_size, *keys)
+
+
+class IdealSimulation(PlantSimulation):
+    """Trials on the paper's plant."""
+
+    ideal_arm: ClassVar[bool] = True
+
+
+class PlantLoop(ClosedLoop):
+    """Closed loop of the training, in the first lane of a batch."""
+
+    def __init__(self, simulation: PlantSimulation) -> None:
+        """Allocate the state."""
+        self._simulation, self._world = simulation, simulation.world_of(1)
+        self._batch = fields(self._world.states, BatchState)
+        self._number, self._tick = np.zeros((2, 1), np.int64)
+        self.params, self.controller = simulation.params.controller, self._batch.controller
+        self.pendulum = simulation.pendulum
+
+    def reset(self, trial: Trial) -> None:
+        """Release the pendulum under the conditions of a trial."""
+        own, simulation = trial.variation, self._simulation
+        self._number[0], self._tick[0], self.now, self.tracked = trial.number, 0, 0.0, 0.0
+        self._world = self._world._replace(seed=simulation.seed, stream=simulation.stream)
+        self.pendulum = scaled(simulation.pendulum, own.inertia_factor, own.friction_factor)
+        self.zero = own.zero if self.params.has_sensor else None
+        release(self._world, own, trial.start)
+
+    def step(self, u: float) -> int:
+        """Advance by one tick with u [m/s^2], and return the cause of the failure."""
+        self.controller.u[0] = u
+        advance_alone(self._world, self._tick, self._number)
+        self._tick += 1
+        self.now = float(self._tick[0]) * self.params.h
+        self.tracked = float(self._batch.u_tracked[0])
+        return int(self._batch.cause[0])
+
+    def state(self) -> Array:
+        """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
+        true = self._batch.state
+        return np.array([true.x[0], true.x_dot[0], true.phi[0], true.phi_dot[0]])
+
+    def joints(self) -> Array:
+        """Return the true positions of all joints [rad], shape (n,)."""
+        q = self._batch.arm.q if self.params.has_sensor else self.controller.q
+        return self._simulation.setup.arm.with_held(q[:, 0])

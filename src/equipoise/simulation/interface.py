@@ -1,0 +1,292 @@
+"""Interface of simulated worlds and of their closed loops, a tick at a time.
+
+A `Simulation` is a world with the inputs of its trials: pendulum, arm, settings, actuator and
+seed. It draws the conditions of trials, runs them for a compiled policy, and opens `ClosedLoop`s,
+which Python drives tick by tick. Both ways run the same kernels with the same random numbers, keyed
+by (seed, trial, tick): a trial has the same bits either way.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from functools import partial
+from math import nan
+from typing import Any, ClassVar, Final, NamedTuple
+
+import numpy as np
+
+from equipoise.arm.arm import Arm
+from equipoise.arrays import Array
+from equipoise.control.control_step import ControllerParams, ControllerState
+from equipoise.control.controller import estimate_of, observation_of
+from equipoise.control.policy import KernelPolicy, Policy, PolicyKernel, TaskPolicy
+from equipoise.executors import completed
+from equipoise.model.actuator import Actuator
+from equipoise.model.grid import TRUNCATED
+from equipoise.model.pendulum import Pendulum, PendulumParameters
+from equipoise.model.worlds import TwinSettings, World
+from equipoise.settings import Settings
+from equipoise.simulation.trials import Trial, Trials, draw_trials
+
+Done = Callable[[float], None]
+"""Callback; receives the number of trials that have just finished; from Python, parts of one."""
+PROGRESS: Final = 100
+"""Steps between two reports of progress: some seconds in a slow world."""
+
+
+class Measurement(NamedTuple):
+    """Newest measurements at a tick."""
+
+    counts: float
+    """Encoder counts from hanging, growing with theta."""
+    counted_at: float
+    """Their time stamp, from the release [s]."""
+    q: Array
+    """Measured free joints [rad], shape (6,)."""
+    measured_at: float
+    """Their time stamp, from the release [s]."""
+
+
+class ClosedLoop(ABC):
+    """A closed loop in simulation; its attributes are for reading."""
+
+    params: ControllerParams
+    """Constants of the controller, the time between ticks among them."""
+    controller: ControllerState
+    """State of the controller, in the first lane."""
+    pendulum: PendulumParameters
+    """True parameters of the pendulum in this trial."""
+    zero: float | None = None
+    """Encoder zero offset in phi in this trial [rad]; `None` without an encoder."""
+    now: float = 0.0
+    """Time since the release [s]."""
+    tracked: float = 0.0
+    """Tracked acceleration u' over the last step [m/s^2]."""
+
+    @abstractmethod
+    def reset(self, trial: Trial) -> None:
+        """Release the pendulum under the conditions of a trial."""
+
+    @abstractmethod
+    def step(self, u: float) -> int:
+        """Advance by one tick, and return the cause of the failure, `TRUNCATED` without one.
+
+        Args:
+            u: Acceleration of the flange along x [m/s^2].
+        """
+
+    @abstractmethod
+    def state(self) -> Array:
+        """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
+
+    @abstractmethod
+    def joints(self) -> Array:
+        """Return the true positions of all joints [rad], shape (n,)."""
+
+    def measurement(self) -> Measurement | None:
+        """Return the newest measurements, those of this tick; `None` without an encoder."""
+        if not self.params.has_sensor:
+            return None
+        q = self.controller.measured[:, 0].copy()
+        return Measurement(float(self.controller.counts[0]), self.now, q, self.now)
+
+
+class Setup(NamedTuple):
+    """Pendulum, arm and controller of trials."""
+
+    pendulum: Pendulum
+    """The pendulum, which trials vary."""
+    arm: Arm
+    """The arm with its home posture."""
+    settings: Settings
+    """Ranges of the trials' conditions, noise of the plant, the controller."""
+    actuator: Actuator
+    """The controller's model of the arm's response."""
+    h: float
+    """Time between ticks [s]."""
+
+
+class Simulation(ABC):
+    """A simulated world with the inputs of its trials.
+
+    The entry point group `equipoise.worlds` maps the scheme of a world's name to its class.
+    """
+
+    ideal_arm: ClassVar[bool] = False
+    """Whether the arm has no delay, and the state of arm and pendulum is known exactly."""
+    BATCH: ClassVar[int] = 1
+    """Number of trials that advance together."""
+    PIECE: ClassVar[int] = 0
+    """Maximum number of compiled trials that a thread takes at a time, a multiple of `BATCH`; 0 for
+    a world whose trials run from Python."""
+
+    def __init__(self, world: str | World, setup: Setup, *, seed: int, stream: int) -> None:
+        """Set up a world; a subclass may raise `SettingsError` for a name.
+
+        Args:
+            world: Name of the world, or a twin with its numbers.
+            setup: Pendulum, arm and controller.
+            seed: Master seed of the trials.
+            stream: Purpose of the trials: each has random numbers of its own.
+        """
+        self.world, self.setup, self.seed, self.stream = world, setup, seed, stream
+        self.name = world.name if isinstance(world, World) else world
+        """Name of the world in results."""
+        self.twin: TwinSettings | None = None
+        """Numbers of the digital twin; None without one."""
+        linearised = setup.settings.plant.linearised
+        self.pendulum = setup.pendulum.parameters(linearised=linearised)
+        """Nominal parameters, which the trials vary."""
+
+    @abstractmethod
+    def loop(self) -> ClosedLoop:
+        """Return a closed loop for `reset`."""
+
+    def draw(self, count: int, first: int = 0) -> Trials:
+        """Draw the conditions of `count` trials from number `first` on."""
+        return draw_trials(count, self.setup.settings, self.seed, self.stream, first)
+
+    def run_piece(
+        self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
+    ) -> None:
+        """Run trials of a compiled policy in this thread; only with a `PIECE`; see `run`."""
+        raise NotImplementedError
+
+    def run(
+        self,
+        policy: TaskPolicy | PolicyKernel,
+        trials: Trials,
+        rows: Sequence[int],
+        *,
+        duration: float,
+        workers: int = 1,
+        done: Done = lambda _: None,
+    ) -> None:
+        """Run trials: compiled if policy and world are, otherwise from Python, one by one.
+
+        Args:
+            policy: The policy, or its kernel alone.
+            trials: Conditions, from `draw`; receives the results.
+            rows: Rows of the trials to run.
+            duration: Length of a trial [s].
+            workers: Number of threads for compiled trials; the results do not depend on it.
+            done: Called with the number of trials that have just finished.
+        """
+        kernel = policy if isinstance(policy, PolicyKernel) else policy.kernel
+        if kernel is None or not self.PIECE:
+            acting: Any = policy if kernel is None else KernelPolicy(kernel)
+            loop = self.loop()
+            for row in rows:
+                ended = run_trial(loop, acting, trials.trial(row), duration, done=done)
+                trials.steps[row], trials.cause[row], trials.sum_x2[row] = ended
+                trials.end[row] = loop.state()
+            return
+        fraction = -(-len(rows) // (self.BATCH * workers)) * self.BATCH
+        size = min(self.PIECE, max(fraction, 1))
+        pieces = [rows[first : first + size] for first in range(0, len(rows), size)]
+        run = partial(self.run_piece, kernel, trials, duration=duration)
+        for i, _ in completed(run, pieces, workers):
+            done(len(pieces[i]))
+
+
+def predicted(loop: ClosedLoop) -> Array:
+    """Return x, x_dot, phi, phi_dot at which u takes effect: the observation, shape (4,)."""
+    return observation_of(loop.controller)
+
+
+def run_trial(
+    loop: ClosedLoop,
+    policy: Policy,
+    trial: Trial,
+    duration: float,
+    record: "Recorder | None" = None,
+    done: Done = lambda _: None,
+) -> tuple[int, int, float]:
+    """Run one trial of a policy from Python.
+
+    Args:
+        loop: The closed loop.
+        policy: The policy.
+        trial: Conditions.
+        duration: Length of the trial [s].
+        record: Recorder of each tick; an exception from it ends the trial.
+        done: Called with the fraction of the trial that has passed since its last call.
+
+    Returns:
+        Number of steps, cause of the end, and the sum of x^2 over the steps [m^2].
+    """
+    steps, cause, sum_x2 = 0, TRUNCATED, 0.0
+    max_steps = round(duration / loop.params.h)
+    loop.reset(trial)
+    policy.reset()
+    while steps < max_steps and cause == TRUNCATED:
+        u = float(policy.act(predicted(loop)))
+        if record is not None:
+            record.before(loop, u)
+        cause = loop.step(u)
+        if record is not None:
+            record.after(loop)
+        steps += 1
+        sum_x2 += float(loop.state()[0]) ** 2
+        if steps % PROGRESS == 0:
+            done(PROGRESS * loop.params.h / duration)
+    done(1.0 - (steps - steps % PROGRESS) * loop.params.h / duration)
+    return steps, cause, sum_x2
+
+
+class TrialRecord(NamedTuple):
+    """One recorded trial, a row for each tick."""
+
+    observation: Array
+    """x, x_dot, phi, phi_dot as the policy observed them, shape (n, 4)."""
+    u: Array
+    """Commanded acceleration [m/s^2], shape (n,)."""
+    estimate: Array
+    """`StateEstimate` at the tick, shape (n, 5)."""
+    state: Array
+    """True x, x_dot, phi, phi_dot at the tick, shape (n, 4)."""
+    joints: Array
+    """True positions of all joints at the tick [rad], shape (n, joints)."""
+    encoder: Array
+    """Encoder counts and their time stamp [s], NaN without an encoder, shape (n, 2)."""
+    measured: Array
+    """Measured free joints [rad] and their time stamp [s], NaN without, shape (n, 7)."""
+    setpoints: Array
+    """Free joints sent at the tick and h / 2 later [rad], shape (n, 12)."""
+    q: Array
+    """Commanded free joints at the end of the tick [rad], shape (n, 6)."""
+    dq: Array
+    """Their velocities [rad/s], shape (n, 6)."""
+    tracked: Array
+    """Tracked acceleration u' over the tick [m/s^2], shape (n,)."""
+
+
+class Recorder:
+    """Recorder of a `TrialRecord`."""
+
+    def __init__(self) -> None:
+        """Start without ticks."""
+        self._before: tuple[Any, ...] = ()
+        self._rows: list[tuple[Any, ...]] = []
+
+    def before(self, loop: ClosedLoop, u: float) -> None:
+        """Record the state and the measurements at a tick, and the u that the policy commands."""
+        state, measured = loop.state(), loop.measurement()
+        x, x_dot, *pendulum = state
+        estimate = np.array((*pendulum, 0.0, x_dot, x))
+        encoder, joints = (nan, nan), np.full(7, nan)
+        if measured is not None:
+            estimate = estimate_of(loop.controller)
+            encoder = measured.counts, measured.counted_at
+            joints = np.append(measured.q, measured.measured_at)
+        self._before = predicted(loop), u, estimate, state, loop.joints(), encoder, joints
+
+    def after(self, loop: ClosedLoop) -> None:
+        """Record the commands and the tracked acceleration of a tick."""
+        c = loop.controller
+        commands = (rows[..., 0].ravel() for rows in (c.setpoints, c.q, c.dq))
+        self._rows.append((*self._before, *commands, loop.tracked))
+
+    @property
+    def rows(self) -> TrialRecord:
+        """Record up to the latest tick; at least one tick has passed."""
+        return TrialRecord(*map(np.array, zip(*self._rows, strict=True)))

@@ -1,0 +1,510 @@
+"""Closed loop: one control step of controller, arm and pendulum.
+
+A step takes h = 0.01 s: u -> CLIK -> joint motion -> tracked acceleration u' -> pendulum. The
+reference moves along base x only; u' is the change of the velocity of the pendulum's pivot along x
+over the step, divided by h, and drives the pendulum (section 3.2). Noise is the paper's: on I and b
+once per episode, on the pose error e in every step.
+
+With the paper's actuator `ideal` the arm follows each setpoint at once and the state is known. With
+any other the setpoints take effect after a delay, each joint through servo and drive; an encoder
+with a zero error counts; and the policy receives the controller's observation
+(`equipoise.control.control_step`). Delay, lags and zero error vary between episodes.
+
+Kernels advance a block of independent states at once, one per lane (`equipoise.elementary`);
+a lane's result does not depend on the others. Training, evaluation, recorded runs and Python
+policies all call the `step` below.
+"""
+
+from math import floor, inf, pi
+from typing import Annotated, Final, NamedTuple, Protocol
+
+import numba
+from numba import types
+
+from equipoise import paper
+from equipoise.arm.arm import FREE_JOINTS, Arm
+from equipoise.arm.clik import pose_error
+from equipoise.arm.compiler import FRAME_SIZE, POSITION, TWIST
+from equipoise.arrays import Array, IntArray, record_type
+from equipoise.control.control_step import (
+    LANES,
+    SETPOINTS_PER_TICK,
+    ControllerParams,
+    ControllerState,
+    Observed,
+    kinematics,
+    make_controller_params,
+    pivot_velocity,
+)
+from equipoise.elementary import BATCH_SIZE, sincos
+from equipoise.jit import call, compilable, inlined, pointer
+from equipoise.model.actuator import (
+    CYCLE,
+    IDEAL_ACTUATOR,
+    ROWS,
+    Actuator,
+    Servos,
+    follow,
+    lag_fraction,
+    motion_of,
+    steady_error,
+)
+from equipoise.model.grid import (
+    ANGLE,
+    JOINT_LIMIT,
+    SAFETY_STOP,
+    TRACK,
+    TRUNCATED,
+    Grid,
+    box_index,
+)
+from equipoise.model.pendulum import PendulumParameters, runge_kutta
+from equipoise.model.pendulum import step as pendulum_step
+from equipoise.model.random import normal_radius, philox, turn, uniform
+from equipoise.safety.rules import SPEED_CODE
+from equipoise.settings import Settings
+
+MIN_INERTIA_FACTOR: Final = 0.1
+"""Smallest factor on the moment of inertia that noise may give [-]."""
+SETPOINT_HISTORY: Final = 32
+"""Number of setpoints that may be in flight to the arm."""
+
+
+SPEED_LIMIT_CAUSE: Final = SAFETY_STOP + SPEED_CODE
+"""Cause of failure where the task limits the flange's speed: that of the guard of a rig."""
+
+
+class FailureLimits(NamedTuple):
+    """Limits whose violation ends an episode."""
+
+    phi: float
+    """Angle |phi| [rad]."""
+    x: float
+    """Displacement |x| [m]."""
+    speed: float
+    """Speed |x_dot| [m/s]; inf without a limit."""
+
+
+class LoopParams(NamedTuple):
+    """Constants of the closed loop during an episode."""
+
+    controller: ControllerParams
+    """Controller: u to setpoints, measurements to observations."""
+    limits: FailureLimits
+    """Limits whose violation ends an episode."""
+    position_noise: float
+    """Standard deviation of the noise on the position part of e [m]."""
+    orientation_noise: float
+    """Standard deviation of the noise on the orientation part of e [rad]."""
+    linearised: bool
+    """Whether the pendulum is that of equation (7)."""
+    reset: int = 0
+    """Address of the compiled `reset`."""
+    step: int = 0
+    """Address of the compiled `step`."""
+
+
+class DomainRandomization(NamedTuple):
+    """Deviation of the plant of one episode from the nominal one."""
+
+    inertia_factor: float
+    """Factor on the moment of inertia [-]."""
+    friction_factor: float
+    """Factor on the friction coefficients [-]."""
+    delay: float
+    """Addition to the transport delay [s]."""
+    lag_factor: float
+    """Factor on the lags of the joints [-]."""
+    zero: float
+    """Encoder zero error, added to phi [rad]."""
+
+
+class Pendula(Protocol):
+    """Numbers of `PendulumParameters`."""
+
+    w2: Annotated[Array, LANES]
+    k: Annotated[Array, LANES]
+    c: Annotated[Array, LANES]
+    coulomb: Annotated[Array, LANES]
+    drag: Annotated[Array, LANES]
+
+
+class BatchState(Protocol):
+    """States of `BATCH_SIZE` closed loops; kernels change them in place."""
+
+    controller: ControllerState
+    """States of the controllers."""
+    pendula: Pendula
+    """Parameters of the pendulums."""
+    state: Observed
+    """True states."""
+    pivot_v: Annotated[Array, LANES]
+    """Velocity of the pivot along x before the step [m/s]."""
+    u_tracked: Annotated[Array, LANES]
+    """Tracked acceleration u' of the last step [m/s^2]."""
+    cycle_pivot_v: Annotated[Array, LANES]
+    """Velocity of the pivot along x before a servo cycle [m/s]; with dry friction."""
+    cycle_u: Annotated[Array, LANES]
+    """Tracked acceleration of a servo cycle [m/s^2]; with dry friction."""
+    cause: Annotated[IntArray, LANES]
+    """Cause of failure in the last step."""
+    arm: Servos
+    """Arms. An ideal actuator leaves this and the following fields unused: its joints are the
+    commanded ones."""
+    frame: Annotated[Array, (FRAME_SIZE, BATCH_SIZE)]
+    """Kinematics at their joints: position, orientation and twist of the flange."""
+    setpoints: Annotated[Array, (SETPOINT_HISTORY, *ROWS)]
+    """Last setpoints [rad]."""
+    delay: Annotated[IntArray, LANES]
+    """Whole setpoints of the transport delay."""
+    zero: Annotated[Array, LANES]
+    """Encoder zero error, added to phi [rad]."""
+    newest: Annotated[IntArray, LANES]
+    """Index of the newest setpoint, equal in all lanes."""
+
+
+def make_loop_params(
+    arm: Arm,
+    settings: Settings,
+    h: float,
+    pendulum: PendulumParameters,
+    actuator: Actuator = IDEAL_ACTUATOR,
+) -> LoopParams:
+    """Return the constants of a plant for compiled loops.
+
+    Args:
+        arm: The arm with its home posture.
+        settings: Gains, controller and noise.
+        h: Time step [s].
+        pendulum: Pendulum of the controller's model.
+        actuator: Arm response of the controller's model; episodes vary about it.
+
+    Raises:
+        ArmError: Home is a singular posture.
+        SettingsError: The delay exceeds the controller's history.
+    """
+    max_speed = settings.plant.max_speed
+    plant = LoopParams(
+        controller=make_controller_params(
+            arm,
+            settings,
+            actuator,
+            pendulum,
+            h=h,
+            counts_per_rev=settings.plant.counts_per_rev,
+            has_sensor=actuator.kind != "ideal",
+        ),
+        limits=FailureLimits(
+            paper.PHI_LIMIT, paper.X_LIMIT, inf if max_speed is None else max_speed
+        ),
+        position_noise=settings.plant.position_error_sigma,
+        orientation_noise=settings.plant.orientation_error_sigma,
+        linearised=settings.plant.linearised,
+    )
+    kinds = numba.typeof(plant), numba.from_dtype(record_type(BatchState))
+    variation = numba.typeof(DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0))
+    start, lane = types.UniTuple(types.float64, 4), types.int64
+    return plant._replace(
+        reset=pointer(reset, *kinds, numba.typeof(pendulum), variation, start, lane),
+        step=pointer(step, *kinds, lane),
+    )
+
+
+def reset(
+    plant: LoopParams,
+    batch: BatchState,
+    pendulum: PendulumParameters,
+    variation: DomainRandomization,
+    start: tuple[float, float, float, float],
+    n: int,
+) -> None:
+    """Place lane `n` at a state, the arm in steady motion on its track.
+
+    Args:
+        plant: Constants.
+        batch: Changed in place.
+        pendulum: Nominal pendulum.
+        variation: Deviation of this lane until its next reset.
+        start: Displacement of the flange from home along base x [m], its velocity [m/s], angle of
+            the pendulum from upright [rad] and its angular velocity [rad/s].
+        n: Lane.
+    """
+    controller, memory, state, arm = plant.controller, batch.controller, batch.state, batch.arm
+    x, x_dot, phi, phi_dot = start
+    zero = variation.zero if controller.has_sensor else 0.0
+    begun = controller, memory, x, x_dot, phi + zero, phi_dot, n
+    call(controller.code.start_controller, begun)
+    own, pendula = (
+        scaled(pendulum, variation.inertia_factor, variation.friction_factor),
+        batch.pendula,
+    )
+    pendula.w2[n], pendula.k[n], pendula.c[n] = own.w2, own.k, own.c
+    pendula.coulomb[n], pendula.drag[n] = own.coulomb, own.drag
+    state.x[n] = memory.frame[POSITION, n] - controller.home_reference[POSITION]
+    state.x_dot[n] = memory.frame[TWIST, n]
+    state.phi[n], state.phi_dot[n], batch.u_tracked[n] = phi, phi_dot, 0.0
+    batch.cause[n] = TRUNCATED
+    if not controller.has_sensor:
+        return
+    delay = max(controller.delay + variation.delay, 0.0)
+    batch.zero[n] = zero
+    apart = controller.h / SETPOINTS_PER_TICK
+    cycles, delayed = round(apart / CYCLE), round(delay / CYCLE)
+    batch.delay[n] = delayed // cycles
+    for i in range(FREE_JOINTS):
+        q, dq = memory.q[i, n], memory.dq[i, n]
+        lag = controller.lags[i] * variation.lag_factor
+        behind = dq * delay + steady_error(dq, lag, controller.actuator)
+        arm.q[i, n], arm.dq[i, n], arm.fraction[i, n] = q - behind, dq, lag_fraction(lag)
+        for j in range(SETPOINT_HISTORY):
+            batch.setpoints[(batch.newest[0] - j) % SETPOINT_HISTORY, i, n] = q - j * apart * dq
+        arm.turn[i, n] = float(delayed % cycles)
+        arm.target[i, n] = q - batch.delay[n] * apart * dq
+    for i in range(FRAME_SIZE):
+        batch.frame[i, n] = memory.frame[i, n]
+
+
+def step(plant: LoopParams, batch: BatchState, lanes: int) -> None:
+    """Advance controller, arm and pendulum of the first lanes by one time step.
+
+    Reads u and standard normal numbers of the controller's state, and updates everything else in
+    the batch. `cause` becomes each lane's cause of failure, or `TRUNCATED`.
+
+    Args:
+        plant: Constants.
+        batch: Changed in place.
+        lanes: Number of lanes.
+    """
+    controller, memory, state, cause = plant.controller, batch.controller, batch.state, batch.cause
+    noise, h, home_x = memory.noise, controller.h, controller.home_reference[POSITION]
+    for i in range(6):
+        sigma = plant.position_noise if i < 3 else plant.orientation_noise
+        for n in range(BATCH_SIZE):
+            noise[i, n] *= sigma
+    frame = batch.frame if controller.has_sensor else memory.frame
+    for n in range(BATCH_SIZE):
+        batch.pivot_v[n] = pivot_velocity(frame, controller.pivot, n)
+    call(controller.code.command, (controller, memory, lanes))
+    dry = False
+    for n in range(lanes):
+        dry = dry or batch.pendula.coulomb[n] > 0.0
+    # Dry friction depends on the sign of the rate, which the vibration of a pivot behind an
+    # actuator changes within a step: there such pendulums advance cycle by cycle.
+    by_cycles = controller.has_sensor and dry
+    if by_cycles:
+        move_arms_and_pendula(controller, batch, plant.linearised, lanes)
+    elif controller.has_sensor:
+        move_arms(controller, batch, lanes)
+    for n in range(BATCH_SIZE):
+        v = pivot_velocity(frame, controller.pivot, n)
+        batch.u_tracked[n] = (v - batch.pivot_v[n]) / h
+        state.x[n] = frame[POSITION, n] - home_x
+        state.x_dot[n] = frame[TWIST, n]
+    if not by_cycles:
+        advance_pendula(batch, batch.u_tracked, h, plant.linearised, dry, lanes)
+    for n in range(BATCH_SIZE):
+        exceeded = memory.limit_exceeded[n] != 0
+        cause[n] = failure(state.x[n], state.x_dot[n], state.phi[n], exceeded, plant.limits)
+    if controller.has_sensor:
+        measure(controller, batch, lanes)
+        call(controller.code.observe, (controller, memory, 0.0, 0.0, lanes))
+    else:
+        seen = memory.observation
+        for n in range(BATCH_SIZE):
+            seen.x[n], seen.x_dot[n] = state.x[n], state.x_dot[n]
+            seen.phi[n], seen.phi_dot[n] = state.phi[n], state.phi_dot[n]
+
+
+@inlined
+def failure(x: float, x_dot: float, phi: float, limit_exceeded: bool, limits: FailureLimits) -> int:
+    """Return the cause of the failure of a state, `TRUNCATED` without one; NaN is a failure.
+
+    Args:
+        x: Displacement of the flange [m].
+        x_dot: Its velocity [m/s].
+        phi: Angle of the pendulum from upright [rad].
+        limit_exceeded: Whether the last command exceeded a limit of a joint.
+        limits: The limits.
+    """
+    within = TRUNCATED if abs(x_dot) < limits.speed else SPEED_LIMIT_CAUSE
+    within = JOINT_LIMIT if limit_exceeded else within
+    on_track = within if abs(x) < limits.x else TRACK
+    return on_track if abs(phi) < limits.phi else ANGLE
+
+
+@inlined
+def move_arms(controller: ControllerParams, batch: BatchState, lanes: int) -> None:
+    """Send the setpoints of the tick, and move the arms of the first lanes by one tick."""
+    arm, cycles = batch.arm, round(controller.h / SETPOINTS_PER_TICK / CYCLE)
+    for s in range(SETPOINTS_PER_TICK):
+        _send(batch, s, lanes)
+        call(controller.code.follow_setpoint, (arm, controller.actuator, cycles, True, lanes))
+    velocity = motion_of(arm, controller.actuator)
+    kinematics(controller.code.motion, arm.q, velocity, batch.frame, lanes)
+
+
+@inlined
+def move_arms_and_pendula(
+    controller: ControllerParams, batch: BatchState, linearised: bool, lanes: int
+) -> None:
+    """Move arms and pendulums of the first lanes by one tick, cycle by cycle.
+
+    Args:
+        controller: Constants.
+        batch: Changed in place.
+        linearised: Whether the pendulums are those of equation (7).
+        lanes: Number of lanes.
+    """
+    arm, frame, cycles = batch.arm, batch.frame, round(controller.h / SETPOINTS_PER_TICK / CYCLE)
+    for s in range(SETPOINTS_PER_TICK):
+        _send(batch, s, lanes)
+        for cycle in range(cycles):
+            for n in range(BATCH_SIZE):
+                batch.cycle_pivot_v[n] = pivot_velocity(frame, controller.pivot, n)
+            follow(arm, controller.actuator, cycle, lanes)
+            kinematics(controller.code.motion, arm.q, arm.dq, frame, lanes)
+            for n in range(BATCH_SIZE):
+                v = pivot_velocity(frame, controller.pivot, n)
+                batch.cycle_u[n] = (v - batch.cycle_pivot_v[n]) * (1.0 / CYCLE)
+            advance_pendula(batch, batch.cycle_u, CYCLE, linearised, True, lanes)
+
+
+@inlined
+def _send(batch: BatchState, s: int, lanes: int) -> None:
+    """Send setpoint `s` of the tick, and take the next one that comes into force in each lane."""
+    before, target, delay = batch.arm.before, batch.arm.target, batch.delay
+    newest = (batch.newest[0] + 1) % SETPOINT_HISTORY
+    for n in range(BATCH_SIZE):
+        batch.newest[n] = newest
+    sent = batch.setpoints[newest]
+    for i in range(FREE_JOINTS):
+        for n in range(BATCH_SIZE):
+            sent[i, n] = batch.controller.setpoints[s, i, n]
+    for i in range(FREE_JOINTS):
+        for n in range(BATCH_SIZE):
+            before[i, n] = target[i, n]
+    least, most = delay[0], delay[0]
+    for n in range(lanes):
+        least, most = min(least, delay[n]), max(most, delay[n])
+    # The delays of all lanes span few setpoints: whole rows are read for each of them.
+    for age in range(least, most + 1):
+        old = batch.setpoints[(newest - age) % SETPOINT_HISTORY]
+        for i in range(FREE_JOINTS):
+            for n in range(BATCH_SIZE):
+                now, then = target[i, n], old[i, n]
+                target[i, n] = then if delay[n] == age else now
+
+
+@inlined
+def measure(controller: ControllerParams, batch: BatchState, lanes: int) -> None:
+    """Write encoder counts and measured joints to the controllers of the first lanes."""
+    memory, state, frame = batch.controller, batch.state, batch.frame
+    for n in range(BATCH_SIZE):
+        tilt = -pose_error(frame, memory.reference, n)[4]
+        theta = pi - (state.phi[n] - tilt + batch.zero[n])
+        memory.counts[n] = floor(theta * (1.0 / controller.resolution) + 0.5)
+    for i in range(FREE_JOINTS):
+        for n in range(BATCH_SIZE):
+            memory.measured[i, n] = batch.arm.q[i, n]
+
+
+@inlined
+def advance_pendula(
+    batch: BatchState, u: Array, h: float, linearised: bool, dry: bool, lanes: int
+) -> None:
+    """Advance the pendulums of the first lanes by one time step.
+
+    Args:
+        batch: Changed in place.
+        u: Tracked acceleration of each lane [m/s^2].
+        h: Length of the step [s].
+        linearised: Whether the pendulums are those of equation (7).
+        dry: Whether any pendulum has dry friction.
+        lanes: Number of lanes.
+    """
+    phi, phi_dot, pendula = batch.state.phi, batch.state.phi_dot, batch.pendula
+    # Dry friction can stop the pendulum within a step: those branches have a loop of their own.
+    if dry:
+        for n in range(lanes):
+            pendulum = pendulum_of(pendula, linearised, n)
+            phi[n], phi_dot[n] = pendulum_step(phi[n], phi_dot[n], u[n], h, pendulum)
+    else:
+        for n in range(BATCH_SIZE):
+            pendulum = pendulum_of(pendula, linearised, n)
+            phi[n], phi_dot[n] = runge_kutta(phi[n], phi_dot[n], u[n], h, 0.0, pendulum)
+
+
+@inlined
+def pendulum_of(pendula: Pendula, linearised: bool, n: int) -> PendulumParameters:
+    """Return the pendulum of lane `n`."""
+    w2, k, c = pendula.w2[n], pendula.k[n], pendula.c[n]
+    return PendulumParameters(w2, k, c, pendula.coulomb[n], pendula.drag[n], linearised)
+
+
+@inlined
+def draw_noise(
+    noise: Array,
+    seed: int,
+    tick: IntArray,
+    index: IntArray,
+    algorithm: int,
+    stream: int,
+    lanes: int,
+) -> None:
+    """Write six standard normal numbers for each lane, from `stream` and the one after it.
+
+    Args:
+        noise: Receives the numbers, 6 rows.
+        seed: Master seed.
+        tick: Step of each lane within its episode or trial.
+        index: Episode or trial of each lane.
+        algorithm: Number of the algorithm.
+        stream: First of the two streams of random numbers.
+        lanes: Number of lanes.
+    """
+    for n in range(lanes):
+        w0, w1, w2, w3 = philox(seed, tick[n], index[n], algorithm, stream)
+        v0, v1, _, _ = philox(seed, tick[n], index[n], algorithm, stream + 1)
+        noise[0, n], noise[1, n] = uniform(w0, 1.0, 0.0), turn(w1)
+        noise[2, n], noise[3, n] = uniform(w2, 1.0, 0.0), turn(w3)
+        noise[4, n], noise[5, n] = uniform(v0, 1.0, 0.0), turn(v1)
+    # Loops with few arrays and formulas: a compiler vectorises no large one.
+    for i in range(0, 6, 2):
+        for n in range(lanes):
+            radius = normal_radius(noise[i, n])
+            sine, cosine = sincos(noise[i + 1, n])
+            noise[i, n] = radius * cosine
+            noise[i + 1, n] = radius * sine
+
+
+@inlined
+def copy_lane(rows: IntArray, source: int, target: int) -> None:
+    """Copy one lane to another, to fill the gap of a finished one; `rows` from `rows_of`."""
+    for i in range(len(rows)):
+        rows[i, target] = rows[i, source]
+
+
+@inlined
+def box_of(seen: Observed, boxes: Grid, n: int) -> int:
+    """Return the box of the observation of lane `n`."""
+    return box_index(seen.x[n], seen.x_dot[n], seen.phi[n], seen.phi_dot[n], boxes)
+
+
+@compilable
+def scaled(
+    pendulum: PendulumParameters, inertia_factor: float, friction_factor: float
+) -> PendulumParameters:
+    """Return the pendulum with I and b multiplied: I divides everything, b scales c alone.
+
+    Factors come from normal distributions: I keeps at least a tenth of itself, b is not negative.
+    """
+    inertia_factor = max(inertia_factor, MIN_INERTIA_FACTOR)
+    friction_factor = max(friction_factor, 0.0)
+    return PendulumParameters(
+        pendulum.w2 / inertia_factor,
+        pendulum.k / inertia_factor,
+        pendulum.c * friction_factor / inertia_factor,
+        pendulum.coulomb / inertia_factor,
+        pendulum.drag / inertia_factor,
+        pendulum.linearised,
+    )

@@ -1,0 +1,168 @@
+"""Conditions of trials, drawn before the trials run, and their results.
+
+The conditions of trial i depend on the seed and i alone: not on the number of trials, of workers,
+or on the policy, so that policies are compared on the same trials.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import ndtri
+
+from equipoise.arrays import Array, IntArray
+from equipoise.control.policy import RANDOM, PolicyKernel, act
+from equipoise.model.grid import TRUNCATED
+from equipoise.model.random import philox, uniform
+from equipoise.settings import Settings
+from equipoise.simulation.plant import DomainRandomization, copy_lane
+
+
+class Trial(NamedTuple):
+    """Conditions of one trial."""
+
+    number: int
+    """Number of the trial, which determines all noise together with the seed."""
+    start: tuple[float, float, float, float]
+    """x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the release."""
+    variation: DomainRandomization
+    """Difference of the plant from the nominal one."""
+
+
+class Trials(NamedTuple):
+    """Conditions and results of n trials, one row each."""
+
+    number: IntArray
+    """Number of each trial, shape (n,)."""
+    start: Array
+    """x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the release, shape (n, 4)."""
+    variation: Array
+    """Fields of `DomainRandomization`, shape (n, 5)."""
+    steps: IntArray
+    """Result: number of steps, shape (n,)."""
+    cause: IntArray
+    """Result: cause of the end, shape (n,)."""
+    sum_x2: Array
+    """Result: sum of x^2 over the steps [m^2], shape (n,)."""
+    end: Array
+    """Result: true x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the end, shape (n, 4)."""
+
+    def trial(self, row: int) -> Trial:
+        """Return the conditions in one row."""
+        x, x_dot, phi, phi_dot = self.start[row].tolist()
+        variation = DomainRandomization(*self.variation[row].tolist())
+        return Trial(int(self.number[row]), (x, x_dot, phi, phi_dot), variation)
+
+
+def draw_trials(count: int, settings: Settings, seed: int, stream: int, first: int = 0) -> Trials:
+    """Draw the conditions of trials: starts as after a release by hand, and varied plants.
+
+    Args:
+        count: Number of trials.
+        settings: Ranges of the start, standard deviations of I and b.
+        seed: Master seed.
+        stream: Purpose of the trials, such as selection or test.
+        first: Number of the first trial.
+    """
+
+    def uniform(columns: int, *key: int) -> Array:
+        generator = np.random.PCG64([seed, stream, *key])
+        return np.random.Generator(generator.advance(columns * first)).random((count, columns))
+
+    e, plant = settings.evaluation, settings.plant
+    draws = uniform(5)
+    rig = 2.0 * uniform(3, 1) - 1.0
+    sign = np.where(draws[:, 0] < 0.5, -1.0, 1.0)
+    start = np.zeros((count, 4))
+    start[:, 2] = sign * (e.phi_low + (e.phi_high - e.phi_low) * draws[:, 1])
+    start[:, 3] = sign * (e.phi_dot_low + (e.phi_dot_high - e.phi_dot_low) * draws[:, 2])
+    variation = [  # the fields of `DomainRandomization`
+        1.0 + plant.inertia_sigma * ndtri(draws[:, 3]),
+        1.0 + plant.friction_sigma * ndtri(draws[:, 4]),
+        plant.delay_spread * rig[:, 0],
+        1.0 + plant.lag_spread * rig[:, 1],
+        plant.zero_error * rig[:, 2],
+    ]
+    return Trials(
+        number=np.arange(first, first + count),
+        start=start,
+        variation=np.column_stack(variation),
+        steps=np.zeros(count, np.int64),
+        cause=np.zeros(count, np.int64),
+        sum_x2=np.zeros(count),
+        end=np.zeros((count, 4)),
+    )
+
+
+def trial_loop(place: Callable[..., None], advance: Callable[..., None]) -> Callable[..., None]:
+    """Return the loop that runs compiled trials in a world.
+
+    Args:
+        place: Places a lane at the start of a trial: `place(world, variation, start, n)`.
+        advance: Advances the first lanes by a step: `advance(world, tick, number, lanes)`.
+    """
+
+    def run_trials(
+        world: Any, policy: PolicyKernel, trials: Trials, rows: IntArray, max_steps: int
+    ) -> None:
+        """Run trials side by side, and write their results.
+
+        Args:
+            world: Its `states` hold a record with `controller`, `state` and `cause`.
+            policy: The policy.
+            trials: Conditions; receives the results.
+            rows: Rows of the trials to run.
+            max_steps: Number of steps after which a trial is truncated.
+        """
+        batch = world.states[0]
+        state, seen, u = batch.state, batch.controller.observation, batch.controller.u
+        row = np.zeros(world.batch_size, np.int64)
+        number = np.zeros(world.batch_size, np.int64)
+        tick = np.zeros(world.batch_size, np.int64)
+        sum_x2 = np.zeros(world.batch_size)
+        placed, lanes = 0, 0
+
+        def begin(n: int) -> None:
+            i = rows[placed]
+            row[n], number[n], tick[n], sum_x2[n] = i, trials.number[i], 0, 0.0
+            x, x_dot, phi, phi_dot = trials.start[i]
+            inertia, friction, delay, lag, zero = trials.variation[i]
+            variation = DomainRandomization(inertia, friction, delay, lag, zero)
+            place(world, variation, (x, x_dot, phi, phi_dot), n)
+
+        while lanes < world.batch_size and placed < len(rows):
+            begin(lanes)
+            placed += 1
+            lanes += 1
+        while lanes > 0:
+            for n in range(lanes):
+                chance = 0.0
+                if policy.kind == RANDOM:
+                    words = philox(world.seed, tick[n], number[n], 1, world.stream)
+                    chance = uniform(words[0], 0.0, 1.0)
+                x, x_dot, phi, phi_dot = seen.x[n], seen.x_dot[n], seen.phi[n], seen.phi_dot[n]
+                u[n] = act(policy, x, x_dot, phi, phi_dot, chance)
+            advance(world, tick, number, lanes)
+            for n in range(lanes - 1, -1, -1):
+                tick[n] += 1
+                sum_x2[n] += state.x[n] ** 2
+                if batch.cause[n] == TRUNCATED and tick[n] < max_steps:
+                    continue
+                i = row[n]
+                trials.steps[i], trials.cause[i], trials.sum_x2[i] = (
+                    tick[n],
+                    batch.cause[n],
+                    sum_x2[n],
+                )
+                trials.end[i, 0], trials.end[i, 1] = state.x[n], state.x_dot[n]
+                trials.end[i, 2], trials.end[i, 3] = state.phi[n], state.phi_dot[n]
+                if placed < len(rows):
+                    begin(n)
+                    placed += 1
+                    continue
+                lanes -= 1
+                copy_lane(world.rows, lanes, n)
+                row[n], number[n] = row[lanes], number[lanes]
+                tick[n], sum_x2[n] = tick[lanes], sum_x2[lanes]
+
+    return run_trials

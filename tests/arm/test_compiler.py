@@ -1,0 +1,93 @@
+"""The generator: what it simplifies, and the files that it writes and finds again."""
+
+import importlib
+import os
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from equipoise.arm import compiler
+from equipoise.arm.iiwa import iiwa
+from equipoise.arm.symbols import Tape
+from equipoise.elementary import fma
+
+INPUTS = {"a": 0.7, "b": -1.3, "c": 2.1}
+NUMBERS = st.sampled_from([0.0, 1.0, -1.0, 0.5, -2.5])
+
+
+def expressions(tape, leaves):
+    """Pairs of a symbol and the number that it stands for."""
+    operations = {
+        "+": lambda x, y: (x[0] + y[0], x[1] + y[1]),
+        "-": lambda x, y: (x[0] - y[0], x[1] - y[1]),
+        "*": lambda x, y: (x[0] * y[0], x[1] * y[1]),
+        "neg": lambda x, _: (-x[0], -x[1]),
+    }
+    leaf = st.one_of(st.sampled_from(leaves), NUMBERS.map(lambda n: (tape.number(n), n)))
+    return st.recursive(
+        leaf,
+        lambda inner: st.builds(
+            lambda operation, x, y: operations[operation](x, y),
+            st.sampled_from(sorted(operations)),
+            inner,
+            inner,
+        ),
+        max_leaves=30,
+    )
+
+
+@pytest.mark.compiled_only
+@settings(deadline=None, max_examples=300)
+@given(data=st.data())
+def test_what_is_printed_computes_what_was_written(data):
+    tape = Tape()
+    leaves = [(tape.input(name, f"inputs['{name}']"), value) for name, value in INPUTS.items()]
+    symbol, value = data.draw(expressions(tape, leaves))
+    record = {}
+    entries = {"result": {"record['out']": symbol}}
+    tape.fuse(entries)
+    exec("\n".join(tape.python(entries)), {"inputs": INPUTS, "record": record, "fma": fma})
+    # Terms are added in another order: rounding of values that may reach 1e6 and cancel.
+    assert record["out"] == pytest.approx(value, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("size", [7, 14])
+def test_the_committed_modules_are_what_the_generator_writes(size):
+    arm = iiwa(size)
+    path = compiler.COMMITTED_FOLDER / f"{arm.name}.py"
+    assert path.read_text(encoding="utf-8") == compiler.source(arm), "run: make generated"
+    module = importlib.import_module(f"equipoise.arm.generated.{arm.name}")
+    assert compiler.load(arm) == (module.kinematics, module.motion)
+
+
+OTHER_ARM = """
+import numpy as np
+from equipoise.arm.iiwa import iiwa
+arm = iiwa(7).model_copy(update={"flange_xyz": (0.0, 0.0, 0.2)})
+height = arm.kinematics(np.zeros(6)).position[2]
+arm.compiled()
+print(round(height, 12))
+"""
+
+
+@pytest.mark.compiled_only
+def test_the_machine_code_of_an_arm_outside_the_package_is_found_again(tmp_path):
+    # No module of an iiwa 7 with another hand is part of the package.
+    def run():
+        return subprocess.run(
+            [sys.executable, "-c", OTHER_ARM],
+            env=os.environ | {"EQUIPOISE_CACHE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.split()
+
+    height = str(round(0.34 + 0.4 + 0.4 + 0.2, 12))
+    assert run() == [height]
+    made = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.nb*")}
+    assert made
+    assert run() == [height]
+    assert made == {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.nb*")}

@@ -1,0 +1,77 @@
+"""The playground without a browser: its rig, its scenes, and its page."""
+
+from math import degrees, radians
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from equipoise.console.play import FALL, SCENES, Playground, PlayPage
+
+pytestmark = pytest.mark.compiled_only
+
+
+def played(playground, seconds):
+    for _ in range(round(seconds / playground.h)):
+        playground.advance()
+    return playground
+
+
+def test_it_stands_and_a_push_moves_it():
+    playground, undisturbed = Playground(SCENES["balance"]), Playground(SCENES["balance"])
+    assert not played(playground, 10.0).fallen
+    played(undisturbed, 10.0)
+    playground.push(radians(15.0))
+    rates = [played(each, 0.01) and each._loop.state()[3] for each in (playground, undisturbed)]
+    assert rates[0] - rates[1] == pytest.approx(radians(15.0), rel=0.1)
+    assert not played(playground, 5.0).fallen
+    playground.push(radians(200.0))
+    assert played(playground, 1.0).fallen
+
+
+def test_a_delay_without_prediction_falls_and_with_it_stands():
+    playground = Playground(SCENES["why-it-falls"])
+    while not playground.fallen:
+        playground.advance()
+        assert playground._tick * playground.h < 20.0
+    assert abs(degrees(played(playground, 1.0).phi)) > 20.0  # the fall is shown
+    played(playground, FALL)
+    assert playground._tick * playground.h < 2.0  # and it begins again
+    playground.set(SCENES["why-it-falls"]._replace(predict=True))
+    assert not played(playground, 30.0).fallen
+
+
+def test_the_box_in_use_is_known_for_a_table_alone():
+    playground = Playground(SCENES["balance"])
+    played(playground, 3.0)
+    assert playground.box >= 0
+    playground.set(SCENES["lqr"])
+    assert played(playground, 1.0).box == -1
+
+
+def test_the_page_pushes_and_changes_the_rig(monkeypatch):
+    viser = pytest.importorskip("viser", reason="viser is not installed (extra console)")
+    server, pushes = viser.ViserServer("127.0.0.1", 0, verbose=False), []
+    page = PlayPage(server, SCENES["balance"])
+    page.advance(0)
+    assert "standing" in page._page._state.content
+    assert "shipped table" in page._page._state.content
+    table = page._boxes.content
+    assert table.count("<rect") == 270
+    assert table.count('stroke-width="3"') == 1
+    for label in ("angle φ [°]", ">−5<", ">50<", "x −0.08 to 0.08 m", "ẋ 0.5 to ∞ m/s"):
+        assert label in table
+    page._controls["delay_ms"].value = 25.0
+    page._controls["policy"].value = "LQR"
+    page._changed()
+    assert page.playground.scene.delay_ms == 25.0
+    page.advance(0)
+    assert "shipped table" not in page._page._state.content
+    assert "after 43 ms: 25 ms transport + 18 ms servo" in page._page._state.content
+    assert not page._table.visible
+    monkeypatch.setattr(page.playground, "push", pushes.append)
+    for drawn in (0.05, -1.0):  # [m]
+        event = {"start_position": (0.1, 0.0, 0.9), "end_position": (0.1 + drawn, 0.0, 0.9)}
+        page._dragged(SimpleNamespace(phase="end", **event))
+    assert np.degrees(pushes) == pytest.approx([6.0, -60.0])
+    server.stop()

@@ -1,0 +1,111 @@
+"""Run logs: what is written is read, by us and by anybody who reads MCAP; edits are refused."""
+
+import json
+from collections import Counter
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from equipoise.errors import ArtefactError
+from equipoise.log import writer
+from equipoise.log.columns import TABLES, to_messages
+from equipoise.log.conditions import RunEnd
+from equipoise.log.run_log import RunLog, simulated_log
+from equipoise.outcomes import Outcome
+from tests.log.made_up import conditions, made_up
+
+
+def messages(file):
+    with file.open("rb") as stream:
+        return list(make_reader(stream, validate_crcs=True).iter_messages())
+
+
+@pytest.fixture
+def run():
+    return made_up()
+
+
+@pytest.fixture
+def file(run, tmp_path):
+    run.save(tmp_path / "run.mcap", command="test", inputs={"policy": "sha256:0123"})
+    return tmp_path / "run.mcap"
+
+
+def excited():
+    """An excitation of the arm, without ticks."""
+    time = 0.005 * np.arange(30)
+    q = np.tile(np.sin(time)[:, None], 7)
+    replies = {"time": time[:-2] + 0.001, "q": q[:-2]}
+    end = RunEnd(outcome=Outcome.EXCITED)
+    return simulated_log(conditions(), end, {}, stream={"time": time, "q": q}, replies=replies)
+
+
+RUNS = {
+    "no ticks": lambda: made_up(0),
+    "all tables": made_up,
+    "an excitation": excited,
+}
+
+
+@pytest.mark.parametrize("kind", RUNS)
+def test_a_run_comes_back_to_the_last_bit(tmp_path, kind):
+    run = RUNS[kind]()
+    run.save(tmp_path / "deep" / "run.mcap", command="test", inputs={"policy": "sha256:0123"})
+    back = RunLog.load(tmp_path / "deep" / "run.mcap")
+    assert back.conditions == run.conditions
+    assert {name: rows.tobytes() for name, rows in back.tables.items()} == {
+        name: rows.tobytes() for name, rows in run.tables.items()
+    }
+    assert (back.digest, back.survival, back.damage) == (run.digest, run.survival, "")
+    provenance = back.provenance
+    assert (provenance.command, provenance.inputs) == ("test", {"policy": "sha256:0123"})
+    assert {type(value) for value in back.conditions.world_settings.values()} == {float, int, str}
+
+
+def test_any_reader_of_mcap_finds_named_numbers_with_a_schema(file, run):
+    found = messages(file)
+    topics = [channel.topic for _, channel, _ in found]
+    counts = {"tick": 40, "truth": 40, "stream": 80, "reply": 40, "encoder": 40, "event": 0}
+    assert {name: Counter(topics)[f"/{name}"] for name in TABLES} == counts
+    for schema, channel, message in found:
+        assert (channel.message_encoding, schema.encoding) == ("json", "jsonschema")
+        if channel.topic != "/end":
+            known = json.loads(schema.data)["properties"]
+            assert set(json.loads(message.data)) <= set(known)
+    (tick,) = {schema.data for schema, channel, _ in found if channel.topic == "/tick"}
+    assert json.loads(tick)["properties"]["u"]["description"].endswith("[m/s^2]")
+    assert topics[-1] == "/end"
+
+
+EDITS = {
+    "a word for a number": {"compute": "far"},
+    "a short posture": {"dq": [0.0, 0.0, 0.0]},
+    "no such phase": {"state": 99},
+}
+
+
+@pytest.mark.parametrize("edit", EDITS)
+def test_rows_of_another_form_are_refused(monkeypatch, run, tmp_path, edit):
+    def changed(rows):
+        for row in to_messages(rows):
+            yield row | {name: value for name, value in EDITS[edit].items() if name in row}
+
+    monkeypatch.setattr(writer, "to_messages", changed)
+    run.save(tmp_path / "run.mcap", command="test")
+    for damaged in (False, True):
+        with pytest.raises(ArtefactError):
+            RunLog.load(tmp_path / "run.mcap", damaged=damaged)
+
+
+def test_other_files_are_refused(tmp_path):
+    (tmp_path / "text.mcap").write_text("time,phi\n")
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    with (tmp_path / "foreign.mcap").open("wb") as stream:
+        foreign = Writer(stream)
+        foreign.start(profile="", library="")
+        foreign.finish()
+    for name in ("nowhere.mcap", "text.mcap", "empty.mcap", "foreign.mcap", ""):
+        with pytest.raises(ArtefactError):
+            RunLog.load(tmp_path / name, damaged=True)

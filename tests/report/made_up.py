@@ -1,0 +1,246 @@
+"""Results of a reproduction that nobody ran: small, quick to draw, as odd as a test wants them."""
+
+import numpy as np
+
+from equipoise import paper
+from equipoise.arm.iiwa import iiwa
+from equipoise.control.policy import Checkpoint, LearningPoint, TabularPolicy
+from equipoise.files import Estimate, Provenance
+from equipoise.identification.recording import Trajectory
+from equipoise.log.conditions import RunConditions, RunEnd
+from equipoise.log.run_log import simulated_log
+from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
+from equipoise.model.pendulum import Pendulum, SwingFit
+from equipoise.model.worlds import IDEAL, MODEL, read_world
+from equipoise.outcomes import Outcome
+from equipoise.reproduction.results import (
+    RecipeResults,
+    ReproductionRecord,
+    Results,
+    digests,
+)
+from equipoise.settings import resolve
+from equipoise.simulation.evaluation import Evaluation, TrialResults
+
+W2, C, RELEASE = 70.2, 0.15, 0.5
+AHEAD = 0.03
+"""How far the made-up policy sees ahead on the twin [s]."""
+ZERO = -0.002
+"""Error of the encoder's zero there [rad]."""
+LITERAL_FALLS = (4.0, *9 * (30.0,))
+"""Ends of the trials of the literal recipe in its simulation [s]."""
+PROVENANCE = Provenance(
+    created="2031-02-03T04:05:06+00:00",
+    command="reproduce",
+    software={"equipoise": "1.2.3", "numpy": "2.0"},
+)
+
+
+def swing(rate=False, source="swing.csv"):
+    """A decaying cosine: near enough to a small swing to be drawn as one."""
+    time = np.arange(0.0, 5.0, 0.005)
+    free = time - RELEASE
+    decay = np.where(free < 0.0, 1.0, np.exp(-0.5 * C * free))
+    theta = 0.05 * decay * np.cos(np.sqrt(W2) * np.maximum(free, 0.0))
+    if rate:
+        return Trajectory(time=time, theta_dot=np.gradient(theta, time), source=source)
+    return Trajectory(time=time, theta=theta, source=source)
+
+
+def pendulum(trajectory, warnings=(), release=RELEASE):
+    """What was identified from it."""
+    rate = trajectory.theta is None
+
+    def estimate(value):
+        return Estimate.normal(value, 0.001 * value, "identified")
+
+    return Pendulum(
+        w2=estimate(W2),
+        k=estimate(W2 / 9.80665),
+        c=estimate(C),
+        coulomb=Estimate.normal(0.0, 0.0, "assumed"),
+        drag=Estimate.normal(0.0, 0.0, "assumed"),
+        covariance=((0.0,) * 4,) * 4,
+        friction_model="viscous",
+        fit=SwingFit(
+            source=trajectory.source,
+            sha256=trajectory.sha256,
+            quantity="rate" if rate else "angle",
+            window=(RELEASE, 4.995),
+            release=release,
+            samples=900,
+            periods=6.0,
+            rms=2e-4,
+            noise=1e-4,
+            offset=0.0,
+            theta=0.05,
+            theta_dot=0.0,
+            settings=resolve().identification,
+            warnings=tuple(warnings),
+        ),
+    )
+
+
+def policy(of, recipe="robust", unvisited=7):
+    """A table that pushes towards where the pendulum leans, after a training with a selection."""
+    settings = resolve(recipe)
+    visits = np.ones((270, 8), dtype=np.int64)
+    visits[:unvisited] = 0
+    lean = np.repeat([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0], 45)
+    selected = settings.selection.every > 0
+    curve = [
+        LearningPoint(
+            episodes=n,
+            steps=40 * n,
+            duration=n / 1000.0,
+        )
+        for n in range(1000, 10001, 1000)
+    ]
+    candidates = [
+        Checkpoint(episodes=n, trials=400, survived=399, mean_duration=60.0, rms_x=0.05, score=0.9)
+        for n in (9000, 8000, 10000)
+    ]
+    return TabularPolicy(
+        actions=paper.ACTIONS,
+        Q=tuple(map(tuple, np.outer(lean, paper.ACTIONS).tolist())),
+        visits=tuple(map(tuple, visits.tolist())),
+        h=0.01,
+        pendulum=of,
+        arm=iiwa(7),
+        actuator=IDEAL_ACTUATOR if recipe == "paper" else shipped_actuator(),
+        settings=settings,
+        seed=0,
+        episodes=10_000,
+        steps=400_000,
+        learning_curve=tuple(curve),
+        checkpoints=tuple(candidates) if selected else (),
+    )
+
+
+def trials(name, falls, count=20, cause=Outcome.TRACK):
+    """Trials of a minute, of which the first fell after the given times."""
+    return TrialResults(
+        name=name,
+        survival=(*falls, *[60.0] * (count - len(falls))),
+        outcomes=(*[cause] * len(falls), *[Outcome.SURVIVED] * (count - len(falls))),
+    )
+
+
+def evaluation(of, falls=(3.0, 20.0)):
+    """A policy that fell twice in twenty, and two yardsticks."""
+    return Evaluation(
+        policy=of.digest,
+        world=MODEL,
+        world_settings=None,
+        actuator=of.actuator.digest,
+        arm=of.arm.name,
+        arm_digest=of.arm.digest,
+        pendulum=of.pendulum.digest,
+        settings=of.settings,
+        seed=0,
+        results=trials("policy", falls),
+        baselines=(
+            trials("LQR", ()),
+            trials("random", np.linspace(0.2, 0.9, 20).tolist(), cause=Outcome.ANGLE),
+        ),
+    )
+
+
+def twin_evaluation(of, falls=()):
+    """The same policy on the twin, without baselines."""
+    there = {"world": "twin:nominal", "world_settings": read_world("twin:nominal").settings}
+    return evaluation(of, falls).model_copy(update={**there, "baselines": ()})
+
+
+def run(of, survival=60.0, cause=Outcome.SURVIVED, world=MODEL):
+    """A run of sines, with the boxes of a few states; on a twin the policy saw them early."""
+    n = round(survival / 0.01)
+    time = 0.01 * np.arange(n)
+    q = np.tile(np.array(of.arm.home), (n, 1))
+    q[:, 0] += 0.1 * np.sin(time)
+    twin = None if world == MODEL else read_world(world)
+
+    def state(t):
+        return {
+            "x": 0.12 * np.sin(t),
+            "x_dot": 0.12 * np.cos(t),
+            "phi": 0.05 * np.sin(8.0 * t),
+            "phi_dot": 0.4 * np.cos(8.0 * t),
+        }
+
+    was = state(time - AHEAD if twin else time)
+    u = np.array(paper.ACTIONS)[np.arange(n) // 3 % 8]
+    known = {**was, "tracked": u + 0.03, "q": q - 0.001} if twin else None
+    return simulated_log(
+        RunConditions(
+            policy=of.digest,
+            world=twin.name if twin else world,
+            arm=of.arm,
+            pendulum={"w2": 68.0, "k": 6.93, "c": 0.17, "coulomb": 0.1, "drag": 0.0},
+            start=(0.0, 0.0, 0.03, 0.2),
+            h=0.01,
+            duration=60.0,
+            seed=0,
+            actuator=of.actuator.digest if twin else IDEAL,
+            counts_per_rev=twin.settings.counts_per_rev if twin else None,
+            world_settings=twin.settings.model_dump() if twin else None,
+            zero_error=ZERO if twin else None,
+            settings=of.settings,
+        ),
+        RunEnd(outcome=cause, survival=survival),
+        {
+            "time": time,
+            **state(time),
+            "box": np.arange(n) % 12 + 120,
+            "u": u,
+            "q": q,
+            "dq": np.zeros_like(q),
+            "estimated_phi": was["phi"],
+            "estimated_phi_dot": was["phi_dot"],
+            "bias": ZERO * (1.0 - np.exp(-time)) if twin else np.zeros(n),
+        },
+        truth=known,
+    )
+
+
+def results(
+    *,
+    recipe="robust",
+    quick=False,
+    given=None,
+    warnings=(),
+    falls=(3.0, 20.0),
+    world="twin:nominal",
+    **of_run,
+):
+    """All of it. `given` is the name of a recording, where one was given."""
+    trajectory = swing(source=given or "simulated swing")
+    identified = pendulum(trajectory, warnings)
+    trained, literal = policy(identified, recipe), policy(identified, "paper")
+    twin = world != MODEL
+    found = Results(
+        record=ReproductionRecord(
+            quick=quick,
+            seed=0,
+            swing=trajectory.source,
+            simulated=not given,
+            files={},
+            training_s=8.25,
+        ),
+        swing=trajectory,
+        pendulum=identified,
+        default=RecipeResults(
+            policy=trained,
+            evaluation=evaluation(trained, falls),
+            twin_evaluation=twin_evaluation(trained) if twin else None,
+            run=run(trained, world=world, **of_run),
+        ),
+        literal=RecipeResults(
+            policy=literal,
+            evaluation=evaluation(literal, LITERAL_FALLS),
+            twin_evaluation=twin_evaluation(literal, 20 * (5.5,)) if twin else None,
+            run=run(literal, survival=1.5, cause=Outcome.ANGLE, world=world),
+        ),
+    )
+    record = found.record.model_copy(update={"files": digests(found)})
+    return found._replace(record=record)

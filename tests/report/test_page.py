@@ -1,0 +1,211 @@
+"""The page: every section, nothing fetched, nothing let through unescaped."""
+
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from equipoise import film
+from equipoise.errors import ArtefactError, OutsideError
+from equipoise.identification.recording import write_swing
+from equipoise.model.actuator import shipped_actuator
+from equipoise.model.worlds import MODEL, TwinSettings
+from equipoise.outcomes import Outcome
+from equipoise.report import page as page_module
+from equipoise.report.page import FIGURES, PAGE, build, page
+from equipoise.reproduction import results as files
+from equipoise.settings import Settings
+from tests.report import made_up
+
+HOSTILE = "<script>alert('x')</script>&\x1b[2J.csv"
+IMAGES = dict.fromkeys([*FIGURES, "film"], "data:image/svg+xml;base64,AA==")
+DELAY = f"{round(1e3 * shipped_actuator().delay.value, 1):g}"
+ENDS = (1.49 - made_up.AHEAD, 59.99 - made_up.AHEAD)
+EMPTY = {"meta", "img", "br", "path", "rect", "circle"}
+
+
+class Reader(HTMLParser):
+    """Collects what a browser would, and checks that what is opened is closed."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.attributes, self.words = [], [], [], []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += [(tag, name, value or "") for name, value in attrs]
+        if tag not in EMPTY:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if tag not in EMPTY:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] not in ("style", "title"):
+            self.words.append(data)
+
+    @property
+    def text(self):
+        return " ".join("".join(self.words).split())
+
+
+def made(missing="", **changes):
+    return page(made_up.results(**changes), IMAGES, made_up.PROVENANCE, missing)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return made()
+
+
+def test_all_links_lead_to_a_place_and_all_sections_are_linked(plain):
+    attributes = Reader(plain).attributes
+    links = [v for _, name, v in attributes if name == "href"]
+    places = [v for _, name, v in attributes if name == "id"]
+    sections = [v for tag, name, v in attributes if (tag, name) == ("section", "id")]
+    to_sections = [link for link in links if not link.startswith(("#at-", "#large-"))]
+    assert to_sections == [f"#{section}" for section in sections]
+    assert len(set(places)) == len(places)
+    assert {link[1:] for link in links} == set(places)
+
+
+@pytest.mark.parametrize("changes", [{}, {"world": MODEL}, {"recipe": "paper"}])
+def test_every_figure_is_there_nothing_is_fetched_and_no_script_runs(changes):
+    text = made(**changes)
+    reader = Reader(text)
+    assert reader.tags.count("img") == len(IMAGES)
+    assert all(len(v) > 20 for tag, name, v in reader.attributes if (tag, name) == ("img", "alt"))
+    assert not {"script", "link", "iframe", "object", "embed", "base", "form"} & set(reader.tags)
+    for _, name, value in reader.attributes:
+        assert not name.startswith("on")
+        if name in ("src", "href", "srcset", "action"):
+            assert value.startswith(("data:image/", "#"))
+    assert not re.search(r"http|url\(|@import", text)
+
+
+def test_texts_from_outside_are_escaped():
+    text = made(missing=HOSTILE, given=HOSTILE, warnings=["<b>bold</b> & `<i>`"])
+    assert not re.search("<script|<b>bold|<i>|\x1b", text)
+    words = Reader(text).text
+    assert "<script>alert('x')</script>&\\x1b[2J.csv" in words
+    assert "<b>bold</b> & <i>" in words
+
+
+def test_the_comparison_states_the_paper_and_both_recipes(plain):
+    head, *lines = re.findall("<tr>(.*?)</tr>", plain.partition("</table>")[0])
+    table = [
+        [Reader(cell).text for cell in re.findall("<t[hd].*?</t[hd]>", line)] for line in lines
+    ]
+    assert head.count("<th>") == 4
+    # Clopper-Pearson of 18 of 20, 10 of 20 and 20 of 20, from any table.
+    assert table == [
+        ["delay in training [ms]", "not stated", "0", DELAY],
+        ["simulation trials", "not stated", "20", "20"],
+        ["simulation median [s]", "not stated", "45", "60"],
+        ["simulation stood 60s", "not stated", "10", "18"],
+        ["simulation interval (95 %)", "not stated", "0.272 to 0.728", "0.683 to 0.9877"],
+        ["simulation ended by", "not stated", "track 10, survived 10", "track 2, survived 18"],
+        ["robot or twin trials", "1", "20", "20"],
+        ["robot or twin median [s]", "5", "5.5", "60"],
+        ["robot or twin stood 5s", "1", "20", "20"],
+        ["robot or twin interval (95 %)", "not stated", "0.8316 to 1", "0.8316 to 1"],
+        ["robot or twin ended by", "track 1", "track 20", "survived 20"],
+        ["run [s]", "5", "1.5", "60"],
+        ["run ended by", "track", "angle", "survived"],
+        # The made-up true state at the last tick is that of `AHEAD` before.
+        [
+            "lean at its end [deg]",
+            "-3.44",
+            *(f"{round(np.degrees(0.05 * np.sin(8 * t)), 2):g}" for t in ENDS),
+        ],
+        ["x at its end [m]", "-0.22", *(f"{round(0.12 * np.sin(t), 3):g}" for t in ENDS)],
+    ]
+
+
+@pytest.mark.parametrize(
+    ("changes", "there"),
+    [
+        ({"quick": True}, "Quick run"),
+        ({"missing": "no OpenGL"}, "no OpenGL"),
+        ({"survival": 20.0, "cause": Outcome.TRACK}, "survived 20 s of at most 60 s"),
+        ({"warnings": ["friction is odd"]}, "friction is odd"),
+    ],
+)
+def test_the_page_depends_on_the_results(plain, changes, there):
+    assert there in Reader(made(**changes)).text
+    assert there not in Reader(plain).text
+
+
+def test_every_setting_is_there_with_value_and_reason(plain):
+    words = Reader(plain).text
+    for section, model in Settings.model_fields.items():
+        for key in model.annotation.model_fields:
+            assert f"{section}.{key}" in words
+    assert "clik.K_p400Gain on the pose error" in words
+    for key in TwinSettings.model_fields:
+        assert key in words
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder as `reproduce` leaves it."""
+    out = tmp_path_factory.mktemp("machine") / "report"
+    found = made_up.results()
+    write_swing(out / files.SWING, found.swing)
+    # The digest of a recording is that of its file.
+    swing = files.read_swing(out / files.SWING)
+    policy = made_up.policy(made_up.pendulum(swing))
+    found = found._replace(
+        swing=swing,
+        pendulum=policy.pendulum,
+        default=files.RecipeResults(
+            policy=policy,
+            evaluation=made_up.evaluation(policy),
+            twin_evaluation=made_up.twin_evaluation(policy),
+            run=made_up.run(policy, survival=8.0, cause=Outcome.TRACK, world="twin:nominal"),
+        ),
+    )
+    record = found.record.model_copy(update={"files": dict(files.digests(found))})
+    files.save(found._replace(record=record), out)
+    return out
+
+
+@pytest.mark.full
+def test_the_page_is_built_from_the_folder_alone(folder, monkeypatch):
+    monkeypatch.setitem(film.FORMATS, film.WEBP, (64, 64, 2.0))
+    path = build(folder)
+    text = path.read_text(encoding="utf-8")
+    Reader(text)
+    assert path == folder / PAGE
+    assert folder.parent.name not in text  # no path of this machine
+    assert {f"{name}.svg" for name in FIGURES} < {p.name for p in (folder / "figures").iterdir()}
+
+
+@pytest.mark.full
+def test_without_opengl_the_page_says_why_the_film_is_missing(folder, monkeypatch):
+    def fail(*_, **__):
+        raise OutsideError("cannot draw pictures")
+
+    monkeypatch.setattr(page_module, "write_film", fail)
+    monkeypatch.setattr(page_module, "FIGURES", dict.fromkeys(FIGURES, FIGURES["swing"]))
+    text = build(folder).read_text(encoding="utf-8")
+    assert "The film of the run is missing: cannot draw pictures." in Reader(text).text
+
+
+@pytest.mark.parametrize("prefix", ["", files.LITERAL])
+def test_a_file_of_another_reproduction_is_refused(folder, tmp_path, prefix):
+    for path in folder.iterdir():
+        if path.is_file():
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    name = f"{prefix}evaluation.json"
+    other = made_up.evaluation(files.TabularPolicy.load(folder / files.POLICY), falls=(1.0,))
+    other.save(tmp_path / name, command="test")
+    with pytest.raises(ArtefactError):
+        build(tmp_path)
+    (tmp_path / name).unlink()
+    with pytest.raises(ArtefactError):
+        build(tmp_path)

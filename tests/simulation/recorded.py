@@ -1,0 +1,31 @@
+"""Simulations for tests, and recorded trials in them."""
+
+from equipoise import paper
+from equipoise.model.actuator import IDEAL_ACTUATOR
+from equipoise.model.pendulum import shipped_pendulum
+from equipoise.model.random import TEST
+from equipoise.settings import Settings
+from equipoise.simulation import Recorder, Setup, run_trial
+from equipoise.simulation.ideal import PlantSimulation
+
+
+def on_the_plant(params, arm, pendulum, settings=None, seed=0, stream=TEST):
+    """Return the simulation of a plant."""
+    task = shipped_pendulum(), arm, settings or Settings(), IDEAL_ACTUATOR, paper.STEP
+    simulation = PlantSimulation("model", Setup(*task), seed=seed, stream=stream)
+    simulation.params, simulation.pendulum = params, pendulum
+    return simulation
+
+
+def run_all(simulation, kernel, trials, duration, workers=1, done=lambda rows: None):
+    """Run all of some trials, and return them."""
+    rows = range(len(trials.steps))
+    simulation.run(kernel, trials, rows, duration=duration, workers=workers, done=done)
+    return trials
+
+
+def record(simulation, policy, trial, duration):
+    """Run a trial from Python; return steps, cause and sum of x^2, and the record."""
+    recorder = Recorder()
+    result = run_trial(simulation.loop(), policy, trial, duration, recorder)
+    return result, recorder.rows

@@ -1,0 +1,65 @@
+"""Training in a world that Python steps: the compiled training, an episode at a time."""
+
+import pytest
+
+from equipoise import paper
+from equipoise.arm.iiwa import iiwa
+from equipoise.errors import InputError, SettingsError
+from equipoise.learning import episodes
+from equipoise.learning.episodes import Training
+from equipoise.learning.train import actuator_in, train
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
+from equipoise.model.pendulum import Pendulum
+from equipoise.settings import resolve
+from equipoise.simulation import Setup
+from equipoise.simulation.ideal import PlantSimulation
+
+pytestmark = pytest.mark.compiled_only
+
+ARM, PENDULUM = iiwa(7), Pendulum.assumed(70.2, 0.15)
+FEW = [
+    "learning.episodes=6",
+    "learning.episode_duration=0.5",
+    "selection.every=3",
+    "selection.trials=4",
+    "selection.duration=0.5",
+]
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("actuator", [IDEAL_ACTUATOR, shipped_actuator()])
+def test_an_episode_in_a_world_teaches_what_it_teaches_compiled(actuator, monkeypatch):
+    monkeypatch.setattr(
+        episodes, "simulate", lambda _, *setup, **key: PlantSimulation("model", *setup, **key)
+    )
+    settings = resolve(overrides=["learning.episodes=1"])
+    setup = Setup(PENDULUM, ARM, settings, actuator, paper.STEP)
+    for seed in range(3):
+        compiled, stepped = (Training(setup, world, seed) for world in ("model", "own:Plant"))
+        compiled.run(1)
+        stepped.run(1)
+        assert compiled.totals.tolist() == stepped.totals.tolist()
+        assert compiled.totals.steps > 0
+        assert compiled.totals.running == 0
+        for ours, theirs in zip(compiled.tables, stepped.tables, strict=True):
+            assert ours.tobytes() == theirs.tobytes()
+
+
+def test_training_on_a_twin_differs_from_training_on_the_model():
+    settings, world = resolve(overrides=FEW), "twin:nominal"
+    whole = train(PENDULUM, ARM, settings, seed=2, world=world)
+    assert [point.episodes for point in whole.learning_curve] == [3, 6]
+
+    assert train(PENDULUM, ARM, settings, seed=2).digest != whole.digest
+
+
+def test_a_world_that_cannot_train_is_refused():
+    settings, own = resolve(overrides=FEW), Actuator.assumed("lag", delay=0.01, lag=0.01)
+    kinematic = "coppeliasim://localhost"
+    with pytest.raises(InputError):
+        actuator_in("ideal", settings, None)
+    with pytest.raises(InputError):
+        actuator_in(kinematic, settings, own)
+    assert actuator_in(kinematic, settings, None) == IDEAL_ACTUATOR
+    with pytest.raises(SettingsError):
+        actuator_in("moon", settings, None)
