@@ -2,7 +2,7 @@
 
 For each mutant of the given modules a child process is forked, in which the module is replaced and
 its tests run until one fails. What survives is printed with its line; why each of those may is
-written in `docs/decisions/mutants.md`. All of them take an hour on one core.
+written in `benchmarks/README.md`. All of them take an hour on one core.
 
     python benchmarks/mutants.py safety states stop
 

@@ -55,7 +55,7 @@ for lean in (-8, -3, -0.5, 0.5, 3, 8):
 # $$ Q(s, a) \leftarrow (1 - \alpha) Q(s, a) + \alpha \left( r + \gamma \max_{a'} Q(s', a') \right) $$
 #
 # The reward $r$ is -1 if the pendulum falls, otherwise 0. A value of -1 means *falls now*; a value near
-# 0 means *stands for a long time*.
+# 0 means *balances for a long time*.
 
 # %%
 learning = policy.settings.learning
@@ -74,10 +74,10 @@ falls = Transition(
     chance=0.0,
     lane=0,
 )
-stands = falls._replace(reward=0.0, failed=False, ended=False)
-for transition in (falls, stands, stands, falls, stands):
+balances = falls._replace(reward=0.0, failed=False, ended=False)
+for transition in (falls, balances, balances, falls, balances):
     q_learning(tables, transition, update)
-    print("falls: " if transition.failed else "stands:", f"Q[17, 3] = {tables.Q[17, 3]:+.3f}")
+    print("falls:   " if transition.failed else "balances:", f"Q[17, 3] = {tables.Q[17, 3]:+.3f}")
 
 # %% [markdown]
 # The learning rate $\alpha$ falls with the visits of an entry, `tables.visits`. At first the newest experience counts
@@ -129,12 +129,12 @@ axes.plot([p.episodes for p in points], [p.duration for p in points], marker="."
 axes.set(
     xlabel="episodes",
     ylabel="mean length of an episode [s]",
-    title="It stands longer while it learns",
+    title="It balances longer while it learns",
 )
 plt.show()
 
 # %% [markdown]
-# **Exercise 3.** After how many episodes did they last five seconds in the mean for the first time, as long as the
+# **Exercise 3.** After how many episodes did they survive five seconds in the mean for the first time, as long as the
 # paper's run on the robot? (`points` holds the points of the curve in order.)
 
 # %% tags=["exercise"]
@@ -182,7 +182,7 @@ check(
 )
 
 # %% [markdown]
-# ## How long it lasts
+# ## How long it survives
 #
 # An evaluation runs new trials, which start as after a release by hand, and the baselines on the same trials.
 

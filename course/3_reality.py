@@ -1,8 +1,8 @@
 # %% [markdown]
 # # 3. Why it falls on the robot
 #
-# In simulation a table can stand for a minute. The paper's stood five seconds on the robot. Where do they
-# differ? Here you take a table that stands in a world without faults, and add the faults of a real rig one
+# In simulation a table can survive a minute. The paper's survived five seconds on the robot. Where do they
+# differ? Here you take a table that balances in a world without faults, and add the faults of a real rig one
 # by one.
 
 # %%
@@ -18,7 +18,7 @@ from equipoise.model.worlds import CLEAN, EFFECTS
 # ## A table for a perfect world
 #
 # The recipe `paper` trains in the paper's simulation: the arm follows each command at once, and the state is
-# known. Of the late tables of a training it keeps the one that stands longest there, as a laboratory would
+# known. Of the late tables of a training it keeps the one that survives longest there, as a laboratory would
 # before it takes a table to its robot.
 
 # %%
@@ -77,7 +77,7 @@ print("on its own plant", text(at_home.results.survival))
 print("on a clean twin ", text(clean.survival))
 
 # %% [markdown]
-# Behind ± stands half the 95 % interval of the mean. If all trials survived, the trials show no spread, and the interval
+# Behind ± is half the 95 % interval of the mean. If all trials survived, the trials show no spread, and the interval
 # has no width.
 #
 # ## Delay

@@ -3,7 +3,7 @@
 #
 # A delay cannot be removed, but it can be known. Ten seconds of motion tell how the arm responds. Then the
 # controller computes the state in which its next command will take effect, and the same kind of table
-# stands again. How sure can one be?
+# balances again. How sure can one be?
 
 # %%
 import matplotlib.pyplot as plt
@@ -116,7 +116,7 @@ check(
 # %% [markdown]
 # ## How many trials?
 #
-# Ten trials, ten successes. What may be claimed? If the true probability to last were $p$, ten successes
+# Ten trials, ten successes. What may be claimed? If the true probability of survival were $p$, ten successes
 # in a row would happen with the probability $p^{10}$. Where this is below 5 %, $p$ may be ruled out.
 
 # %%
@@ -125,7 +125,7 @@ figure, axes = plt.subplots(figsize=(6, 3))
 for n in (10, 50, 299):
     axes.plot(p, p**n, label=f"{n} of {n} survived")
 axes.axhline(0.05, color="0.6", linestyle="--")
-axes.set(xlabel="true probability to last", ylabel="chance of what was seen")
+axes.set(xlabel="true probability of survival", ylabel="chance of what was seen")
 axes.legend()
 plt.show()
 
@@ -150,7 +150,7 @@ check(3, trials, lambda n: n == 299, "The smallest whole number n with 0.99**n <
 # %% [markdown]
 # ## A claim
 #
-# A claim says of a policy: in this world, a trial of this length lasts with at least this probability. `trials_for` gives
+# A claim says of a policy: in this world, a trial of this length survives with at least this probability. `trials_for` gives
 # the number of trials, which has to be fixed in advance. The claim is granted if the exact lower bound of the
 # probability reaches it.
 
@@ -197,6 +197,6 @@ check(
 )
 
 # %% [markdown]
-# What a granted claim says: a policy that lasts less often than claimed would be refused, but for one time
+# What a granted claim says: a policy that survives less often than claimed would be refused, but for one time
 # in twenty. What it does not say: anything about another world, a longer trial, or a robot whose servo differs
 # from the twin's. And of many policies that are tested, some pass by chance.

@@ -104,7 +104,7 @@ table
 # ## The comparison
 #
 # One training is one toss: another seed may turn a result around. So train each algorithm with several seeds. With
-# 3,000 episodes nearly every table lasts; after 300 the algorithms still differ, and the question is which one learns
+# 3,000 episodes nearly every table survives; after 300 the algorithms still differ, and the question is which one learns
 # faster. Seed for seed, both see the same starts and plants in training, and the same trials afterwards.
 
 # %%
@@ -185,7 +185,7 @@ check(3, trainings, lambda n: n == 6, "The p of n tosses with the same result is
 # %% [markdown]
 # ## Closer to the middle
 #
-# Where all last, survival no longer separates the policies. How far from the middle do they go? Here is one run of
+# Where all survive, survival no longer separates the policies. How far from the middle do they go? Here is one run of
 # each on the digital twin, with the same start.
 
 # %%

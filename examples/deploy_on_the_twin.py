@@ -11,7 +11,7 @@ import equipoise as eq
 policy = sys.argv[1] if len(sys.argv) > 1 else None  # by default the table that ships
 run = eq.simulate_run(policy, world="twin:nominal", seed=1, duration=20.0)
 
-print(f"{run.conditions.world}: stood {run.survival:g} of {run.conditions.duration:g} s")
+print(f"{run.conditions.world}: survived {run.survival:g} of {run.conditions.duration:g} s")
 print(f"ended by: {run.outcome}")
 print(f"flange: within {1e3 * abs(run.truth.x).max():.0f} mm of home")  # what a robot cannot tell
 print(f"pendulum: within {degrees(abs(run.truth.phi).max()):.1f} deg of upright")

@@ -1,4 +1,4 @@
-r"""Search over settings for the policy that lasts best, by Optuna.
+r"""Search over settings for the policy that survives most often, by Optuna.
 
 Each trial trains with other settings on several seeds and tests the policies; its value is the
 fraction of all tests that survived. The tests vary the plant as the common settings (`--set`) say,
