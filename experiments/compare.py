@@ -4,9 +4,9 @@ Each row is a policy, each column a world. All rows run the same trials: start, 
 trial i depend on the seed and i alone. Every algorithm has the same episodes, one training and the
 settings of its recipe; nothing is chosen for a row. Value iteration and the search for the best
 table are no algorithms but bounds. Every controller assumes the actuator of the training; with
-`--told` a further column of each twin has the twin's own actuator::
+`--known` a further column of each twin has the twin's own actuator::
 
-    python experiments/compare.py --told --out compare.png                 # half an hour
+    python experiments/compare.py --known --out compare.png                 # half an hour
     python experiments/compare.py network.onnx my_module:my_function --rows robust lqr
 """
 
@@ -111,14 +111,14 @@ def made_rows(names: list[str], args: list[str], settings: list[str], quick: boo
     return rows | {name: Row(eq.load_policy(name), "given") for name in args}
 
 
-def columns_of(worlds: list[str], told: bool) -> list[tuple[str, str, eq.Actuator | None]]:
+def columns_of(worlds: list[str], known: bool) -> list[tuple[str, str, eq.Actuator | None]]:
     """Return title, world and actuator of each column; None for that of the training."""
     columns: list[tuple[str, str, eq.Actuator | None]] = []
     for world in worlds:
         columns.append((world, world, None))
-        if told and world.startswith("twin:"):
-            known = equivalent_actuator(eq.read_world(world).settings)
-            columns.append((f"{world}, told", world, known))
+        if known and world.startswith("twin:"):
+            actuator = equivalent_actuator(eq.read_world(world).settings)
+            columns.append((f"{world}, known", world, actuator))
     return columns
 
 
@@ -178,7 +178,7 @@ def main() -> None:
     parser.add_argument("policies", nargs="*", help="files, ONNX networks, or MODULE:NAME")
     parser.add_argument("--rows", nargs="*", choices=ROWS, default=list(ROWS))
     parser.add_argument("--worlds", nargs="+", default=list(WORLDS))
-    parser.add_argument("--told", action="store_true", help="twins also with their own actuator")
+    parser.add_argument("--known", action="store_true", help="twins also with their own actuator")
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--duration", type=float, default=60.0, help="length of a trial [s]")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
@@ -187,7 +187,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="file of the results")
     args = parser.parse_args()
     rows = made_rows(args.rows, args.policies, args.set, args.quick)
-    columns = columns_of(args.worlds, args.told)
+    columns = columns_of(args.worlds, args.known)
     found = {
         (name, title): survival(row.policy, world, known, args.trials, args.duration)
         for name, row in rows.items()

@@ -78,7 +78,7 @@ def paths(value, *above):
     ("section", "script", "arguments"),
     [
         pytest.param(
-            *("compare", "experiments/compare", (*SHORT, *TRIALS, "--quick", "--told")),
+            *("compare", "experiments/compare", (*SHORT, *TRIALS, "--quick", "--known")),
             marks=pytest.mark.slow,
         ),
         ("map", "experiments/map", ("lqr", "--starts", "9", "--duration", "0.3")),
