@@ -1,8 +1,8 @@
 """Draw the recoverable set, and the starts from which a policy balances.
 
 Starts fill a slice of the state space, one at random in each cell of a grid. The policy balances
-the nominal plant from each of them, without a zero error; a start is held if the trial survives. The
-boundary is that of `recoverable.py`, beyond which no controller recovers::
+the nominal plant from each of them, without a zero error; a start is held if the trial survives.
+The boundary is that of `recoverable.py`, beyond which no controller recovers::
 
     python experiments/map.py lqr --out map.png
 """
