@@ -281,8 +281,8 @@ def _verdict(result: SelfTest, known_w2: float, delay: float) -> tuple[SelfTestV
             f"within {1e3 * DELAY_TOLERANCE:g} ms; look at its link and clock",
         ),
     )
-    for found, reason in faults:
-        if found:
+    for is_present, reason in faults:
+        if is_present:
             return SelfTestVerdict.FAILED, reason
     if abs(zero) > ZERO_TOLERANCE:
         return SelfTestVerdict.ZERO, (

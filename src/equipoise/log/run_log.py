@@ -132,10 +132,10 @@ def _without_partial_ticks(rows: Mapping[str, Rows], h: float) -> dict[str, Rows
         h: Time between ticks [s].
     """
     last = max((float(table["time"].max()) for table in rows.values() if len(table)), default=0.0)
-    whole = int(np.sum(rows["tick"]["time"] + h <= last + 1e-9))
+    complete = int(np.sum(rows["tick"]["time"] + h <= last + 1e-9))
     if len(rows["truth"]):
-        whole = min(whole, len(rows["truth"]))
-    return dict(rows) | {name: rows[name][:whole] for name in ("tick", "truth")}
+        complete = min(complete, len(rows["truth"]))
+    return dict(rows) | {name: rows[name][:complete] for name in ("tick", "truth")}
 
 
 class _TickColumn:
@@ -166,8 +166,10 @@ class RunLog:
     def __post_init__(self) -> None:
         """Complete the tables."""
         kinds = tables(len(self.conditions.joints))
-        whole = {name: self.tables.get(name, np.zeros(0, kind)) for name, kind in kinds.items()}
-        rows = {name: canonical(rows) for name, rows in whole.items()}
+        rows = {
+            name: canonical(self.tables.get(name, np.zeros(0, kind)))
+            for name, kind in kinds.items()
+        }
         object.__setattr__(self, "tables", rows)
 
     def __repr__(self) -> str:
@@ -205,10 +207,10 @@ class RunLog:
     def digest(self) -> str:
         """SHA-256 of conditions, rows and end."""
         end = self.end.model_dump_json() if self.end else ""
-        whole = hashlib.sha256(f"{self.conditions.model_dump_json()}\n{end}".encode())
+        digest = hashlib.sha256(f"{self.conditions.model_dump_json()}\n{end}".encode())
         for name, rows in self.tables.items():
-            whole.update(name.encode() + hashlib.sha256(rows.tobytes()).digest())
-        return DIGEST_PREFIX + whole.hexdigest()
+            digest.update(name.encode() + hashlib.sha256(rows.tobytes()).digest())
+        return DIGEST_PREFIX + digest.hexdigest()
 
     # Phases.
 
