@@ -12,12 +12,7 @@ import pytest
 
 from equipoise.errors import RecordingError
 from equipoise.files import Estimate
-from equipoise.identification.recording import (
-    Trajectory,
-    fitted_curve,
-    read_swing,
-    simulate_swing,
-)
+from equipoise.identification.recording import Trajectory, fitted_curve, read_swing, simulate_swing
 from equipoise.identification.swing import MODELS, identify
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.settings import IdentificationSettings
