@@ -182,7 +182,9 @@ def identify_actuator(
     log = _read(sent[:, 0], sent[:, 1:], measured[:, 0], measured[:, 1:])
     source = source or DIGEST_PREFIX + sha256(sent.tobytes() + measured.tobytes()).hexdigest()
     kinds: tuple[Kind, ...] = KINDS if kind == "auto" else (kind,)
-    starts = {candidate: _search(log, candidate, FITTED[candidate]) for candidate in kinds}
+    starts: dict[Kind, list[tuple[float, Array]]] = {
+        candidate: _search(log, candidate, FITTED[candidate]) for candidate in kinds
+    }
     if kind == "auto":  # the fit of a law takes long: that of the less likely one is left out
         del starts[max(LAWS, key=lambda law: starts[law][0][0])]
     fits = {
