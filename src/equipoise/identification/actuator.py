@@ -187,7 +187,7 @@ def identify_actuator(
     }
     if kind == "auto":  # the fit of a law takes long: that of the less likely one is left out
         del starts[max(LAWS, key=lambda law: starts[law][0][0])]
-    fits = {
+    fits: dict[Kind, JointFit] = {
         candidate: _fit(log, candidate, FITTED[candidate], guesses)
         for candidate, guesses in starts.items()
     }
