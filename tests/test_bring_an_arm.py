@@ -16,7 +16,7 @@ import pytest
 
 from equipoise import entry_points
 from equipoise.arm.iiwa import iiwa
-from equipoise.arm.resolve import read_arm
+from equipoise.arm.urdf import read_arm
 from equipoise.cli import main
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArmError

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from equipoise import paper
 from equipoise.arguments import checked
 from equipoise.arm.arm import Arm
-from equipoise.arm.resolve import read_arm
+from equipoise.arm.urdf import read_arm
 from equipoise.arrays import Array
 from equipoise.control.controller import Observation
 from equipoise.errors import InputError

@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 
-from equipoise.arm.clik import (
-    ClikParameters,
-    solve,
-)
+from equipoise.arm.clik import ClikParameters, solve
 from equipoise.arm.compiler import FRAME_SIZE
 from equipoise.arm.iiwa import iiwa
 from equipoise.control.control_step import kinematics

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from equipoise.arm import compiler
 from equipoise.arm.iiwa import iiwa
-from equipoise.arm.symbols import Tape
 from equipoise.elementary import fma
 
 INPUTS = {"a": 0.7, "b": -1.3, "c": 2.1}
@@ -43,7 +42,7 @@ def expressions(tape, leaves):
 @settings(deadline=None, max_examples=300)
 @given(data=st.data())
 def test_what_is_printed_computes_what_was_written(data):
-    tape = Tape()
+    tape = compiler.Tape()
     leaves = [(tape.input(name, f"inputs['{name}']"), value) for name, value in INPUTS.items()]
     symbol, value = data.draw(expressions(tape, leaves))
     record = {}

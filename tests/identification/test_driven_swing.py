@@ -5,15 +5,17 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 
 from equipoise.identification.driven_swing import (
+    MOVE_DISTANCE,
     MOVE_TIME,
     SWING_TIME,
     ZERO_INTERVAL,
     SelfTestVerdict,
-    flange_move,
     self_test,
 )
+from equipoise.jit import kernel
 from equipoise.model.pendulum import PendulumParameters, step
 
 pytestmark = pytest.mark.compiled_only  # minutes without compilation
@@ -41,19 +43,29 @@ class Rig(NamedTuple):
 RIGHT = Rig()
 
 
-def recording(rng, rig=RIGHT, *, swinging=0.0):
+@kernel
+def driven(x, theta, touch, plant, thetas):
+    """Write the angle of a pendulum whose pivot moves along x, under a touch [1/s]."""
+    phi, phi_dot = pi - theta, 0.0
+    for i in range(len(x)):
+        thetas[i] = pi - phi
+        u = (x[min(i + 1, len(x) - 1)] - 2.0 * x[i] + x[max(i - 1, 0)]) / FINE**2
+        c = plant.c + touch[i]
+        touched = PendulumParameters(plant.w2, plant.k, c, plant.coulomb, 0.0, False)
+        phi, phi_dot = step(phi, phi_dot, u, FINE, touched)
+
+
+def recording(rng, rig=RIGHT):
     """Return times and counts of the encoder, times and places of the pivot, the resting count."""
     begin = rng.uniform(0.3, 0.6)
-    path = flange_move(rng.uniform(-0.02, 0.02), rng.choice([-1.0, 1.0]))
-    # A drive behind the path: a lag that the measured joints show, as the pendulum feels it.
     grid = np.arange(0.0, begin + MOVE_TIME + SWING_TIME, FINE)
-    sent = np.array([path.at(t - begin).q[0] for t in grid])
-    lag, x, v = rng.uniform(0.01, 0.02), np.empty_like(sent), 0.0
-    x[0] = sent[0]
-    for i in range(1, len(sent)):
-        v += FINE * ((sent[i] - x[i - 1]) / lag**2 - 2.0 * v / lag)
-        x[i] = x[i - 1] + FINE * v
-    u = np.gradient(np.gradient(x, FINE), FINE)
+    s = np.clip((grid - begin) / MOVE_TIME, 0.0, 1.0)
+    place, direction = rng.uniform(-0.02, 0.02), rng.choice([-1.0, 1.0])
+    sent = direction * MOVE_DISTANCE * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    # A drive behind the path: a lag that the measured joints show, as the pendulum feels it.
+    lag = rng.uniform(0.01, 0.02)
+    drive = ([1.0], [lag**2, 2.0 * lag, 1.0])
+    x = place + lsim(drive, sent, grid)[1]
     plant = PendulumParameters(
         w2=KNOWN.w2 * rig.w2 * rng.normal(1.0, 0.005),
         k=KNOWN.k * rig.w2,
@@ -62,12 +74,9 @@ def recording(rng, rig=RIGHT, *, swinging=0.0):
     )
     # It rests where dry friction lets it.
     theta = rng.uniform(-1.0, 1.0) * plant.coulomb / plant.w2
-    phi, phi_dot = pi - theta, -swinging
+    touch = np.where(grid > begin + MOVE_TIME + 1.0, rig.touch, 0.0)
     thetas = np.empty_like(x)
-    for i in range(len(grid)):
-        thetas[i] = pi - phi
-        held = rig.touch if grid[i] > begin + MOVE_TIME + 1.0 else 0.0
-        phi, phi_dot = step(phi, phi_dot, u[i], FINE, plant._replace(c=plant.c + held))
+    driven(x, theta, touch, plant, thetas)
     start = round(rng.uniform(-3000, 3000))
     board = np.arange(0.02, grid[-1] - 0.02, 0.001)
     seen = rig.sign * rig.factor * np.interp(board, grid, thetas) * COUNTS / (2 * pi)
@@ -76,17 +85,12 @@ def recording(rng, rig=RIGHT, *, swinging=0.0):
     replies = np.arange(0.01, grid[-1], 0.01)
     measured = np.interp(replies, grid, x) + 2e-5 * rng.standard_normal(len(replies))
     # Referenced while it rested, or was held beside the vertical.
-    resting = np.median(counts[:200]) if not swinging else float(start)
-    resting += round(radians(rig.zero_deg) * COUNTS / (2 * pi))
+    resting = np.median(counts[:200]) + round(radians(rig.zero_deg) * COUNTS / (2 * pi))
     return stamps, counts, replies + 0.005, measured, float(resting)
 
 
-def unchanged(*signals):
-    return signals
-
-
-def judged(rng, rig=RIGHT, change=unchanged, **options):
-    stamps, counts, replies, x, resting = change(*recording(rng, rig, **options))
+def judged(rng, rig=RIGHT, change=lambda *signals: signals):
+    stamps, counts, replies, x, resting = change(*recording(rng, rig))
     return self_test(
         stamps,
         counts,

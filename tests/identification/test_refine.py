@@ -14,9 +14,7 @@ from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.files import Estimate
-from equipoise.identification.refine import (
-    inspect,
-)
+from equipoise.identification.refine import inspect
 from equipoise.model.actuator import Actuator
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.rig.simulate import simulate_run

@@ -12,12 +12,7 @@ import pytest
 
 from equipoise.errors import RecordingError
 from equipoise.files import Estimate
-from equipoise.identification.recording import (
-    Trajectory,
-    fitted_curve,
-    read_swing,
-    simulate_swing,
-)
+from equipoise.identification.recording import Trajectory, fitted_curve, read_swing, simulate_swing
 from equipoise.identification.swing import MODELS, identify
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.settings import IdentificationSettings
@@ -374,7 +369,7 @@ def plain(theta):
     return Trajectory(time=np.arange(len(theta)) * STEP, theta=np.asarray(theta))
 
 
-CHIRP = np.arange(0.0, 10.0, STEP)
+CHIRP = np.arange(0.0, 5.0, STEP)
 NOISE = np.random.default_rng(0).standard_normal(2000)
 NO_SWINGS = {
     "a third of a period": lambda: simulated(theta0=0.5, duration=0.3 * PERIOD),

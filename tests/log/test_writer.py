@@ -13,13 +13,7 @@ from mcap.reader import make_reader
 
 from equipoise.control.ticks import OperatorMessage
 from equipoise.log.conditions import RunEnd
-from equipoise.log.recorder import (
-    CONNECTING,
-    Recorder,
-    memory_layout,
-    push_event,
-    read_events,
-)
+from equipoise.log.recorder import CONNECTING, Recorder, memory_layout, push_event, read_events
 from equipoise.log.run_log import RunLog
 from equipoise.log.writer import RunWriter
 from equipoise.outcomes import Outcome

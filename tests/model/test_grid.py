@@ -9,12 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from equipoise.errors import SettingsError
-from equipoise.model.grid import (
-    box_index,
-    greedy_actions,
-    make_grid,
-    mirrored_box,
-)
+from equipoise.model.grid import box_index, greedy_actions, make_grid, mirrored_box
 from equipoise.settings import BoxSettings, resolve
 from tests.reference import intervals as printed
 

@@ -9,12 +9,7 @@ from hypothesis import strategies as st
 from scipy.special import ellipk
 
 from equipoise import paper
-from equipoise.model.pendulum import (
-    Pendulum,
-    PendulumParameters,
-    step,
-    swing,
-)
+from equipoise.model.pendulum import Pendulum, PendulumParameters, step, swing
 from tests.reference import pendulum as reference
 
 W2, K = 70.2, 7.15

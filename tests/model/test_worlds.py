@@ -7,11 +7,7 @@ import pytest
 from equipoise.errors import SettingsError
 from equipoise.files import Estimate
 from equipoise.model.pendulum import Pendulum, PendulumParameters
-from equipoise.model.worlds import (
-    TwinSettings,
-    pendulum_on,
-    read_world,
-)
+from equipoise.model.worlds import TwinSettings, pendulum_on, read_world
 
 VISCOUS = Pendulum.assumed(70.2, 0.15)
 DRY = Pendulum.assumed(120.0, 0.23).model_copy(

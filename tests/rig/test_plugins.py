@@ -6,7 +6,7 @@ import pytest
 from pydantic import ValidationError
 
 from equipoise import entry_points
-from equipoise.arm.resolve import read_arm
+from equipoise.arm.urdf import read_arm
 from equipoise.errors import EquipoiseError, InputError
 from equipoise.model.worlds import read_world
 from equipoise.rig.plugins import RobotPlugin, robot_plugin

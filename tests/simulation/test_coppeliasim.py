@@ -17,8 +17,7 @@ from equipoise.arm.iiwa import iiwa
 from equipoise.arm.urdf import read_urdf
 from equipoise.cli import main
 from equipoise.control.policy import KernelPolicy, TabularPolicy, shipped_policy
-from equipoise.coppeliasim.connection import FORGOTTEN, Connection
-from equipoise.coppeliasim.rig import CoppeliaRig
+from equipoise.coppeliasim.rig import FORGOTTEN, Connection, CoppeliaRig
 from equipoise.errors import InputError, LinkError, MissingExtraError, OutsideError, SettingsError
 from equipoise.model.grid import TRUNCATED
 from equipoise.simulation import Recorder, run_trial, setup_of, simulate

@@ -296,8 +296,8 @@ def check_free(names: Sequence[str], held: int | None) -> None:
         raise ArmError(f"held joint is {held}; give a number from 1 to {n}")
     if free != FREE_JOINTS:
         remedy = {6: "leave out held", 7: "hold one with held"}.get(n, "choose another tip or arm")
-        found = shortened(", ".join(names), 300)
-        raise ArmError(f"{free} free joints, expected six; {remedy} ({found})")
+        chain = shortened(", ".join(names), 300)
+        raise ArmError(f"{free} free joints, expected six; {remedy} ({chain})")
 
 
 @functools.cache

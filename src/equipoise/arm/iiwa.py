@@ -119,11 +119,12 @@ def iiwa(size: Literal[7, 14, "iiwa7", "iiwa14"]) -> Arm:
     origin, rotation, published = np.zeros(3), np.eye(3), np.zeros(3)
     for number, (y, alpha, limit, speed, torque, link) in enumerate(rows, start=1):
         xyz, rpy = (0.0, y, base if number == 1 else 0.0), (radians(alpha), 0.0, 0.0)
-        place, mass, com, (xx, xy, xz, yy, yz, zz) = link
+        place, mass, com, moments = link
+        described = Inertial(name=f"link {number}", mass=mass, com=com, inertia=moments)
         origin = origin + rotation @ xyz
         rotation = rotation @ rotation_from_rpy(rpy)
         published = published + place
-        inertia = rotation.T @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ rotation
+        inertia = rotation.T @ described.matrix @ rotation
         centre = rotation.T @ (published + com - origin)
         joint = Joint(
             name=f"A{number}",
@@ -134,7 +135,7 @@ def iiwa(size: Literal[7, 14, "iiwa7", "iiwa14"]) -> Arm:
             velocity=radians(speed),
             acceleration=ACCELERATION,
             torque=torque,
-            link=Inertial.of(f"link {number}", mass, centre, inertia),
+            link=Inertial.of(described.name, mass, centre, inertia),
         )
         joints.append(joint)
     return Arm(

@@ -6,6 +6,7 @@ The flange moves along base x and keeps its orientation at home.
 import functools
 from collections.abc import Sequence
 from contextlib import suppress
+from operator import itemgetter
 
 import numpy as np
 
@@ -70,18 +71,19 @@ def search_home(arm: Arm) -> Arm:
     middle, half = ranges.mean(axis=1), 0.35 * np.ptp(ranges, axis=1)
     drawn = middle + half * rng.uniform(-1.0, 1.0, (2000, FREE_JOINTS))
     high = [q for q in drawn if arm.kinematics(q).position[2] > 0.3]
-    found = list[tuple[float, Arm]]()
+    candidates = list[tuple[float, Arm]]()
     for q in sorted(high, key=lambda q: condition(arm, q))[:20]:
-        there = arm.model_copy(update={"home": tuple(arm.with_held(q).tolist())})
+        candidate = arm.model_copy(update={"home": tuple(arm.with_held(q).tolist())})
         with suppress(ArmError):
-            track = along_x(there, np.linspace(-X_LIMIT, X_LIMIT, 5))
-            found.append((max(condition(there, place) for place in track), there))
-    if not found:
+            track = along_x(candidate, np.linspace(-X_LIMIT, X_LIMIT, 5))
+            worst = max(condition(candidate, posture) for posture in track)
+            candidates.append((worst, candidate))
+    if not candidates:
         raise ArmError(
             f"no posture found from which {arm.name} carries its flange {X_LIMIT} m both ways "
             "along base x; give a home posture"
         )
-    return min(found, key=lambda one: one[0])[1]
+    return min(candidates, key=itemgetter(0))[1]
 
 
 def _reach(arm: Arm, position: Array, rotation: Array, q: Array) -> Array:

@@ -1,6 +1,10 @@
-"""Arms from URDF files: the chain of revolute joints between two links, with its masses.
+"""Arms by name or file, for the command line, `rig.toml` and studies.
 
-MuJoCo reads the file. Fixed joints become part of the next origin (or of the flange). Everything
+A package registers an arm under the entry point group `equipoise.arms`: its name, and a function
+without arguments that returns an `Arm`. The iiwas are registered in the same way. A URDF gives the
+chain of revolute joints between two links, with its masses.
+
+MuJoCo reads a URDF. Fixed joints become part of the next origin (or of the flange). Everything
 that a moving link carries outside the chain (fixed links, tools, grippers at zero) is merged into
 its mass and inertia; where its own inertia is impossible, as a point mass. URDF holds no limits of
 accelerations, no home and no pendulum: these are arguments. Every moving link of the chain needs
@@ -23,12 +27,58 @@ from equipoise.arm.chain import Triple, rpy_from_rotation
 from equipoise.arm.iiwa import ACCELERATION, PIVOT_OUTWARD
 from equipoise.arm.posture import search_home
 from equipoise.arrays import Array
+from equipoise.entry_points import how_to_install, registered
 from equipoise.errors import ArmError
-from equipoise.files import MEBIBYTE, StrPath, read_text, shortened
+from equipoise.files import MEBIBYTE, StrPath, quoted, read_text, shortened
 from equipoise.physics_engine import mujoco
 
+SUFFIXES: Final = (".urdf", ".xml")
+"""File suffixes of URDFs."""
 CONTINUOUS: Final = 20.0 * pi
 """Largest position limit of a joint, that of a continuous one: ten turns each way [rad]."""
+
+
+def read_arm(
+    source: Arm | StrPath | None,
+    *,
+    home: Sequence[float] | None = None,
+    pivot: Triple | None = None,
+    **urdf: Any,
+) -> Arm:
+    """Return an arm itself, or the arm of a registered name or of a URDF file.
+
+    Args:
+        source: The arm, its registered name, or the path of a URDF; by default the iiwa7.
+        home: Posture at x = 0, all joints [rad]; by default the arm's own, or a search.
+        pivot: The pendulum's pivot in the flange frame [m]; by default the arm's own.
+        urdf: Other arguments of `read_urdf`; None stands for the default.
+
+    Raises:
+        ArmError: The arm is unknown, or an argument does not fit it.
+    """
+    if isinstance(source, Arm):
+        return source
+    name = "iiwa7" if source is None else str(source)
+    options = {key: value for key, value in urdf.items() if value is not None}
+    if Path(name).suffix.lower() in SUFFIXES:
+        return read_urdf(name, home=home, pivot=pivot, **options)
+    arms = registered("equipoise.arms")
+    if name not in arms:
+        known = f"choose {', '.join(sorted(arms))} or a file that ends in .urdf"
+        raise ArmError(f"there is no arm {quoted(name)}; {how_to_install(name) or known}")
+    if options:
+        raise ArmError(
+            f"{' and '.join(options)} belong to an arm from a URDF, and {name} is a registered arm;"
+            " leave them out"
+        )
+    arm = arms[name].load()()
+    if not isinstance(arm, Arm):
+        kind = type(arm).__name__
+        raise ArmError(f"{arms[name].value} returns a {kind}, expected an equipoise.Arm")
+    fields = dict(arm)
+    fields |= {} if home is None else {"home": tuple(home)}
+    fields |= {} if pivot is None else {"pivot": pivot}
+    return Arm(**fields)
 
 
 @checked
@@ -112,8 +162,8 @@ def _chain(spec: Any, tip: str | None, path: Path) -> list[Any]:
     if tip is None and len(ends) == 1:
         tip = ends[0]
     if tip not in links:
-        found = shortened(", ".join(ends), 300)
-        raise ArmError(f"{path} has the ends {found}; say which is the flange with tip=")
+        names = shortened(", ".join(ends), 300)
+        raise ArmError(f"{path} has the ends {names}; say which is the flange with tip=")
     body, chain = links[tip], list[Any]()
     while body.parent is not None:
         chain.insert(0, body)

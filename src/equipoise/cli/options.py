@@ -304,11 +304,11 @@ def read_arm(name: str) -> "Arm":
     Raises:
         InputError: There is no such arm.
     """
-    from equipoise.arm import resolve
+    from equipoise.arm import urdf
     from equipoise.rig.config import read_rig
 
     toml = Path(name).suffix.lower() == ".toml"
-    return read_rig(Path(name)).described_arm if toml else resolve.read_arm(name)
+    return read_rig(Path(name)).described_arm if toml else urdf.read_arm(name)
 
 
 def file_of(digest: str, shipped: "Artefact") -> Path | None:

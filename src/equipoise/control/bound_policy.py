@@ -20,7 +20,7 @@ from typing import Any, Final, Protocol, Self
 from equipoise import paper
 from equipoise.arguments import checked
 from equipoise.arm.arm import Arm
-from equipoise.arm.resolve import read_arm
+from equipoise.arm.urdf import read_arm
 from equipoise.arrays import Array
 from equipoise.control.baselines import baselines
 from equipoise.control.onnx_policy import OnnxPolicy

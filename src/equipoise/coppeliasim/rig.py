@@ -5,10 +5,14 @@ dummy, with all joints at zero. The limits of the joints follow at home: Coppeli
 into its limits, and those of some arms exclude zero. A joint of CoppeliaSim turns about its z axis.
 All joints are kinematic: they are set, and nothing moves or collides by itself.
 
-The dummy carries the user's parameters: a run that was
-killed is undone by the next one. Another program may stop the simulation, or change it or its
-objects. Then its time does not advance by one step at a time, or the flange is not where the
-kinematics say: an error, never the end of a trial.
+The dummy carries the user's parameters: a run that was killed is undone by the next one. Another
+program may stop the simulation, or change it or its objects. Then its time does not advance by one
+step at a time, or the flange is not where the kinematics say: an error, never the end of a trial.
+
+Calls go through CoppeliaSim's own client, `coppeliasim-zmqremoteapi-client`. The client (2.0.4)
+waits for ever for a server that does not answer, or that asks to wait again and again, and raises a
+bare `Exception` for an error of CoppeliaSim. `Connection` limits the time of a call, and raises the
+errors of Equipoise.
 """
 
 import json
@@ -27,14 +31,99 @@ from equipoise.arm.arm import Arm
 from equipoise.arm.chain import rotation_from_rpy, turned_to
 from equipoise.arm.scene import SHORTEST, SIZES, sizes_for
 from equipoise.arrays import Array
-from equipoise.coppeliasim.connection import FORGOTTEN, Connection
-from equipoise.errors import InputError, OutsideError
+from equipoise.errors import InputError, LinkError, OutsideError, import_optional
+from equipoise.files import shortened
+from equipoise.printable import printable
 from equipoise.rig.host import SIGNALS, handled_signals
 
+FORGOTTEN: Final = 60.0
+"""Silence after which CoppeliaSim forgets a client, and no longer stops for its steps [s]."""
 Parameters = list[tuple[str, int, Any]]
 """Type, number and value of parameters of the simulation."""
 TAG: Final = "equipoise"
 """Tag of the data of our root object, in the simulator: the user's parameters, as JSON."""
+
+
+class Connection:
+    """Connection to a CoppeliaSim that runs its ZeroMQ remote API."""
+
+    def __init__(self, host: str, port: int, patience: float = 10.0) -> None:
+        """Connect.
+
+        Args:
+            host: Name or address of the machine.
+            port: Port of the server.
+            patience: Longest duration of a call [s]; CoppeliaSim answers within a step of its
+                simulation, or within a pass of its idle loop, an eighth of a second.
+
+        Raises:
+            MissingExtraError: The client is not installed.
+            InputError: The host is no name and no address.
+            LinkError: No CoppeliaSim answers there.
+        """
+        self.host, self.port, self.address = host, port, f"{host}:{port}"
+        self._patience = patience
+        client = import_optional("coppeliasim_zmqremoteapi_client", "coppeliasim")
+        zmq = self._zmq = import_optional("zmq", "coppeliasim")
+        try:
+            self._client: Any = client.RemoteAPIClient(host, port, verbose=0)
+        except zmq.ZMQError as error:
+            raise InputError(f"{self.address} is no address ({error})") from None
+        self._client.timeout = FORGOTTEN
+        socket = self._client.socket
+        socket.setsockopt(zmq.SNDTIMEO, round(1e3 * patience))
+        socket.setsockopt(zmq.LINGER, 0)
+        self._receive, socket.recv = socket.recv, self._receive_in_time
+        self.constants: Any = self._guarded("require", self._client.require, "sim")
+        """Constants of `sim`, as attributes."""
+
+    def close(self) -> None:
+        """Close the socket; nothing can be called afterwards."""
+        self._client.socket.close()
+
+    def call(self, name: str, *arguments: Any) -> Any:
+        """Call a function of `sim`.
+
+        Args:
+            name: Its name.
+            arguments: Numbers but NumPy's integers, texts, and tuples or lists of them.
+
+        Returns:
+            What it returns: None, one value, or a tuple.
+
+        Raises:
+            OutsideError: CoppeliaSim reports an error.
+            LinkError: It does not answer.
+        """
+        return self._guarded(name, self._client.call, f"sim.{name}", arguments)
+
+    def _guarded(self, name: str, function: Any, *arguments: Any) -> Any:
+        self._until = time.monotonic() + self._patience
+        try:
+            return function(*arguments)
+        except self._zmq.Again:
+            self.close()  # a request without an answer blocks the socket
+            raise LinkError(
+                f"no CoppeliaSim answers at {self.address} within {self._patience:g} s, or it "
+                f"does not finish {name} then, as another client holds its simulation; start it, "
+                "with its ZMQ remote API server (after a crash it may listen on the next port), or "
+                "end that client"
+            ) from None
+        except Exception as error:  # the client raises this class for an error of CoppeliaSim
+            text = printable(shortened(str(error).split("_=NL=_")[0], 300))
+            raise OutsideError(
+                f"the CoppeliaSim at {self.address} refuses {name} ({text}); check the address; if "
+                "another program changed the scene, end that program, and start again"
+            ) from None
+        except BaseException:
+            self.close()  # Ctrl-C: the answer is still to come
+            raise
+
+    def _receive_in_time(self) -> bytes:
+        """Receive a reply, which may be a request to wait, by the deadline of the call."""
+        if not self._client.socket.poll(max(1e3 * (self._until - time.monotonic()), 0.0)):
+            raise self._zmq.Again
+        return self._receive()
 
 
 class CoppeliaRig:
@@ -249,8 +338,8 @@ def stop(sim: Connection) -> None:
 
 def _roots(sim: Connection) -> dict[int, Parameters]:
     """Return the root objects of Equipoise, with the parameters that the user had set."""
-    whole, every = sim.constants.handle_scene, sim.constants.handle_all
-    parentless = sim.call("getObjectsInTree", whole, every, 2)
+    scene, any_type = sim.constants.handle_scene, sim.constants.handle_all
+    parentless = sim.call("getObjectsInTree", scene, any_type, 2)
     texts = {root: sim.call("readCustomStringData", root, TAG) for root in parentless}
     return {root: json.loads(text) for root, text in texts.items() if text}
 

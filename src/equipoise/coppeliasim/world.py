@@ -35,12 +35,12 @@ def read_address(text: str) -> tuple[str, int]:
         >>> read_address("coppeliasim://localhost")
         ('localhost', 23000)
     """
-    found = re.fullmatch(r"coppeliasim://([\w.-]+|\[[\da-fA-F:]+\])(?::(\d{1,5}))?/?", text)
-    port = int((found and found[2]) or 23000)  # the default of CoppeliaSim
-    if found is None or not 0 < port < 2**16:
+    match = re.fullmatch(r"coppeliasim://([\w.-]+|\[[\da-fA-F:]+\])(?::(\d{1,5}))?/?", text)
+    port = int((match and match[2]) or 23000)  # the default of CoppeliaSim
+    if match is None or not 0 < port < 2**16:
         form = "coppeliasim://HOST:PORT"
         raise SettingsError(f"{quoted(text)} is no address of CoppeliaSim; expected {form}")
-    return found[1], port
+    return match[1], port
 
 
 class CoppeliaSimulation(Simulation):

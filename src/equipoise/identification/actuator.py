@@ -23,6 +23,7 @@ from collections.abc import Mapping
 from functools import partial
 from hashlib import sha256
 from math import exp, sqrt
+from operator import itemgetter
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -181,11 +182,14 @@ def identify_actuator(
     log = _read(sent[:, 0], sent[:, 1:], measured[:, 0], measured[:, 1:])
     source = source or DIGEST_PREFIX + sha256(sent.tobytes() + measured.tobytes()).hexdigest()
     kinds: tuple[Kind, ...] = KINDS if kind == "auto" else (kind,)
-    starts = {one: _search(log, one, FITTED[one]) for one in kinds}
+    starts: dict[Kind, list[tuple[float, Array]]] = {
+        candidate: _search(log, candidate, FITTED[candidate]) for candidate in kinds
+    }
     if kind == "auto":  # the fit of a law takes long: that of the less likely one is left out
         del starts[max(LAWS, key=lambda law: starts[law][0][0])]
     fits: dict[Kind, JointFit] = {
-        one: _fit(log, one, FITTED[one], starts[one]) for one in kinds if one in starts
+        candidate: _fit(log, candidate, FITTED[candidate], guesses)
+        for candidate, guesses in starts.items()
     }
     best = _choose(log, fits)
     left = np.std(best.residual, axis=1) / np.std(log.measured, axis=1)
@@ -299,7 +303,7 @@ def _search(log: Log, kind: Kind, fitted: list[int]) -> list[tuple[float, Array]
     Returns:
         For each t_c the root mean square fraction of the motion that is left, and the unknowns.
     """
-    start, found = START.copy(), list[tuple[float, Array]]()
+    start, guesses = START.copy(), list[tuple[float, Array]]()
     if kind == "ideal":
         start[LAGS] = 0.0
     # A slow servo looks like more delay: cycles of 10 and 25 ms are tried, too.
@@ -309,8 +313,8 @@ def _search(log: Log, kind: Kind, fitted: list[int]) -> list[tuple[float, Array]
             start[[DELAY, T_C]] = delay, cycle
             left = np.std(log.residual(kind, start), axis=1) / np.std(log.measured, axis=1)
             row.append((float(_rms(left)), start.copy()))
-        found.append(min(row, key=lambda one: one[0]))
-    return sorted(found, key=lambda one: one[0])
+        guesses.append(min(row, key=itemgetter(0)))
+    return sorted(guesses, key=itemgetter(0))
 
 
 def _fit(log: Log, kind: Kind, fitted: list[int], starts: list[tuple[float, Array]]) -> JointFit:

@@ -254,36 +254,31 @@ def _guess(
 def _verdict(result: SelfTest, known_w2: float, delay: float) -> tuple[SelfTestVerdict, str]:
     """Return the first fault with its reason, or PASSED."""
     _, _, gain, w2, tau, zero, zero_half, misfit = result
-    faults = (
-        (
-            not misfit < MAX_MISFIT,
+    if not misfit < MAX_MISFIT:
+        return SelfTestVerdict.FAILED, (
             f"the model leaves {misfit:.0%} of the answer, expected less than {MAX_MISFIT:.0%}: is "
-            "the pendulum free, and untouched?",
-        ),
-        (
-            gain < 0.0,
+            "the pendulum free, and untouched?"
+        )
+    if gain < 0.0:
+        return SelfTestVerdict.FAILED, (
             f"the counts fall where they should grow (G = {gain:.2f}, expected 1); change the "
-            "encoder's sign",
-        ),
-        (
-            abs(gain - 1.0) > COUNTS_TOLERANCE,
+            "encoder's sign"
+        )
+    if abs(gain - 1.0) > COUNTS_TOLERANCE:
+        return SelfTestVerdict.FAILED, (
             f"the encoder shows {gain:.3f} of the answer, expected 1 within {COUNTS_TOLERANCE:g}; "
-            "correct its counts per revolution",
-        ),
-        (
-            abs(w2 / known_w2 - 1.0) > W2_TOLERANCE,
+            "correct its counts per revolution"
+        )
+    if abs(w2 / known_w2 - 1.0) > W2_TOLERANCE:
+        return SelfTestVerdict.FAILED, (
             f"w2 is {w2:.2f} 1/s^2, expected {known_w2:.2f} 1/s^2 within {W2_TOLERANCE:.0%}; "
-            "identify this pendulum",
-        ),
-        (
-            abs(tau - delay) > DELAY_TOLERANCE,
+            "identify this pendulum"
+        )
+    if abs(tau - delay) > DELAY_TOLERANCE:
+        return SelfTestVerdict.FAILED, (
             f"the encoder is {1e3 * tau:.1f} ms behind the arm, expected {1e3 * delay:.1f} ms "
-            f"within {1e3 * DELAY_TOLERANCE:g} ms; look at its link and clock",
-        ),
-    )
-    for found, reason in faults:
-        if found:
-            return SelfTestVerdict.FAILED, reason
+            f"within {1e3 * DELAY_TOLERANCE:g} ms; look at its link and clock"
+        )
     if abs(zero) > ZERO_TOLERANCE:
         return SelfTestVerdict.ZERO, (
             f"the pendulum hangs {degrees(zero):.2f} deg from where it was referenced, expected "

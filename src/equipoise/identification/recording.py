@@ -187,7 +187,8 @@ def _wrap(counts: Array, turn: float) -> float:
     motion = np.where(wraps, 0.0, steps)
     between = np.convolve(motion, (0.5, 0.0, 0.5))[1:-1]
     period = float(np.median(np.abs(steps - between)[wraps]))
-    known = min(turn, 2.0 ** np.round(np.log2(period)), key=lambda one: abs(one - period))
+    powers = turn, 2.0 ** np.round(np.log2(period))
+    known = min(powers, key=lambda wrap: abs(wrap - period))
     if abs(known - period) <= 1.0 + np.max(np.abs(motion)):
         period = known
     return max(float(np.round(period)), span + 1.0) if period > span else turn

@@ -279,19 +279,15 @@ def inspect(policy: TabularPolicy, log: RunLog) -> RefinementFindings:
         ArtefactError: The log is of another arm.
         RecordingError: The log identifies no pendulum.
     """
-    plant, arm, pendulum, actuator = (
-        policy.settings.plant,
-        policy.arm,
-        policy.pendulum,
-        policy.actuator,
-    )
+    plant, arm = policy.settings.plant, policy.arm
+    pendulum, actuator = policy.pendulum, policy.actuator
     motion = read_motion(log, arm)
     # A board sends every millisecond, with stamps that err by a third of that, which a spline
     # through all samples would fit. The equation of the pendulum is nearly linear, so that averages
     # of its terms over about 10 ms satisfy it.
     every = max(round(0.01 / float(np.median(np.diff(motion.time)))), 1)
-    whole = len(motion.time) // every * every
-    fit = regress(*(part[:whole].reshape(-1, every).mean(axis=1) for part in motion), g=pendulum.g)
+    used = len(motion.time) // every * every
+    fit = regress(*(part[:used].reshape(-1, every).mean(axis=1) for part in motion), g=pendulum.g)
     response: dict[str, Estimate] = {}
     warnings = list(fit.warnings)
     # An ideal arm has no actuator to compare with.
@@ -344,9 +340,8 @@ def read_motion(log: RunLog, arm: Arm) -> ModelMotion:
     # A tick without a new sample reads the previous one again.
     time, first = np.unique(log.encoder.time, return_index=True)
     measured, of = np.unique(log.replies.time, return_index=True)
-    inside = (time >= np.min(measured, initial=np.inf)) & (
-        time <= np.max(measured, initial=-np.inf)
-    )
+    inside = time >= np.min(measured, initial=np.inf)
+    inside &= time <= np.max(measured, initial=-np.inf)
     if conditions.counts_per_rev is None or np.count_nonzero(inside) < 2 or len(measured) < 2:
         raise RecordingError(
             f"the log holds {len(time)} encoder counts and {len(measured)} measured postures (world"

@@ -69,19 +69,15 @@ class SwingRecording(NamedTuple):
     any_scale: bool = False
     """Whether SCALE is fitted as well."""
 
-    def predict(self, unknowns: Array) -> Array:
-        """Simulate the recorded values, shape (n,)."""
+    def residual(self, unknowns: Array) -> Array:
+        """Return recorded minus predicted values, shape (n,); 1e30 where a prediction diverged."""
         thetas, theta_dots = np.empty_like(self.time), np.empty_like(self.time)
         w2, c, coulomb, drag, theta, theta_dot, offset, scale = map(float, unknowns)
         pendulum = PendulumParameters(w2, 0.0, c, coulomb, drag)
         h = self.period / STEPS_PER_PERIOD
         swing(self.time, scale * theta, scale * theta_dot, h, pendulum, thetas, theta_dots)
-        return (theta_dots if self.is_rate else thetas) / scale + offset
-
-    def residual(self, unknowns: Array) -> Array:
-        """Return recorded minus predicted values, shape (n,); 1e30 where a prediction diverged."""
-        missed = np.nan_to_num(self.values - self.predict(unknowns), nan=1e30)
-        return np.clip(missed, -1e30, 1e30)
+        predicted = (theta_dots if self.is_rate else thetas) / scale + offset
+        return np.clip(np.nan_to_num(self.values - predicted, nan=1e30), -1e30, 1e30)
 
     def rms(self, unknowns: Array) -> float:
         """Return the root mean square residual."""

@@ -14,7 +14,7 @@ from pydantic import Field
 from equipoise import paper
 from equipoise.arguments import Workers, checked
 from equipoise.arm.arm import Arm
-from equipoise.arm.resolve import read_arm
+from equipoise.arm.urdf import read_arm
 from equipoise.arrays import Array
 from equipoise.control.policy import (
     LearningPoint,

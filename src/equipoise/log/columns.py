@@ -39,7 +39,7 @@ class Column(NamedTuple):
     description: str
     """Meaning, with sign or reference."""
     kind: str = "number"
-    """Type: `number`, `whole`, `joints` (one number per joint) or `S` with a size [B] (text)."""
+    """Type: `number`, `integer`, `joints` (one number per joint) or `S` with a size [B] (text)."""
 
     @property
     def header(self) -> str:
@@ -53,12 +53,12 @@ TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
         Column("time", "s", "Start of the tick"),
         Column("late", "s", "Delay behind the deadline; on a rig"),
         Column("compute", "s", "Computing time, reading to sending; on a rig"),
-        Column("state", "", "Phase, as index in `phases` of the conditions", "whole"),
+        Column("state", "", "Phase, as index in `phases` of the conditions", "integer"),
         Column("x", "m", "Displacement of the flange from home, as observed"),
         Column("x_dot", "m/s", "Velocity of the flange, as observed"),
         Column("phi", "rad", "Angle from upright, towards +x, as observed"),
         Column("phi_dot", "rad/s", "Angular velocity, as observed"),
-        Column("box", "", "Box of the table; -1 outside the balance", kind="whole"),
+        Column("box", "", "Box of the table; -1 outside the balance", kind="integer"),
         Column("u", "m/s^2", "Commanded acceleration of the flange along x"),
         Column("estimated_phi", "rad", "Estimate of phi at the tick, not predicted"),
         Column("estimated_phi_dot", "rad/s", "Estimate of phi_dot at the tick"),
@@ -90,10 +90,10 @@ TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
     ),
     "encoder": (
         Column("time", "s", "Time stamp of the sample"),
-        Column("counts", "", "Counts; in simulation from the zero", kind="whole"),
-        Column("pressed", "", "1 while the button is pressed", kind="whole"),
-        Column("illegal", "", "1 where the board saw an illegal transition", kind="whole"),
-        Column("missing", "", "Number of lines lost before this one", kind="whole"),
+        Column("counts", "", "Counts; in simulation from the zero", kind="integer"),
+        Column("pressed", "", "1 while the button is pressed", kind="integer"),
+        Column("illegal", "", "1 where the board saw an illegal transition", kind="integer"),
+        Column("missing", "", "Number of lines lost before this one", kind="integer"),
         Column("received", "s", "Tick that took the sample; on a rig"),
     ),
     "event": (
@@ -108,7 +108,7 @@ TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
 
 def tables(joints: int) -> dict[str, np.dtype[Any]]:
     """Return the type of the rows of each table, for an arm with `joints` joints."""
-    types: dict[str, Any] = {"number": ["<f8"], "whole": ["<i8"], "joints": ["<f8", (joints,)]}
+    types: dict[str, Any] = {"number": ["<f8"], "integer": ["<i8"], "joints": ["<f8", (joints,)]}
     return {
         name: np.dtype([(c.name, *types.get(c.kind, [c.kind])) for c in columns])
         for name, columns in TABLES.items()
@@ -128,7 +128,7 @@ def schema(table: str) -> dict[str, Any]:
     """Return the JSON schema of the messages of a table; Foxglove needs one to plot."""
     kinds: dict[str, dict[str, Any]] = {
         "number": {"type": "number"},
-        "whole": {"type": "integer"},
+        "integer": {"type": "integer"},
         "joints": {"type": "array", "items": {"type": "number"}},
     }
     properties = {

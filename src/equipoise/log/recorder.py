@@ -325,14 +325,14 @@ def live_runs() -> list[Path]:
 
 def _folders() -> list[Path]:
     """Return the folders of this user's runs, alive or not, the newest first."""
-    found: list[tuple[float, Path]] = []
+    folders: list[tuple[float, Path]] = []
     for folder in FOLDER.glob(f"{PREFIX}*"):
         with suppress(OSError):
             status = folder.lstat()
             own = not hasattr(os, "getuid") or status.st_uid == os.getuid()
             if own and stat.S_ISDIR(status.st_mode) and not status.st_mode & 0o077:
-                found.append((status.st_ctime, folder))
-    return [folder for _, folder in sorted(found, reverse=True)]
+                folders.append((status.st_ctime, folder))
+    return [folder for _, folder in sorted(folders, reverse=True)]
 
 
 def is_alive(folder: Path) -> bool:

@@ -42,45 +42,6 @@ from equipoise.log.writer import FORMAT, LogEncoder
 from equipoise.outcomes import End, Outcome, Phase
 
 
-def read_log(
-    path: Path,
-) -> tuple[RunConditions, Mapping[str, Rows], RunEnd | None, str, Provenance]:
-    """Read a log up to the first damage; the values are those of a `RunLog`.
-
-    Raises:
-        ArtefactError: The file is missing, damaged before its conditions, not a run log, or of
-            another version.
-    """
-    entries, messages, damage = _read_mcap(path)
-    if not entries:
-        raise ArtefactError(
-            f"{path} is no run log, or damaged at its begin; give a log that deploy wrote"
-        )
-    end = None
-    try:
-        conditions = RunConditions.model_validate_json(entries["conditions"], strict=True)
-        provenance = Provenance.model_validate_json(entries["provenance"], strict=True)
-        rows = {
-            name: from_messages([json.loads(message) for message in messages[f"/{name}"]], kind)
-            for name, kind in tables(len(conditions.joints)).items()
-        }
-        if not np.isin(rows["tick"]["state"], range(len(conditions.phases))).all():
-            raise ValueError("state is no phase of the run")
-        if written := messages["/end"]:
-            end, damage = RunEnd.model_validate_json(written[-1], strict=True), ""
-    except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
-        what = damage or f"is not a valid {FORMAT!r} file: {shortened(str(error), 200)}"
-        raise ArtefactError(f"{path} {what}; record the run again") from None
-    if end is None:
-        rows = _without_partial_ticks(rows, conditions.h)
-        ticks = len(rows["tick"])
-        damage = (
-            f"the log {damage or 'lacks its end'}; sound before that: {ticks:,} ticks, "
-            f"{ticks * conditions.h:.2f} s; what came after is not known"
-        )
-    return conditions, rows, end, damage, provenance
-
-
 def _read_mcap(path: Path) -> tuple[Mapping[str, str], Mapping[str, list[bytes]], str]:
     """Return the entries of the metadata, the messages by topic, and the damage as a clause.
 
@@ -132,10 +93,10 @@ def _without_partial_ticks(rows: Mapping[str, Rows], h: float) -> dict[str, Rows
         h: Time between ticks [s].
     """
     last = max((float(table["time"].max()) for table in rows.values() if len(table)), default=0.0)
-    whole = int(np.sum(rows["tick"]["time"] + h <= last + 1e-9))
+    complete = int(np.sum(rows["tick"]["time"] + h <= last + 1e-9))
     if len(rows["truth"]):
-        whole = min(whole, len(rows["truth"]))
-    return dict(rows) | {name: rows[name][:whole] for name in ("tick", "truth")}
+        complete = min(complete, len(rows["truth"]))
+    return dict(rows) | {name: rows[name][:complete] for name in ("tick", "truth")}
 
 
 class _TickColumn:
@@ -166,8 +127,10 @@ class RunLog:
     def __post_init__(self) -> None:
         """Complete the tables."""
         kinds = tables(len(self.conditions.joints))
-        whole = {name: self.tables.get(name, np.zeros(0, kind)) for name, kind in kinds.items()}
-        rows = {name: canonical(rows) for name, rows in whole.items()}
+        rows = {
+            name: canonical(self.tables.get(name, np.zeros(0, kind)))
+            for name, kind in kinds.items()
+        }
         object.__setattr__(self, "tables", rows)
 
     def __repr__(self) -> str:
@@ -205,10 +168,10 @@ class RunLog:
     def digest(self) -> str:
         """SHA-256 of conditions, rows and end."""
         end = self.end.model_dump_json() if self.end else ""
-        whole = hashlib.sha256(f"{self.conditions.model_dump_json()}\n{end}".encode())
+        digest = hashlib.sha256(f"{self.conditions.model_dump_json()}\n{end}".encode())
         for name, rows in self.tables.items():
-            whole.update(name.encode() + hashlib.sha256(rows.tobytes()).digest())
-        return DIGEST_PREFIX + whole.hexdigest()
+            digest.update(name.encode() + hashlib.sha256(rows.tobytes()).digest())
+        return DIGEST_PREFIX + digest.hexdigest()
 
     # Phases.
 
@@ -430,13 +393,39 @@ class RunLog:
         Raises:
             ArtefactError: The file is missing, corrupt, not a run log, or of another version.
         """
-        run = cls(*read_log(Path(path)))
-        if run.damage and not damaged:
+        entries, messages, damage = _read_mcap(Path(path))
+        if not entries:
             raise ArtefactError(
-                f"{path}: {run.damage}; log explain and log export read the sound part, or record "
-                "the run again"
+                f"{path} is no run log, or damaged at its begin; give a log that deploy wrote"
             )
-        return run
+        end = None
+        try:
+            conditions = RunConditions.model_validate_json(entries["conditions"], strict=True)
+            provenance = Provenance.model_validate_json(entries["provenance"], strict=True)
+            rows = {
+                name: from_messages([json.loads(message) for message in messages[f"/{name}"]], kind)
+                for name, kind in tables(len(conditions.joints)).items()
+            }
+            if not np.isin(rows["tick"]["state"], range(len(conditions.phases))).all():
+                raise ValueError("state is no phase of the run")
+            if written := messages["/end"]:
+                end, damage = RunEnd.model_validate_json(written[-1], strict=True), ""
+        except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
+            what = damage or f"is not a valid {FORMAT!r} file: {shortened(str(error), 200)}"
+            raise ArtefactError(f"{path} {what}; record the run again") from None
+        if end is None:
+            rows = _without_partial_ticks(rows, conditions.h)
+            ticks = len(rows["tick"])
+            damage = (
+                f"the log {damage or 'lacks its end'}; sound before that: {ticks:,} ticks, "
+                f"{ticks * conditions.h:.2f} s; what came after is not known"
+            )
+        if damage and not damaged:
+            raise ArtefactError(
+                f"{path}: {damage}; log explain and log export read the sound part, or record the "
+                "run again"
+            )
+        return cls(conditions, rows, end, damage, provenance)
 
 
 def simulated_log(

@@ -84,16 +84,13 @@ class LogEncoder:
 class RunWriter:
     """File that grows with a run; it has its name from the first row after the connection on."""
 
-    def __init__(
-        self, path: Path, conditions: RunConditions, origin: float, command: str = "deploy"
-    ) -> None:
+    def __init__(self, path: Path, conditions: RunConditions, origin: float) -> None:
         """Begin the file under a temporary name, so that a run that fails to connect leaves none.
 
         Args:
             path: The file; an existing one is replaced.
             conditions: Conditions of the run.
             origin: Time of log time zero on the rig's clock [s].
-            command: Command or function that creates the run.
 
         Raises:
             OutsideError: The disk rejects the file.
@@ -106,7 +103,7 @@ class RunWriter:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self._begun_path.open("xb")
-            provenance = Provenance.now(command, inputs)
+            provenance = Provenance.now("deploy", inputs)
             self._encoder = LogEncoder(self._file, conditions, provenance, origin)
             self._file.flush()
         except OSError as error:

@@ -32,10 +32,8 @@ from equipoise.jit import PACKAGE, compilable, inlined, kernel
 
 Kind = Literal["ideal", "lag", "unshaped", "kst"]
 
-IDEAL: Final = 0
-LAG: Final = 1
-UNSHAPED: Final = 2
-KST: Final = 3
+IDEAL, LAG, UNSHAPED, KST = range(4)
+"""Codes of the kinds of actuator in kernels, their places in `KINDS`."""
 KINDS: Final[tuple[Kind, ...]] = ("ideal", "lag", "unshaped", "kst")
 LAWS: Final[tuple[Kind, ...]] = ("unshaped", "kst")
 """Kinds with the inertia of a servo, and with its t_c."""
@@ -56,9 +54,6 @@ NEAR: Final = 0.2
 """Error below which the law is a short series [widths]: 10 mrad, the steady error at 2.7 rad/s."""
 ROWS: Final = (FREE_JOINTS, BATCH_SIZE)
 """Shape of a field with a row for each free joint."""
-TYPICAL_SPEED: Final = 0.1
-"""Default joint speed of `response_time` [rad/s]: balancing moves the joints at 0.05 to 0.3
-rad/s."""
 
 
 class ActuatorParameters(NamedTuple):
@@ -95,14 +90,9 @@ def _saturation(z: float) -> float:
     t = min(z, 40.0) * (1.0 / 256.0)
     p = 1.0 / 24.0 - t * (1.0 / 120.0 - t * (1.0 / 720.0))
     p = t * (1.0 - t * (0.5 - t * (1.0 / 6.0 - t * p)))
-    p = p * (2.0 - p)
-    p = p * (2.0 - p)
-    p = p * (2.0 - p)
-    p = p * (2.0 - p)
-    p = p * (2.0 - p)
-    p = p * (2.0 - p)
-    p = p * (2.0 - p)
-    return p * (2.0 - p)
+    for _ in range(8):
+        p = p * (2.0 - p)
+    return p
 
 
 @inlined
@@ -500,7 +490,7 @@ class Actuator(Artefact):
         delay = 1e3 * self.delay.value
         return f"{self.kind}, delay {delay:.1f} ms, {law}lags {min(lags):.1f} to {max(lags):.1f} ms"
 
-    def response_time(self, joint: int, speed: float = TYPICAL_SPEED) -> float:
+    def response_time(self, joint: int, speed: float = 0.1) -> float:
         """Return the response time of a joint to a small change, without transport [s].
 
         The sum of the drive's lag and the reciprocal slope of the servo's law: t_c for `unshaped`;
@@ -508,7 +498,7 @@ class Actuator(Artefact):
 
         Args:
             joint: Index of the free joint, from zero.
-            speed: Joint speed [rad/s].
+            speed: Joint speed [rad/s]; balancing moves the joints at 0.05 to 0.3 rad/s.
         """
         lag = self.lags[joint].value
         if self.kind == "unshaped":

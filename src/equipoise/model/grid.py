@@ -123,10 +123,10 @@ def box_indices(states: Array, boxes: Grid) -> IntArray:
     Returns:
         Index of each box, shape (n,).
     """
-    found = np.empty(len(states), np.int64)
+    indices = np.empty(len(states), np.int64)
     for i in range(len(states)):
-        found[i] = box_index(states[i, 0], states[i, 1], states[i, 2], states[i, 3], boxes)
-    return found
+        indices[i] = box_index(states[i, 0], states[i, 1], states[i, 2], states[i, 3], boxes)
+    return indices
 
 
 @inlined

@@ -39,7 +39,6 @@ MODEL: Final = "model"
 PREFIX: Final = "twin:"
 """Prefix of the names of digital twins."""
 
-Inner = Literal["velocity", "pd"]
 RotorInertia = Annotated[float, Field(ge=0.0, le=100.0)]
 """Inertia of the motor and gear of a joint, reflected to its output: n^2 J [kg m^2]."""
 LWR_ROTORS: Final = (3.19, 3.05, 1.98, 2.05, 0.787, 0.391, 0.394)
@@ -63,7 +62,7 @@ class TwinSettings(Value):
     shaped: bool = True
     """Whether a KST server applies its shaping law, as in its source. Otherwise the destination is
     the setpoint, as behind KUKA's FRI."""
-    inner: Inner = "velocity"
+    inner: Literal["velocity", "pd"] = "velocity"
     """Servo model behind the shaping law; that of KUKA is not published. `velocity`: a joint
     velocity of (destination - q) over `reach_time`, through a first-order lag. `pd`: a PD
     controller on the destination."""
@@ -215,11 +214,11 @@ def named_twins() -> list[str]:
     return [*WORLDS, *registered("equipoise.twins")]
 
 
-def meant_world(name: str) -> str:
-    """Return the remedy for the name of a world: a similar twin, or a package; empty without any.
+def suggest_world(name: str) -> str:
+    """Return the remedy for an unknown world: a similar name, or a package; empty without any.
 
     Example:
-        >>> meant_world("nominal"), meant_world("twin:hrsh"), meant_world("plant")
+        >>> suggest_world("nominal"), suggest_world("twin:hrsh"), suggest_world("plant")
         ('did you mean twin:nominal?', 'did you mean twin:harsh?', '')
     """
     if install := how_to_install(name.removeprefix(PREFIX)):
@@ -253,7 +252,7 @@ def read_world(name: str) -> World:
     file = Path(which)
     if not name.startswith(PREFIX) or not which or not os.path.lexists(file):
         twins = f"{', '.join(PREFIX + twin for twin in named_twins())} or {PREFIX}FILE.toml"
-        remedy = meant_world(name) or f"choose {twins}"
+        remedy = suggest_world(name) or f"choose {twins}"
         raise SettingsError(f"there is no twin, and no such file, {quoted(name)}; {remedy}")
     try:
         which.encode()

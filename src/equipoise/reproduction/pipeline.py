@@ -18,7 +18,7 @@ from typing import Final
 
 from equipoise.arguments import Workers, checked
 from equipoise.arm.arm import Arm
-from equipoise.arm.resolve import read_arm
+from equipoise.arm.urdf import read_arm
 from equipoise.control.bound_policy import BUILT_IN
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArmError

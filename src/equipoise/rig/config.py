@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import Field, ValidationError, field_validator
 
 from equipoise.arm.arm import Arm
-from equipoise.arm.resolve import SUFFIXES, read_arm
+from equipoise.arm.urdf import SUFFIXES, read_arm
 from equipoise.errors import ArmError, SettingsError
 from equipoise.files import Name, Value, first_fault
 from equipoise.model.worlds import PREFIX as TWIN

@@ -16,7 +16,7 @@ import numpy as np
 from equipoise import paper
 from equipoise.arguments import Duration, checked
 from equipoise.arm.arm import FREE_JOINTS, Arm
-from equipoise.arm.resolve import read_arm
+from equipoise.arm.urdf import read_arm
 from equipoise.arrays import Array
 from equipoise.control.bound_policy import AnyPolicy, read_policy
 from equipoise.control.control_step import SETPOINTS_PER_TICK

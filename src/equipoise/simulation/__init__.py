@@ -12,7 +12,7 @@ from equipoise.control.policy import TaskPolicy
 from equipoise.errors import SettingsError
 from equipoise.files import StrPath, quoted
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, read_actuator
-from equipoise.model.worlds import PREFIX, World, meant_world, read_world
+from equipoise.model.worlds import PREFIX, World, read_world, suggest_world
 from equipoise.settings import Settings
 from equipoise.simulation.external import ExternalLoop
 from equipoise.simulation.interface import (
@@ -67,7 +67,7 @@ def world_class(world: str | World) -> type[Simulation]:
         found = load_object(name, "--world")
     else:
         known = ", ".join(sorted(registered))
-        remedy = meant_world(name) or f"choose {known} or MODULE:CLASS"
+        remedy = suggest_world(name) or f"choose {known} or MODULE:CLASS"
         raise SettingsError(f"there is no world {quoted(name)}; {remedy}")
     if not (isinstance(found, type) and issubclass(found, Simulation)):
         raise SettingsError(
