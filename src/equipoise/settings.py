@@ -136,14 +136,14 @@ class BoxSettings(Value):
     quantity to the interval farther from zero, as in the paper.
     """
 
-    phi_deg: Ends = tuple(interval.low for interval in paper.PHI_INTERVALS_DEG[1:])
+    phi_deg: Ends = paper.inner_ends(paper.PHI_INTERVALS_DEG)
     """Ends for the angle from upright [deg]; zero is one of them, so that each box has a side to
     which the pendulum tips."""
-    phi_dot_deg: Ends = tuple(interval.low for interval in paper.PHI_DOT_INTERVALS_DEG[1:])
+    phi_dot_deg: Ends = paper.inner_ends(paper.PHI_DOT_INTERVALS_DEG)
     """Ends for the angular velocity [deg/s]."""
-    x: Ends = tuple(interval.low for interval in paper.X_INTERVALS[1:])
+    x: Ends = paper.inner_ends(paper.X_INTERVALS)
     """Ends for the displacement of the flange, continued by `look_ahead` [m]."""
-    x_dot: Ends = tuple(interval.low for interval in paper.X_DOT_INTERVALS[1:])
+    x_dot: Ends = paper.inner_ends(paper.X_DOT_INTERVALS)
     """Ends for its velocity [m/s]."""
     look_ahead: float = Field(default=0.5, ge=0.0, le=10.0)
     """Time over which a table's x is continued at the velocity of the pendulum's centre of
