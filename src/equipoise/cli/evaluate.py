@@ -1,4 +1,4 @@
-"""`equipoise evaluate`: measures how long a policy balances, and why it fails."""
+"""Verbs that try a policy in simulation: `equipoise evaluate` and `play`."""
 
 from math import ceil, log
 from pathlib import Path
@@ -8,7 +8,7 @@ from pydantic import Field
 
 from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
-from equipoise.cli.output import Output
+from equipoise.cli.output import Output, signals
 from equipoise.errors import InputError
 from equipoise.settings import changed
 
@@ -113,7 +113,7 @@ def evaluate(
         world=evaluation.world,
         arm=evaluation.arm,
         seed=evaluation.seed,
-        baselines={one.name: _trial_fields(one) for one in evaluation.baselines},
+        baselines={row.name: _trial_fields(row) for row in evaluation.baselines},
         file=out,
         code=code,
         then=command("deploy", policy, task, world=twin),
@@ -125,3 +125,25 @@ def _trial_fields(results: "TrialResults") -> dict[str, Any]:
     summary = results.summary()
     counts = {name: getattr(summary, name) for name in ("survived", "trials", "rate", "outcomes")}
     return counts | {"interval_95": summary.interval, "median_s": summary.median}
+
+
+@verb
+def play(
+    output: Output, scene: str = "balance", policy: Path | None = None, *, page: opt.Page
+) -> None:
+    """Balance the twin in the browser: push it, change the rig.
+
+    SCENE is balance (default), why-it-falls, zero-error, friction or lqr.
+    POLICY is one of yours, to choose on the page. Open the printed address.
+    Everyone who has it plays with the same pendulum. It runs until Ctrl-C.
+    Needs no robot and no recording.
+    """
+    from equipoise.console.play import SCENES, PlayPage
+    from equipoise.console.web import serving
+
+    if scene not in SCENES:
+        raise InputError(f"there is no scene {scene!r}; choose one of {', '.join(SCENES)}")
+    yours = None if policy is None else opt.Task().read(policy)
+    with signals() as stopped, serving(page.listen, page.port) as (server, address):
+        output.result(playground=address)
+        PlayPage(server, SCENES[scene], yours).run(stopped.is_set)

@@ -115,9 +115,9 @@ def command(verb: str, *arguments: object, **options: object) -> str:
         elif argument is not None:
             words.append(str(argument))
     for field, value in (fields | options).items():
-        for one in value if isinstance(value, list) else [value]:
-            if one is not None:
-                words += [_name(field)] if one is True else [_name(field), str(one)]
+        for item in value if isinstance(value, list) else [value]:
+            if item is not None:
+                words += [_name(field)] if item is True else [_name(field), str(item)]
     return shlex.join(words)
 
 

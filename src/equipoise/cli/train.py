@@ -135,7 +135,7 @@ def reproduce(
     with_digests(settings.learning)
     out = files.folder(output, Path("equipoise-report"))
     with output.progress() as show:
-        found = reproduce(
+        results = reproduce(
             out,
             swing=recorded,
             arm=arm,
@@ -148,12 +148,12 @@ def reproduce(
         show("report", None, "")
         page = build(out)
         show("report", 1.0, "")
-    evaluation = found.default.evaluation
+    evaluation = results.default.evaluation
     output.result(
         duration_s=evaluation.duration,
         report=page,
-        comparison=comparison(found),
-        warnings=[found.default.policy.shortfall],
+        comparison=comparison(results),
+        warnings=[results.default.policy.shortfall],
         code=int(evaluation.results.summary().median < evaluation.duration),
         then=command("evaluate", out / POLICY, trials=1000),
     )
