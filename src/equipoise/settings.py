@@ -376,8 +376,8 @@ def describe_recipe(settings: Settings) -> str:
         >>> describe_recipe(resolve(overrides=["learning.gamma=0.9"]))
         'custom: robust with learning.gamma = 0.9'
     """
-    found = {name: tuple(_differences(settings, resolve(name))) for name in RECIPES}
-    name, differences = min(found.items(), key=lambda item: len(item[1]))
+    differences_of = {name: tuple(_differences(settings, resolve(name))) for name in RECIPES}
+    name, differences = min(differences_of.items(), key=lambda item: len(item[1]))
     return f"custom: {name} with {', '.join(differences)}" if differences else name
 
 
@@ -392,14 +392,9 @@ def _differences(settings: Settings, recipe: Settings) -> Iterator[str]:
 def _put(tree: dict[str, dict[str, Any]], name: str, value: Any) -> None:
     section, _, key = name.partition(".")
     if key not in tree.get(section, {}):
-        names = [] if name in tree else [option for options in tree.values() for option in options]
-        close = get_close_matches(key or name, names, n=1)
-        near = [
-            f"{one}.{option}"
-            for one, options in tree.items()
-            for option in options
-            if option in close
-        ]
+        keys = {f"{part}.{option}": option for part, fields in tree.items() for option in fields}
+        close = [] if name in tree else get_close_matches(key or name, keys.values(), n=1)
+        near = [full_name for full_name, option in keys.items() if option in close]
         remedy = f"did you mean {' or '.join(near)}?" if near else f"sections: {', '.join(tree)}"
         raise SettingsError(f"there is no setting {quoted(name)}; {remedy}")
     tree[section][key] = value

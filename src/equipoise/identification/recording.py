@@ -37,7 +37,7 @@ from equipoise.files import (
     decode_text,
     read_bytes,
     shortened,
-    write_whole,
+    write_atomically,
 )
 from equipoise.model.encoder import counts_from_theta, theta_from_counts
 from equipoise.model.pendulum import STEPS_PER_PERIOD, Pendulum, PendulumParameters, swing
@@ -251,7 +251,7 @@ def write_swing(path: StrPath, trajectory: Trajectory) -> None:
     quantity = "theta_rad" if trajectory.theta is not None else "rate_rad_s"
     rows = zip(trajectory.time.tolist(), trajectory.values.tolist(), strict=True)
     text = "".join(f"{t!r},{value!r}\n" for t, value in rows)
-    write_whole(Path(path), f"time_s,{quantity}\n{text}")
+    write_atomically(Path(path), f"time_s,{quantity}\n{text}")
 
 
 @checked

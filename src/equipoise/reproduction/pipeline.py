@@ -86,7 +86,7 @@ def reproduce(
     settings = settings or Settings()
     literal = resolve("paper").model_copy(update={"evaluation": settings.evaluation})
     if quick:
-        settings, literal = shortened(settings), shortened(literal)
+        settings, literal = quick_settings(settings), quick_settings(literal)
     recording = read_swing(swing) if isinstance(swing, str | os.PathLike) else swing
     if not is_warm():
         warm_up(report)
@@ -172,7 +172,7 @@ def stage(name: str, report: Show) -> Generator[None]:
     report(name, 1.0, "")
 
 
-def shortened(settings: Settings) -> Settings:
+def quick_settings(settings: Settings) -> Settings:
     """Return the settings of a quick reproduction, limited by `QUICK`."""
     return changed(
         settings, {name: min(attrgetter(name)(settings), most) for name, most in QUICK.items()}
