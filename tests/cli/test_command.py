@@ -181,7 +181,7 @@ def test_an_error_of_the_system_is_not_blamed_on_the_output(equipoise, monkeypat
     def fail(*_, **__):
         raise error
 
-    monkeypatch.setattr("equipoise.identification.recording.read_swing", fail)
+    monkeypatch.setattr("equipoise.read_swing", fail)
     ran = equipoise("identify", "swing.csv")
     assert (ran.code, ran.out) == (3, "")
     assert ran.err == f"error: a file or a link failed: {error}; check it, and repeat the command\n"

@@ -10,6 +10,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+import equipoise as eq
 from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
@@ -72,18 +73,16 @@ def deploy(
         _run_on_rig(output, policy, run, task, rig, on_rig, files)
         return
 
-    from equipoise.model.worlds import read_world
     from equipoise.outcomes import Outcome
-    from equipoise.rig.simulate import excite, simulate_run
     from equipoise.simulation import setup_of
 
     world, seed = run.world, run.seed
     if run.excite:
-        arm, _ = opt.read_arm(task.arm or "iiwa7"), read_world(world)
+        arm, _ = opt.read_arm(task.arm or "iiwa7"), eq.read_world(world)
         out = files.file(output, "run.mcap", task.pendulum, suffix=".mcap")
         length = run.duration or 10.0
         with output.busy("moving the arm"):
-            log = excite(arm, pendulum=task.pendulum, duration=length, world=world, seed=seed)
+            log = eq.excite(arm, pendulum=task.pendulum, duration=length, world=world, seed=seed)
         code, then, inputs = 0, command("identify", out), dict[str, str]()
     else:
         loaded, actuator = task.read(policy), task.actuator
@@ -91,7 +90,7 @@ def deploy(
         out = files.file(output, "run.mcap", policy, task.pendulum, suffix=".mcap")
         output.warn(loaded.shortfall)
         with output.busy("running"):
-            log = simulate_run(
+            log = eq.simulate_run(
                 loaded, world=world, actuator=actuator, duration=run.duration, seed=seed
             )
         code, then = int(log.outcome != Outcome.SURVIVED), command("log explain", out)
@@ -121,7 +120,6 @@ def _run_on_rig(
     from equipoise.control.bound_policy import BoundPolicy
     from equipoise.identification.actuator import identify_actuator
     from equipoise.model.actuator import read_actuator
-    from equipoise.model.pendulum import shipped_pendulum
     from equipoise.outcomes import Outcome
     from equipoise.rig.checks import check_fit, require
     from equipoise.rig.config import RigSettings, read_rig, world_of
@@ -181,7 +179,7 @@ def _run_on_rig(
         moving = on_rig.model_copy(update={"dry_run": False})
         then = command("deploy", policy, run, rig, moving, task)
     elif end.outcome is Outcome.UNIDENTIFIED and actuator is not None:
-        pendulum = opt.file_of(loaded.pendulum.digest, shipped_pendulum())
+        pendulum = opt.file_of(loaded.pendulum.digest, eq.shipped_pendulum())
         arm = task.arm or rig.rig or opt.name_of(loaded.arm)
         then = command("train", task.pendulum or pendulum, arm=arm, actuator=actuator)
     output.result(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
+import equipoise as eq
 from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
@@ -56,18 +57,12 @@ def evaluate(
     from equipoise.control.bound_policy import BUILT_IN
     from equipoise.executors import counted
     from equipoise.simulation import setup_of
-    from equipoise.simulation.evaluation import (
-        CLAIM_CONFIDENCE,
-        allowed_failures,
-        evaluate,
-        lower_bound,
-        trials_for,
-    )
+    from equipoise.simulation.evaluation import CLAIM_CONFIDENCE, allowed_failures
 
     chosen, claim = task.read(policy), trials.claim
     count = trials.trials
     if count is None and claim is not None:
-        count = trials_for(claim)
+        count = eq.trials_for(claim)
     changes = {"evaluation.trials": count, "evaluation.duration": trials.duration}
     known = {name: value for name, value in changes.items() if value is not None}
     settings = changed(chosen.settings, known)
@@ -85,7 +80,7 @@ def evaluate(
     with_baselines = not trials.no_baselines and claim is None
     total = count * (1 + len(BUILT_IN)) if with_baselines else count
     with output.progress() as show:
-        evaluation = evaluate(
+        evaluation = eq.evaluate(
             chosen,
             settings,
             world=trials.world,
@@ -101,7 +96,7 @@ def evaluate(
     fields: dict[str, Any] = _trial_fields(evaluation.results)
     code = int(fields["median_s"] < evaluation.duration)
     if claim is not None:
-        bound = lower_bound(fields["survived"], count, CLAIM_CONFIDENCE)
+        bound = eq.lower_bound(fields["survived"], count, CLAIM_CONFIDENCE)
         granted = bound >= claim
         verdict: dict[str, Any] = {"granted": granted, "claim": claim, "bound_95": bound}
         fields = verdict | {"allowed_failures": allowed} | fields

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import equipoise as eq
 from equipoise import paper
 from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
@@ -11,8 +12,6 @@ from equipoise.errors import InputError
 
 if TYPE_CHECKING:
     import numpy.typing as npt
-
-    from equipoise.log.run_log import RunLog
 
 
 @verb
@@ -25,9 +24,8 @@ def show(output: Output, run: Path, *, page: opt.Page) -> None:
     """
     from equipoise.console.replay import ReplayPage
     from equipoise.console.web import serving
-    from equipoise.log.run_log import RunLog
 
-    log = RunLog.load(run, damaged=True)
+    log = eq.RunLog.load(run, damaged=True)
     with signals() as stopped, serving(page.listen, page.port) as (server, address):
         replay = ReplayPage(server, log, run.stem)
         output.result(run=run, replay=address, warnings=[log.damage])
@@ -43,11 +41,10 @@ def explain(output: Output, run: Path) -> None:
     run that survived, or that the operator ended: motion and limits.
     A truncated log is read as far as it is readable.
     """
-    from equipoise.log.run_log import RunLog
     from equipoise.outcomes import Outcome, describe
     from equipoise.rig.explanation import explain as why
 
-    log = RunLog.load(run, damaged=True)
+    log = eq.RunLog.load(run, damaged=True)
     causes, end = why(log), log.ending
     then = command("log show", run)
     if end.outcome is Outcome.EXCITED:
@@ -79,7 +76,7 @@ def explain(output: Output, run: Path) -> None:
     )
 
 
-def _balance(run: "RunLog") -> dict[str, Any]:
+def _balance(run: "eq.RunLog") -> dict[str, Any]:
     """Return how a run balanced: values that safety rules compare, and their limits."""
     import numpy as np
 
@@ -123,14 +120,13 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
     choose another part.
     """
     from equipoise.film import check_format, write_film
-    from equipoise.log.run_log import RunLog
 
     video, tables = film.video, None
     if video is None and film != Film():
         raise InputError("--from and --to choose the part of a film; give --video FILE as well")
     if video is not None:
         check_format(video.suffix.lower())
-    log = RunLog.load(run, damaged=True)
+    log = eq.RunLog.load(run, damaged=True)
     if video is None:
         tables = log.export(files.folder(output, run.with_name(f"{run.stem}-csv")))
     else:

@@ -11,6 +11,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+import equipoise as eq
 from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
@@ -97,7 +98,7 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     for it, and release once it is armed.
     """
     from equipoise.model.pendulum import read_pendulum
-    from equipoise.model.worlds import pendulum_on, read_world
+    from equipoise.model.worlds import pendulum_on
     from equipoise.rig import host
     from equipoise.rig.clocks import SystemClock
     from equipoise.robots.emulation import Emulation
@@ -108,7 +109,7 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
         output.tell(f"{time.monotonic() - began:8.1f} s  {words}")
         output.stream.flush()
 
-    settings = read_world(emulated.world).settings
+    settings = eq.read_world(emulated.world).settings
     link = emulated.encoder_link
     emulation = Emulation(
         emulated.robot,
@@ -162,7 +163,6 @@ def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
     Hold the pivot still. Let the pendulum hang, lift it, hold it, release it.
     The angle is shown meanwhile. Ctrl-C ends the recording without a file.
     """
-    from equipoise.identification.recording import write_swing
     from equipoise.rig.clocks import SystemClock
     from equipoise.rig.connection import open_encoder
     from equipoise.robots.encoder.swing import record_swing
@@ -180,7 +180,7 @@ def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
             tell=lambda instruction: output.tell(f"  {instruction}"),
             show=lambda theta: rename(f"{degrees(theta):+7.1f} deg"),
         )
-    write_swing(out, swing)
+    eq.write_swing(out, swing)
     output.result(
         samples=len(swing.time),
         duration_s=float(swing.time[-1]),
