@@ -184,7 +184,7 @@ class Random(Options):
         """Number of threads."""
         from equipoise.executors import available_cores
 
-        return available_cores() if self.workers is None else self.workers
+        return self.workers or available_cores()
 
 
 class Page(Options):
