@@ -161,8 +161,8 @@ middle = trained.u_of_box.reshape(shape)[:, :, shape[2] // 2, shape[3] // 2]
 figure, axes = plt.subplots(figsize=(5, 3.6))
 picture = axes.imshow(middle, cmap="RdBu", vmin=-2, vmax=2, aspect="auto")
 axes.set(xlabel="phi_dot [deg/s]", ylabel="phi [deg]", title="Acceleration [m/s²]")
-axes.set_xticks(range(shape[1]), map(str, paper.PHI_DOT_INTERVALS_DEG), rotation=25)
-axes.set_yticks(range(shape[0]), map(str, paper.PHI_INTERVALS_DEG))
+axes.set_xticks(range(shape[1]), paper.PHI_DOT_INTERVALS_DEG, rotation=25)
+axes.set_yticks(range(shape[0]), paper.PHI_INTERVALS_DEG)
 figure.colorbar(picture)
 plt.show()
 

@@ -34,7 +34,7 @@ from stable_baselines3.common.env_util import make_vec_env
 
 import equipoise.envs  # noqa: F401  (registers the environments)
 from equipoise import paper
-from equipoise.files import write_whole
+from equipoise.files import write_atomically
 
 HERE: Final = Path(__file__).parent
 ALGORITHMS: Final = ("dqn", "ppo", "sac")
@@ -187,7 +187,7 @@ def main() -> int:
             "versions": {name: version(name) for name in PACKAGES},
             "cores": len(os.sched_getaffinity(0)),
         }
-        write_whole(record, json.dumps(found, indent=1) + "\n")
+        write_atomically(record, json.dumps(found, indent=1) + "\n")
         print(f"{algorithm}: {found['steps']:,} steps in {wall:.0f} s, wrote {path}")
     return 0
 

@@ -16,11 +16,11 @@ from pydantic_core.core_schema import is_instance_schema
 
 from equipoise.errors import InputError
 from equipoise.files import quoted
-from equipoise.settings import LONGEST_TRIAL
+from equipoise.settings import MAX_TRIAL_DURATION
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-Duration = Annotated[float, Field(gt=0.0, le=LONGEST_TRIAL)]
+Duration = Annotated[float, Field(gt=0.0, le=MAX_TRIAL_DURATION)]
 """Length of a run or a recording [s]."""
 Workers = Annotated[int, Field(ge=1)]
 """Number of threads."""

@@ -177,7 +177,7 @@ class Artefact(Value):
             "provenance": Provenance.now(command, inputs).model_dump(mode="json"),
             "body": body,
         }
-        write_whole(Path(path), _readable(document) + "\n")
+        write_atomically(Path(path), _readable(document) + "\n")
 
     @classmethod
     def load(cls, path: StrPath) -> Self:
@@ -212,7 +212,7 @@ def read_document(path: Path) -> dict[str, Any]:
     """
     text = read_text(path, MAX_FILE_SIZE, "a file of Equipoise", ArtefactError)
     kinds = {"format": str, "digest": str, "provenance": dict, "body": dict}
-    cure = "make the file again, or give a file that Equipoise wrote"
+    remedy = "make the file again, or give a file that Equipoise wrote"
     try:
         document: Any = json.loads(text)
         if any(type(document[key]) is not kind for key, kind in kinds.items()):
@@ -220,9 +220,9 @@ def read_document(path: Path) -> dict[str, Any]:
         matches = document["digest"] == _digest(document["body"])
     except (ValueError, LookupError, TypeError, RecursionError) as error:
         what = f"is not a file of Equipoise, or was cut short ({shortened(str(error))})"
-        raise ArtefactError(f"{path} {what}; {cure}") from None
+        raise ArtefactError(f"{path} {what}; {remedy}") from None
     if not matches:
-        raise ArtefactError(f"{path} does not match its digest: it was edited or damaged; {cure}")
+        raise ArtefactError(f"{path} does not match its digest: it was edited or damaged; {remedy}")
     return document
 
 
@@ -308,7 +308,7 @@ def shortened(text: str, length: int = MAX_QUOTE_LENGTH) -> str:
     return line if len(line) <= length else f"{line[: length - 3]}..."
 
 
-def write_whole(path: Path, content: str | bytes) -> None:
+def write_atomically(path: Path, content: str | bytes) -> None:
     """Write a file atomically: write a temporary file, then rename it.
 
     Raises:

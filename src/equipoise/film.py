@@ -20,7 +20,7 @@ from equipoise.arm.arm import Arm
 from equipoise.arm.scene import Sizes, scene
 from equipoise.arrays import Array
 from equipoise.errors import InputError, OutsideError, import_optional
-from equipoise.files import write_whole
+from equipoise.files import write_atomically
 from equipoise.log.motion import Motion
 from equipoise.log.run_log import RunLog
 from equipoise.paper import X_LIMIT
@@ -252,7 +252,7 @@ def write_film(
         stream = io.BytesIO()
         options: Any = {"append_images": others, "duration": round(1e3 / rate), "loop": 0}
         first.save(stream, "webp", save_all=True, quality=60, method=2, **options)
-        write_whole(path, stream.getvalue())
+        write_atomically(path, stream.getvalue())
         return
     import imageio
 
@@ -263,7 +263,7 @@ def write_film(
             with writer:
                 for frame in frames:
                     writer.append_data(np.asarray(frame))
-            write_whole(path, file.read_bytes())
+            write_atomically(path, file.read_bytes())
     except OutsideError:  # an OSError whose message is complete
         raise
     except (OSError, RuntimeError) as error:

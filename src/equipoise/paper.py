@@ -7,40 +7,17 @@ Unpublished parameters are settings with a reason in `equipoise.settings`.
 """
 
 from math import radians
-from numbers import Real
-from typing import Final, NamedTuple
+from typing import Final
 
 
-class Interval(NamedTuple):
-    """An interval as printed: `]a, b]` is open at a and closed at b."""
+def inner_ends(intervals: tuple[str, ...]) -> tuple[float, ...]:
+    """Return the lower ends of all intervals but the first.
 
-    low: float
-    high: float
-    low_closed: bool
-    high_closed: bool
-
-    def __contains__(self, value: object) -> bool:
-        """Return whether `value` lies in the interval."""
-        if not isinstance(value, Real):
-            return False
-        number = float(value)
-        above = number >= self.low if self.low_closed else number > self.low
-        below = number <= self.high if self.high_closed else number < self.high
-        return above and below
-
-    def __str__(self) -> str:
-        """Return the paper's notation."""
-        left, right = "[" if self.low_closed else "]", "]" if self.high_closed else "["
-        return f"{left}{self.low:g}, {self.high:g}{right}"
-
-
-def _intervals(*texts: str) -> tuple[Interval, ...]:
-    """Parse intervals in the paper's notation: `_intervals("]-5, -1]")`."""
-    read: list[Interval] = []
-    for text in texts:
-        low, high = map(float, text[1:-1].split(","))
-        read.append(Interval(low, high, low_closed=text[0] == "[", high_closed=text[-1] == "]"))
-    return tuple(read)
+    Example:
+        >>> inner_ends(("]-0.22, -0.08]", "]-0.08, 0.08[", "[0.08, 0.22["))
+        (-0.08, 0.08)
+    """
+    return tuple(float(interval[1:].partition(",")[0]) for interval in intervals[1:])
 
 
 # Section 3.1: acceleration tracking.
@@ -57,18 +34,17 @@ ACTIONS: Final = (-2.0, -1.5, -1.0, -0.5, 0.5, 1.0, 1.5, 2.0)
 U_MAX: Final = max(map(abs, ACTIONS))
 """Largest acceleration [m/s^2]."""
 
-PHI_INTERVALS_DEG: Final = _intervals("]-11,-5[", "[-5,-1[", "[-1,0[", "[0,1[", "[1,5[", "[5,11[")
+# Intervals as printed: ]a, b] is open at a and closed at b.
+PHI_INTERVALS_DEG: Final = ("]-11, -5[", "[-5, -1[", "[-1, 0[", "[0, 1[", "[1, 5[", "[5, 11[")
 """Angle of the pendulum from upright [deg]."""
 
-PHI_DOT_INTERVALS_DEG: Final = _intervals(
-    "]-inf,-50]", "]-50,-10]", "]-10,10[", "[10,50[", "[50,+inf["
-)
+PHI_DOT_INTERVALS_DEG: Final = ("]-inf, -50]", "]-50, -10]", "]-10, 10[", "[10, 50[", "[50, inf[")
 """Angular velocity of the pendulum [deg/s]."""
 
-X_INTERVALS: Final = _intervals("]-0.22,-0.08]", "]-0.08,0.08[", "[0.08,0.22[")
+X_INTERVALS: Final = ("]-0.22, -0.08]", "]-0.08, 0.08[", "[0.08, 0.22[")
 """Displacement of the flange along x [m]."""
 
-X_DOT_INTERVALS: Final = _intervals("]-inf,-0.5]", "]-0.5,0.5[", "[0.5,+inf[")
+X_DOT_INTERVALS: Final = ("]-inf, -0.5]", "]-0.5, 0.5[", "[0.5, inf[")
 """Velocity of the flange along x [m/s]."""
 
 PHI_LIMIT_DEG: Final = 11.0

@@ -29,8 +29,8 @@ def printable(text: str, *, layout: bool = False) -> str:
     if layout:
         kept += "\n\t"
     return "".join(
-        one if one.isprintable() or one in kept else one.encode("unicode_escape").decode()
-        for one in text
+        char if char.isprintable() or char in kept else char.encode("unicode_escape").decode()
+        for char in text
     )
 
 

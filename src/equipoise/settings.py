@@ -31,13 +31,13 @@ from equipoise.files import (
 
 GRAVITY = 9.80665
 """Standard acceleration of gravity [m/s^2]."""
-LONGEST_TRIAL: Final = 86400.0
+MAX_TRIAL_DURATION: Final = 86400.0
 """Limit on the length of a trial or an episode [s]: a day."""
-MOST_TRIALS: Final = 1_000_000
+MAX_TRIALS: Final = 1_000_000
 """Limit on the number of trials: a million minutes of the twin take a core one week."""
 MAX_EPISODES: Final = 100_000_000
 """Limit on the number of episodes: more than one day on one core."""
-FINEST_ENCODER: Final = 2**48
+MAX_COUNTS_PER_REV: Final = 2**48
 """Limit on counts per revolution: finer steps are below the rounding error of an angle."""
 QUARTER_TURN: Final = radians(90.0)
 """Limit on the zero error of an encoder [rad]: beyond it the direction of the fall is unknown."""
@@ -96,7 +96,7 @@ class PlantSettings(Value):
     zero_error: float = Field(default=radians(0.3), ge=0.0, le=QUARTER_TURN)
     """Half width of the uniform zero error of the encoder, drawn per episode [rad]: the largest
     rest angle beside the vertical of a pendulum with a good bearing."""
-    counts_per_rev: int = Field(default=8192, ge=64, le=FINEST_ENCODER)
+    counts_per_rev: int = Field(default=8192, ge=64, le=MAX_COUNTS_PER_REV)
     """Encoder counts per revolution, after x4: 2048 lines, a common encoder."""
     max_speed: float | None = Field(default=None, gt=0.0, le=2.0)
     """Flange speed |x_dot| that fails a trial of selection and test, as it stops a run on a rig
@@ -136,14 +136,14 @@ class BoxSettings(Value):
     quantity to the interval farther from zero, as in the paper.
     """
 
-    phi_deg: Ends = tuple(interval.low for interval in paper.PHI_INTERVALS_DEG[1:])
+    phi_deg: Ends = paper.inner_ends(paper.PHI_INTERVALS_DEG)
     """Ends for the angle from upright [deg]; zero is one of them, so that each box has a side to
     which the pendulum tips."""
-    phi_dot_deg: Ends = tuple(interval.low for interval in paper.PHI_DOT_INTERVALS_DEG[1:])
+    phi_dot_deg: Ends = paper.inner_ends(paper.PHI_DOT_INTERVALS_DEG)
     """Ends for the angular velocity [deg/s]."""
-    x: Ends = tuple(interval.low for interval in paper.X_INTERVALS[1:])
+    x: Ends = paper.inner_ends(paper.X_INTERVALS)
     """Ends for the displacement of the flange, continued by `look_ahead` [m]."""
-    x_dot: Ends = tuple(interval.low for interval in paper.X_DOT_INTERVALS[1:])
+    x_dot: Ends = paper.inner_ends(paper.X_DOT_INTERVALS)
     """Ends for its velocity [m/s]."""
     look_ahead: float = Field(default=0.5, ge=0.0, le=10.0)
     """Time over which a table's x is continued at the velocity of the pendulum's centre of
@@ -189,7 +189,7 @@ class LearningSettings(Value):
     of a custom function. The paper does not give its reward."""
     episodes: int = Field(default=paper.EPISODES, ge=1, le=MAX_EPISODES)
     """Number of training episodes, as in the paper."""
-    episode_duration: float = Field(default=10.0, ge=paper.STEP, le=LONGEST_TRIAL)
+    episode_duration: float = Field(default=10.0, ge=paper.STEP, le=MAX_TRIAL_DURATION)
     """Time limit of an episode [s]; reaching it is not a failure."""
     gamma: float = Field(default=0.98, gt=0.0, lt=1.0)
     """Discount per step: a horizon of half a second."""
@@ -236,11 +236,11 @@ class SelectionSettings(Value):
     less than the fluctuation of a table."""
     late: float = Field(default=0.6, gt=0.0, le=1.0)
     """Fraction of the episodes, at the end of a training, in which candidates are taken."""
-    trials: int = Field(default=32, ge=1, le=MOST_TRIALS)
+    trials: int = Field(default=32, ge=1, le=MAX_TRIALS)
     """Number of trials of each candidate."""
-    duration: float = Field(default=60.0, ge=paper.STEP, le=LONGEST_TRIAL)
+    duration: float = Field(default=60.0, ge=paper.STEP, le=MAX_TRIAL_DURATION)
     """Length of a trial of selection and test [s]."""
-    test_trials: int = Field(default=1000, ge=1, le=MOST_TRIALS)
+    test_trials: int = Field(default=1000, ge=1, le=MAX_TRIALS)
     """Number of trials of the test: a target of 99 % is shown with up to two failures, so that a
     policy that survives 99.9 % meets it with a probability of 0.92."""
 
@@ -248,9 +248,9 @@ class SelectionSettings(Value):
 class EvaluationSettings(Value):
     """Trials that start as after a release: x = x_dot = 0, the pendulum already falling."""
 
-    trials: int = Field(default=200, ge=1, le=MOST_TRIALS)
+    trials: int = Field(default=200, ge=1, le=MAX_TRIALS)
     """Number of trials."""
-    duration: float = Field(default=60.0, ge=paper.STEP, le=LONGEST_TRIAL)
+    duration: float = Field(default=60.0, ge=paper.STEP, le=MAX_TRIAL_DURATION)
     """Length of a trial [s]."""
     phi_low: float = Field(default=radians(1.5), ge=0.0, le=QUARTER_TURN)
     """Smallest |phi| at the start [rad]; its sign is random."""
@@ -376,8 +376,8 @@ def describe_recipe(settings: Settings) -> str:
         >>> describe_recipe(resolve(overrides=["learning.gamma=0.9"]))
         'custom: robust with learning.gamma = 0.9'
     """
-    found = {name: tuple(_differences(settings, resolve(name))) for name in RECIPES}
-    name, differences = min(found.items(), key=lambda item: len(item[1]))
+    differences_of = {name: tuple(_differences(settings, resolve(name))) for name in RECIPES}
+    name, differences = min(differences_of.items(), key=lambda item: len(item[1]))
     return f"custom: {name} with {', '.join(differences)}" if differences else name
 
 
@@ -392,14 +392,9 @@ def _differences(settings: Settings, recipe: Settings) -> Iterator[str]:
 def _put(tree: dict[str, dict[str, Any]], name: str, value: Any) -> None:
     section, _, key = name.partition(".")
     if key not in tree.get(section, {}):
-        names = [] if name in tree else [option for options in tree.values() for option in options]
-        close = get_close_matches(key or name, names, n=1)
-        near = [
-            f"{one}.{option}"
-            for one, options in tree.items()
-            for option in options
-            if option in close
-        ]
+        keys = {f"{part}.{option}": option for part, fields in tree.items() for option in fields}
+        close = [] if name in tree else get_close_matches(key or name, keys.values(), n=1)
+        near = [full_name for full_name, option in keys.items() if option in close]
         remedy = f"did you mean {' or '.join(near)}?" if near else f"sections: {', '.join(tree)}"
         raise SettingsError(f"there is no setting {quoted(name)}; {remedy}")
     tree[section][key] = value

@@ -20,6 +20,7 @@ from math import nan, pi
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.testing import assert_allclose, assert_raises
 
 from equipoise.arrays import Array
 from equipoise.errors import EquipoiseError, InputError, LinkError
@@ -195,7 +196,7 @@ class RobotConformance:
         q = self.measured()
         self.wait(0.5)
         _same_joints(self.measured(), q, STILL)
-        _fails(LinkError, robot.send, q)  # no servo runs
+        assert_raises(LinkError, robot.send, q)  # no servo runs
         robot.stop()  # without a servo it does nothing
         _same_joints(self.measured(), q, STILL)
 
@@ -241,9 +242,9 @@ class RobotConformance:
         home = self.begin()
         robot, n = self.robot, self.robot.joints
         for i in range(n):
-            _fails(InputError, robot.send, np.where(np.arange(n) == i, nan, 0.0))
+            assert_raises(InputError, robot.send, np.where(np.arange(n) == i, nan, 0.0))
         for length in (0, n - 1, n + 1):
-            _fails(InputError, robot.send, [0.0] * length)
+            assert_raises(InputError, robot.send, [0.0] * length)
         self.wait(0.1)
         assert robot.replies() == [], "a refused setpoint has a reply"
         _same_joints(self.follow([home] * 10)[-1], home)
@@ -277,21 +278,21 @@ class RobotConformance:
         home = self.begin()
         self.robot.close()
         self.robot.close()
-        _fails(LinkError, self.robot.send, home)
+        assert_raises(LinkError, self.robot.send, home)
         for call in (self.robot.measured, self.robot.start):
-            _fails(EquipoiseError, call)
+            assert_raises(EquipoiseError, call)
 
     def test_without_its_peer_it_does_not_connect(self) -> None:
         robot = self.prepare()
         self.plug(False)
-        _fails(LinkError, robot.connect)
+        assert_raises(LinkError, robot.connect)
 
     def test_a_link_that_fails_at_rest_stays_failed(self) -> None:
         robot = self.prepare()
         robot.connect()
         self.plug(False)
         began = self.clock.now()
-        _fails(LinkError, robot.measured)
+        assert_raises(LinkError, robot.measured)
         took = self.clock.now() - began
         assert took <= SILENCE, f"a pulled cable is reported after {took:.3g} s"
         self.stays_failed()
@@ -307,9 +308,9 @@ class RobotConformance:
                 self.wait(SETPOINT_PERIOD)
                 self.robot.replies()
 
-        _fails(LinkError, stream_for_two_seconds)
+        assert_raises(LinkError, stream_for_two_seconds)
         self.stays_failed()
-        _fails(LinkError, self.robot.send, home)
+        assert_raises(LinkError, self.robot.send, home)
 
     def stays_failed(self) -> None:
         """Put the cable of a failed link back; the driver must not use the link again."""
@@ -317,21 +318,7 @@ class RobotConformance:
         with suppress(LinkError):
             self.clock.wait_until(self.clock.now() + 0.5)
         for call in (self.robot.measured, self.robot.start):
-            _fails(LinkError, call)
-
-
-def _fails(kind: type[Exception], call: Callable[..., Any], *arguments: Any) -> None:
-    """Fail a test unless a call raises an error of a kind."""
-    try:
-        call(*arguments)
-    except kind:
-        return
-    raise AssertionError(f"{call.__name__}{arguments} returned, expected a {kind.__name__}")
-
-
-def _near(q: Any, expected: Any, tolerance: float) -> None:
-    error = float(np.abs(np.subtract(q, expected)).max())
-    assert error <= tolerance, f"{error:.2g} off, expected at most {tolerance:g}"
+            assert_raises(LinkError, call)
 
 
 def _measured_on_the_way(reply: Reply, track: list[tuple[float, Array]]) -> None:
@@ -392,9 +379,9 @@ class WorldConformance:
     def test_a_release_leaves_the_arm_at_rest_at_home_and_the_pendulum_as_drawn(self) -> None:
         loop, simulation, setup = self.released()
         start, state = simulation.draw(1, first=3).start[0], loop.state()
-        _near(state[:3], start[:3], 2e-3)
-        _near(state[3], start[3], 0.05)
-        _near(loop.joints(), setup.arm.home, 2e-3)
+        assert_allclose(state[:3], start[:3], rtol=0.0, atol=2e-3)
+        assert_allclose(state[3], start[3], rtol=0.0, atol=0.05)
+        assert_allclose(loop.joints(), setup.arm.home, rtol=0.0, atol=2e-3)
         assert loop.now == 0.0
 
     def test_the_controller_observes_what_is_true(self) -> None:
@@ -402,12 +389,14 @@ class WorldConformance:
         for _ in range(5):
             loop.step(0.0)
         measured = loop.measurement()
-        _near(predicted(loop), loop.state(), 0.2)
+        assert_allclose(predicted(loop), loop.state(), rtol=0.0, atol=0.2)
         assert (measured is not None) == self.ENCODER
         if measured is not None:
-            _near(measured.q, np.array(loop.joints())[list(setup.arm.free)], 2e-3)
+            assert_allclose(
+                measured.q, np.array(loop.joints())[list(setup.arm.free)], rtol=0.0, atol=2e-3
+            )
             shown = pi - measured.counts * loop.params.resolution - (loop.zero or 0.0)
-            _near(shown, loop.state()[2], 0.02)
+            assert_allclose(shown, loop.state()[2], rtol=0.0, atol=0.02)
             assert measured.counted_at <= loop.now + 1e-3, "a count comes from the future"
             assert measured.measured_at <= loop.now, "a measurement comes from the future"
 

@@ -25,13 +25,13 @@ MAX_ERROR_LENGTH: Final = 500
 
 @contextmanager
 def user_code(
-    what: str, cure: str = "correct it", where: Callable[[], str] = lambda: ""
+    what: str, remedy: str = "correct it", where: Callable[[], str] = lambda: ""
 ) -> Generator[None]:
     """Run code from outside the package; convert what it raises, except Ctrl-C.
 
     Args:
         what: Name of the code in messages.
-        cure: Remedy in the message.
+        remedy: Remedy in the message.
         where: Returns the situation of the call for the message, with a leading space.
 
     Raises:
@@ -45,7 +45,7 @@ def user_code(
     except BaseException as error:
         if isinstance(error, EquipoiseError) and str(error):
             raise
-        raise InputError(f"{what} raised {format_error(error)}{where()}; {cure}") from error
+        raise InputError(f"{what} raised {format_error(error)}{where()}; {remedy}") from error
 
 
 def load_object(name: str, option: str) -> Any:

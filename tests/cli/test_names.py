@@ -12,13 +12,11 @@ from equipoise.log.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
 from equipoise.rig.simulate import simulate_run
 from tests.cli.conftest import contents
-from tests.cli.test_verbs import SHORT
 
 RUN = ("deploy", "--duration=0.3", "--json")
 
 SECOND_CALLS = {
     "identify swing.csv": {"pendulum.json", "pendulum.svg", "pendulum.png"},
-    "train --target=0 " + " ".join(SHORT): {"policy.json"},
     "deploy --duration=0.3": {"run.mcap"},
     "log export given.mcap": {"given-csv/tick.csv", "given-csv/truth.csv"},
 }
@@ -55,12 +53,12 @@ def test_a_second_call_takes_the_next_name_and_says_so(equipoise, swing, tmp_pat
     first = contents(tmp_path)
     assert first.keys() - before.keys() >= SECOND_CALLS[call]
     second = equipoise(*call.split())
-    name, *_ = sorted(one.partition("/")[0] for one in SECOND_CALLS[call])
+    name, *_ = sorted(file.partition("/")[0] for file in SECOND_CALLS[call])
     free = Path(name).with_stem(Path(name).stem + "-2")
     assert (second.code, f"{name} is taken; writing {free}") == (0, second.out.splitlines()[0])
     after = contents(tmp_path)
     assert first.items() <= after.items()
-    assert {one.replace("-2", "") for one in after.keys() - first.keys()} == (
+    assert {file.replace("-2", "") for file in after.keys() - first.keys()} == (
         first.keys() - before.keys()
     )
 

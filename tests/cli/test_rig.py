@@ -64,11 +64,11 @@ def test_a_driver_that_sleeps_ends_a_run_on_a_twin(equipoise, monkeypatch):
 @pytest.mark.parametrize(
     ("verb", "stage"),
     [
-        ("deploy", "rig.simulate.simulate_run"),
+        ("deploy", "simulate_run"),
         ("rig doctor", "rig.checks.examine"),
-        ("train", "learning.train.train_to_target"),
-        ("evaluate", "simulation.evaluation.evaluate"),
-        ("reproduce", "reproduction.pipeline.reproduce"),
+        ("train", "train_to_target"),
+        ("evaluate", "evaluate"),
+        ("reproduce", "reproduce"),
         ("warm-up", "reproduction.warm_up.warm_up"),
     ],
 )

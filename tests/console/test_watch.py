@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from equipoise.arm.iiwa import iiwa7
-from equipoise.console.watch import RunWatch
+from equipoise.console.live import RunWatch
 from equipoise.log.recorder import (
     RunInfo,
     live_runs,
@@ -51,7 +51,7 @@ def asked(watch):
 def clock(monkeypatch):
     """The time of the machine [s], to be set."""
     clock = SimpleNamespace(now=1.0)
-    monkeypatch.setattr("equipoise.console.watch.time", clock)
+    monkeypatch.setattr("equipoise.console.live.time", clock)
     clock.monotonic = lambda: clock.now
     return clock
 

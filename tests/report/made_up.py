@@ -13,12 +13,7 @@ from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
 from equipoise.model.pendulum import Pendulum, SwingFit
 from equipoise.model.worlds import IDEAL, MODEL, read_world
 from equipoise.outcomes import Outcome
-from equipoise.reproduction.results import (
-    RecipeResults,
-    ReproductionRecord,
-    Results,
-    digests,
-)
+from equipoise.reproduction.results import RecipeResults, ReproductionRecord, Results
 from equipoise.settings import resolve
 from equipoise.simulation.evaluation import Evaluation, TrialResults
 
@@ -89,11 +84,7 @@ def policy(of, recipe="robust", unvisited=7):
     lean = np.repeat([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0], 45)
     selected = settings.selection.every > 0
     curve = [
-        LearningPoint(
-            episodes=n,
-            steps=40 * n,
-            duration=n / 1000.0,
-        )
+        LearningPoint(episodes=n, steps=40 * n, duration=n / 1000.0)
         for n in range(1000, 10001, 1000)
     ]
     candidates = [
@@ -218,7 +209,7 @@ def results(
     identified = pendulum(trajectory, warnings)
     trained, literal = policy(identified, recipe), policy(identified, "paper")
     twin = world != MODEL
-    found = Results(
+    return Results(
         record=ReproductionRecord(
             quick=quick,
             seed=0,
@@ -242,5 +233,3 @@ def results(
             run=run(literal, survival=1.5, cause=Outcome.ANGLE, world=world),
         ),
     )
-    record = found.record.model_copy(update={"files": digests(found)})
-    return found._replace(record=record)

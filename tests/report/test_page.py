@@ -154,12 +154,12 @@ def test_every_setting_is_there_with_value_and_reason(plain):
 def folder(tmp_path_factory):
     """A folder as `reproduce` leaves it."""
     out = tmp_path_factory.mktemp("machine") / "report"
-    found = made_up.results()
-    write_swing(out / files.SWING, found.swing)
+    results = made_up.results()
+    write_swing(out / files.SWING, results.swing)
     # The digest of a recording is that of its file.
     swing = files.read_swing(out / files.SWING)
     policy = made_up.policy(made_up.pendulum(swing))
-    found = found._replace(
+    results = results._replace(
         swing=swing,
         pendulum=policy.pendulum,
         default=files.RecipeResults(
@@ -169,8 +169,7 @@ def folder(tmp_path_factory):
             run=made_up.run(policy, survival=8.0, cause=Outcome.TRACK, world="twin:nominal"),
         ),
     )
-    record = found.record.model_copy(update={"files": dict(files.digests(found))})
-    files.save(found._replace(record=record), out)
+    files.save(results, out)
     return out
 
 

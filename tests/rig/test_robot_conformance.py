@@ -85,13 +85,13 @@ def driver(**methods):
 
 
 BROKEN = {
-    "recovers by itself": (driver(_fail=recovers), "returned, expected a LinkError"),
+    "recovers by itself": (driver(_fail=recovers), "LinkError not raised"),
     "degrees both ways": (changed(np.degrees, setpoint=np.radians), "in degrees"),
     "works after close": (driver(close=lambda self: None), "send"),
     "loses a sign": (changed(np.abs), "of the wrong sign"),
-    "connects to nothing": (driver(connect=connects), "returned, expected a LinkError"),
+    "connects to nothing": (driver(connect=connects), "LinkError not raised"),
     "blocks in receive": (driver(replies=blocks), "the driver blocks"),
-    "no setpoint is sent": (driver(send=lambda self, q: None), "returned, expected a LinkError"),
+    "no setpoint is sent": (driver(send=lambda self, q: None), "LinkError not raised"),
     "one joint too few": (changed(lambda q: q[:6]), "7 joints"),
 }
 """Broken drivers, and words of the message that names the fault."""

@@ -24,7 +24,7 @@ from equipoise.arm import compiler
 from equipoise.arm.arm import Arm, Inertial, Joint
 from equipoise.arm.chain import rotation_from_rpy
 from equipoise.errors import ArmError
-from equipoise.files import quoted, write_whole
+from equipoise.files import quoted, write_atomically
 from equipoise.paper import HELD_JOINT
 
 ALPHA_DEG: Final = (0.0, -90.0, 90.0, 90.0, -90.0, -90.0, 90.0)
@@ -161,7 +161,7 @@ def iiwa14() -> Arm:
 def main() -> None:
     """Write the generated kinematics of both arms into the package."""
     for arm in (iiwa7(), iiwa14()):
-        write_whole(compiler.COMMITTED_FOLDER / f"{arm.name}.py", compiler.source(arm))
+        write_atomically(compiler.COMMITTED_FOLDER / f"{arm.name}.py", compiler.source(arm))
 
 
 if __name__ == "__main__":

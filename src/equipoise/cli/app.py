@@ -4,12 +4,11 @@ from functools import partial
 
 import typer
 
-from equipoise.cli.deploy import deploy
-from equipoise.cli.evaluate import evaluate
-from equipoise.cli.identify import identify, record, refine
-from equipoise.cli.logs import explain, export
-from equipoise.cli.pages import console, play, show
-from equipoise.cli.rig import doctor, emulate
+from equipoise.cli.deploy import console, deploy
+from equipoise.cli.evaluate import evaluate, play
+from equipoise.cli.identify import identify, refine
+from equipoise.cli.logs import explain, export, show
+from equipoise.cli.rig import doctor, emulate, record
 from equipoise.cli.train import reproduce, train, warm_up
 
 group = partial(

@@ -1,22 +1,21 @@
-"""`equipoise deploy`: runs a policy once, or moves an arm to measure its response.
+"""Verbs of a run: `equipoise deploy`, and `console`, which shows it in the browser.
 
-One program for a simulated run, an emulated rig and a real rig.
+`deploy` runs a policy once, or moves an arm to measure its response: one program for a simulated
+run, an emulated rig and a real rig.
 """
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from pydantic import Field
 
+import equipoise as eq
 from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
 from equipoise.errors import InputError
 from equipoise.user_code import user_code
-
-if TYPE_CHECKING:
-    from equipoise.rig.request import RunRequest
 
 
 class Run(Options):
@@ -74,27 +73,25 @@ def deploy(
         _run_on_rig(output, policy, run, task, rig, on_rig, files)
         return
 
-    from equipoise.model.worlds import read_world
     from equipoise.outcomes import Outcome
-    from equipoise.rig.simulate import excite, simulate_run
     from equipoise.simulation import setup_of
 
     world, seed = run.world, run.seed
     if run.excite:
-        arm, _ = opt.read_arm(task.arm or "iiwa7"), read_world(world)
+        arm, _ = opt.read_arm(task.arm or "iiwa7"), eq.read_world(world)
         out = files.file(output, "run.mcap", task.pendulum, suffix=".mcap")
         length = run.duration or 10.0
         with output.busy("moving the arm"):
-            log = excite(arm, pendulum=task.pendulum, duration=length, world=world, seed=seed)
+            log = eq.excite(arm, pendulum=task.pendulum, duration=length, world=world, seed=seed)
         code, then, inputs = 0, command("identify", out), dict[str, str]()
     else:
-        chosen, actuator = task.read(policy), task.actuator
-        setup_of(chosen, world, actuator=actuator)
+        loaded, actuator = task.read(policy), task.actuator
+        setup_of(loaded, world, actuator=actuator)
         out = files.file(output, "run.mcap", policy, task.pendulum, suffix=".mcap")
-        output.warn(chosen.shortfall)
+        output.warn(loaded.shortfall)
         with output.busy("running"):
-            log = simulate_run(
-                chosen, world=world, actuator=actuator, duration=run.duration, seed=seed
+            log = eq.simulate_run(
+                loaded, world=world, actuator=actuator, duration=run.duration, seed=seed
             )
         code, then = int(log.outcome != Outcome.SURVIVED), command("log explain", out)
         inputs = {"policy": log.conditions.policy}
@@ -109,50 +106,6 @@ def deploy(
     )
 
 
-def _request(
-    output: Output, policy: Path | None, run: Run, task: opt.Task, rig: opt.Rig, on_rig: OnRig
-) -> "RunRequest":
-    """Return the request for a run on a rig.
-
-    Raises:
-        InputError: No robot is named.
-    """
-    from equipoise.control.bound_policy import BoundPolicy
-    from equipoise.identification.actuator import identify_actuator
-    from equipoise.model.actuator import read_actuator
-    from equipoise.rig.config import RigSettings, read_rig, world_of
-    from equipoise.rig.request import RunRequest
-
-    if run.world != Run().world:
-        raise InputError("--world is for a simulated run; leave it out, or leave out the rig")
-    described = read_rig(rig.rig)
-    if task.arm is not None:
-        arm: dict[str, object] = {"arm": task.arm}
-        if Path(task.arm).suffix.lower() == ".toml":
-            fields = {"arm", "held", "tip", "acceleration_deg", "home_deg", "pivot_mm"}
-            arm = read_rig(Path(task.arm)).model_dump(include=fields)
-        described = RigSettings.model_validate({**dict(described), **arm})
-    robot = rig.robot or described.robot
-    if robot is None:
-        raise InputError("the rig names no robot; give --robot")
-    chosen = task.read(policy)
-    if isinstance(chosen, BoundPolicy):
-        chosen = replace(chosen, arm=described.described_arm)
-    output.warn(chosen.shortfall)
-    return RunRequest(
-        chosen,
-        chosen.actuator if task.actuator is None else read_actuator(task.actuator),
-        described,
-        robot,
-        rig.encoder if world_of(robot) else rig.encoder or described.encoder,
-        run.duration or 60.0,
-        max_speed=on_rig.max_speed,
-        dry_run=on_rig.dry_run,
-        seed=run.seed,
-        identify=identify_actuator if on_rig.identify else None,
-    )
-
-
 def _run_on_rig(
     output: Output,
     policy: Path | None,
@@ -164,24 +117,55 @@ def _run_on_rig(
 ) -> None:
     """Run on an emulated or a real rig, write the log, and print the result."""
     from equipoise.cli.terminal_operator import TerminalOperator, single_keys
-    from equipoise.model.pendulum import shipped_pendulum
+    from equipoise.control.bound_policy import BoundPolicy
+    from equipoise.identification.actuator import identify_actuator
+    from equipoise.model.actuator import read_actuator
     from equipoise.outcomes import Outcome
     from equipoise.rig.checks import check_fit, require
-    from equipoise.rig.config import world_of
+    from equipoise.rig.config import RigSettings, read_rig, world_of
     from equipoise.rig.connection import connect
     from equipoise.rig.processes import run_in_processes
+    from equipoise.rig.request import RunRequest
     from equipoise.rig.run import run_virtually
 
-    request = _request(output, policy, run, task, rig, on_rig)
+    if run.world != Run().world:
+        raise InputError("--world is for a simulated run; leave it out, or leave out the rig")
+    settings = read_rig(rig.rig)
+    if task.arm is not None:
+        of_the_arm: dict[str, object] = {"arm": task.arm}
+        if Path(task.arm).suffix.lower() == ".toml":
+            fields = {"arm", "held", "tip", "acceleration_deg", "home_deg", "pivot_mm"}
+            of_the_arm = read_rig(Path(task.arm)).model_dump(include=fields)
+        settings = RigSettings.model_validate({**dict(settings), **of_the_arm})
+    robot = rig.robot or settings.robot
+    if robot is None:
+        raise InputError("the rig names no robot; give --robot")
+    emulated = world_of(robot) is not None
+    loaded = task.read(policy)
+    if isinstance(loaded, BoundPolicy):
+        loaded = replace(loaded, arm=settings.described_arm)
+    output.warn(loaded.shortfall)
+    request = RunRequest(
+        loaded,
+        loaded.actuator if task.actuator is None else read_actuator(task.actuator),
+        settings,
+        robot,
+        rig.encoder if emulated else rig.encoder or settings.encoder,
+        run.duration or 60.0,
+        max_speed=on_rig.max_speed,
+        dry_run=on_rig.dry_run,
+        seed=run.seed,
+        identify=identify_actuator if on_rig.identify else None,
+    )
     with output.busy("checking policy and addresses"):
         require(check_fit(request.policy, request.actuator, request.settings))
-        with user_code(f"the driver of {request.robot}"):
+        with user_code(f"the driver of {robot}"):
             devices = connect(request)  # nothing is opened before the run
     identified = ("-actuator.json",) if on_rig.identify else ()
     read = policy, task.pendulum, rig.rig
     out = files.file(output, "run.mcap", *read, suffix=".mcap", beside=identified)
-    if world_of(request.robot):
-        with signals() as stopped, user_code(f"the driver of {request.robot}"):
+    if emulated:
+        with signals() as stopped, user_code(f"the driver of {robot}"):
             end = run_virtually(request, out, TerminalOperator(output, stopped), rig=devices)
     else:
         with single_keys():
@@ -195,8 +179,8 @@ def _run_on_rig(
         moving = on_rig.model_copy(update={"dry_run": False})
         then = command("deploy", policy, run, rig, moving, task)
     elif end.outcome is Outcome.UNIDENTIFIED and actuator is not None:
-        pendulum = opt.file_of(request.policy.pendulum.digest, shipped_pendulum())
-        arm = task.arm or rig.rig or opt.name_of(request.policy.arm)
+        pendulum = opt.file_of(loaded.pendulum.digest, eq.shipped_pendulum())
+        arm = task.arm or rig.rig or opt.name_of(loaded.arm)
         then = command("train", task.pendulum or pendulum, arm=arm, actuator=actuator)
     output.result(
         outcome=end.outcome,
@@ -207,7 +191,24 @@ def _run_on_rig(
         actuator=actuator,
         stoppable=end.stoppable,
         missed=end.missed,
-        world=request.robot,
+        world=robot,
         code=end.exit_code,
         then=then,
     )
+
+
+@verb
+def console(output: Output, *, page: opt.Page) -> None:
+    """Show the runs on this computer in the browser, with all buttons, until Ctrl-C.
+
+    Open the printed address, token included. The console shows each run on a
+    robot, real or of rig emulate, that you start on this computer; log show
+    replays a run in virtual time. STOP and the space bar stop the arm. A run
+    does not depend on the console.
+    """
+    from equipoise.console.live import serve
+
+    with signals() as stopped:
+        serve(
+            page.listen, page.port, lambda address: output.result(console=address), stopped.is_set
+        )

@@ -1,4 +1,4 @@
-"""`equipoise evaluate`: measures how long a policy balances, and why it fails."""
+"""Verbs that try a policy in simulation: `equipoise evaluate` and `play`."""
 
 from math import ceil, log
 from pathlib import Path
@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
+import equipoise as eq
 from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
-from equipoise.cli.output import Output
+from equipoise.cli.output import Output, signals
 from equipoise.errors import InputError
 from equipoise.settings import changed
 
@@ -56,18 +57,12 @@ def evaluate(
     from equipoise.control.bound_policy import BUILT_IN
     from equipoise.executors import counted
     from equipoise.simulation import setup_of
-    from equipoise.simulation.evaluation import (
-        CLAIM_CONFIDENCE,
-        allowed_failures,
-        evaluate,
-        lower_bound,
-        trials_for,
-    )
+    from equipoise.simulation.evaluation import CLAIM_CONFIDENCE, allowed_failures
 
     chosen, claim = task.read(policy), trials.claim
     count = trials.trials
     if count is None and claim is not None:
-        count = trials_for(claim)
+        count = eq.trials_for(claim)
     changes = {"evaluation.trials": count, "evaluation.duration": trials.duration}
     known = {name: value for name, value in changes.items() if value is not None}
     settings = changed(chosen.settings, known)
@@ -85,7 +80,7 @@ def evaluate(
     with_baselines = not trials.no_baselines and claim is None
     total = count * (1 + len(BUILT_IN)) if with_baselines else count
     with output.progress() as show:
-        evaluation = evaluate(
+        evaluation = eq.evaluate(
             chosen,
             settings,
             world=trials.world,
@@ -101,7 +96,7 @@ def evaluate(
     fields: dict[str, Any] = _trial_fields(evaluation.results)
     code = int(fields["median_s"] < evaluation.duration)
     if claim is not None:
-        bound = lower_bound(fields["survived"], count, CLAIM_CONFIDENCE)
+        bound = eq.lower_bound(fields["survived"], count, CLAIM_CONFIDENCE)
         granted = bound >= claim
         verdict: dict[str, Any] = {"granted": granted, "claim": claim, "bound_95": bound}
         fields = verdict | {"allowed_failures": allowed} | fields
@@ -113,7 +108,7 @@ def evaluate(
         world=evaluation.world,
         arm=evaluation.arm,
         seed=evaluation.seed,
-        baselines={one.name: _trial_fields(one) for one in evaluation.baselines},
+        baselines={row.name: _trial_fields(row) for row in evaluation.baselines},
         file=out,
         code=code,
         then=command("deploy", policy, task, world=twin),
@@ -125,3 +120,25 @@ def _trial_fields(results: "TrialResults") -> dict[str, Any]:
     summary = results.summary()
     counts = {name: getattr(summary, name) for name in ("survived", "trials", "rate", "outcomes")}
     return counts | {"interval_95": summary.interval, "median_s": summary.median}
+
+
+@verb
+def play(
+    output: Output, scene: str = "balance", policy: Path | None = None, *, page: opt.Page
+) -> None:
+    """Balance the twin in the browser: push it, change the rig.
+
+    SCENE is balance (default), why-it-falls, zero-error, friction or lqr.
+    POLICY is one of yours, to choose on the page. Open the printed address.
+    Everyone who has it plays with the same pendulum. It runs until Ctrl-C.
+    Needs no robot and no recording.
+    """
+    from equipoise.console.play import SCENES, PlayPage
+    from equipoise.console.web import serving
+
+    if scene not in SCENES:
+        raise InputError(f"there is no scene {scene!r}; choose one of {', '.join(SCENES)}")
+    yours = None if policy is None else opt.Task().read(policy)
+    with signals() as stopped, serving(page.listen, page.port) as (server, address):
+        output.result(playground=address)
+        PlayPage(server, SCENES[scene], yours).run(stopped.is_set)

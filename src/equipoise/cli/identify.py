@@ -1,17 +1,16 @@
-"""Verbs that identify pendulum and arm: `equipoise identify`, `refine` and `rig record`."""
+"""Verbs that identify pendulum and arm: `equipoise identify` and `refine`."""
 
-from contextlib import closing
 from math import degrees
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field
 
+import equipoise as eq
 from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output
 from equipoise.errors import InputError
-from equipoise.user_code import user_code
 
 
 class Swing(Options):
@@ -62,23 +61,20 @@ def identify(
     if recording.suffix.lower() == ".mcap":
         _identify_actuator(output, recording, files)
         return
-    from equipoise.files import Estimate
-    from equipoise.identification.recording import read_swing
-    from equipoise.identification.swing import identify
     from equipoise.report.figures import free_swing
     from equipoise.report.style import save
 
     settings = changes.resolve(**{"identification.friction": model.friction})
     mass = length = None
     if model.mass is not None and model.length is not None:
-        mass = Estimate.normal(model.mass, model.mass_uncertainty, "given")
-        length = Estimate.normal(model.length, model.length_uncertainty, "given")
+        mass = eq.Estimate.normal(model.mass, model.mass_uncertainty, "given")
+        length = eq.Estimate.normal(model.length, model.length_uncertainty, "given")
     elif model.mass is not None or model.length is not None:
         raise InputError("I and b need both --mass and --length; give the other one too")
-    recorded = read_swing(recording, **dict(swing))
+    recorded = eq.read_swing(recording, **dict(swing))
     out = files.file(output, "pendulum.json", recording, beside=(".svg", ".png"))
     with output.busy(f"fitting {len(recorded.time):,} samples") as show:
-        pendulum = identify(recorded, settings.identification, mass, length, show)
+        pendulum = eq.identify(recorded, settings.identification, mass, length, show)
         pendulum.save(out, command="identify", inputs={"recording": recorded.sha256})
         drawn = save(free_swing(recorded, pendulum), out.with_suffix(""))
     then, fit = command("train", out), pendulum.fit
@@ -96,16 +92,14 @@ def identify(
 
 
 def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:
-    from equipoise.identification.actuator import identify_run
     from equipoise.log.run_log import load_run
-    from equipoise.model.pendulum import shipped_pendulum
 
     run = load_run(log)
     out = files.file(output, "actuator.json", log)
     with output.busy(f"fitting {len(run.replies.time):,} measured postures"):
-        actuator = identify_run(run)
+        actuator = eq.identify_run(run)
     actuator.save(out, command="identify", inputs={"run": run.digest})
-    pendulum = opt.file_of(run.conditions.pendulum_digest, shipped_pendulum())
+    pendulum = opt.file_of(run.conditions.pendulum_digest, eq.shipped_pendulum())
     arm = opt.name_of(run.conditions.arm)
     output.result(
         actuator,
@@ -123,13 +117,10 @@ def refine(output: Output, policy: Path, run: Path, *, files: opt.Files) -> None
     Identifies w2 and the actuator again, and writes those that left their
     intervals: the pendulum (refined.json), and the actuator beside it.
     """
-    from equipoise.control.policy import TabularPolicy
     from equipoise.identification.refine import inspect
     from equipoise.log.run_log import load_run
-    from equipoise.model.actuator import shipped_actuator
-    from equipoise.model.pendulum import shipped_pendulum
 
-    table = TabularPolicy.load(policy)
+    table = eq.TabularPolicy.load(policy)
     log = load_run(run)
     out = files.file(output, "refined.json", policy, run, beside=("-actuator.json",))
     output.warn(log.damage)
@@ -137,8 +128,8 @@ def refine(output: Output, policy: Path, run: Path, *, files: opt.Files) -> None
         findings = inspect(table, log)
     inputs = {"policy": table.digest, "run": log.digest}
     paths: dict[str, Any] = {}
-    pendulum = opt.file_of(table.pendulum.digest, shipped_pendulum())
-    actuator = opt.file_of(table.actuator.digest, shipped_actuator())
+    pendulum = opt.file_of(table.pendulum.digest, eq.shipped_pendulum())
+    actuator = opt.file_of(table.actuator.digest, eq.shipped_actuator())
     if findings.pendulum.digest != table.pendulum.digest:
         paths["pendulum"] = pendulum = out
         findings.pendulum.save(out, command="refine", inputs=inputs)
@@ -154,52 +145,4 @@ def refine(output: Output, policy: Path, run: Path, *, files: opt.Files) -> None
         warnings=findings.warnings,
         **paths,
         then=then if paths else "",
-    )
-
-
-class Recording(Options):
-    """The recording."""
-
-    encoder: str
-    """Address of the encoder, e.g. serial:///dev/ttyACM0."""
-    duration: Annotated[float, Field(ge=1.0, le=600.0)] = 30.0
-    """Maximum duration from the release [s]."""
-    counts_per_rev: int | None = None
-    """Encoder counts per revolution, after x4."""
-
-
-@verb
-def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
-    """Record a free swing of the pendulum from its encoder (swing.csv).
-
-    Hold the pivot still. Let the pendulum hang, lift it, hold it, release it.
-    The angle is shown meanwhile. Ctrl-C ends the recording without a file.
-    """
-    from equipoise.identification.recording import write_swing
-    from equipoise.rig.clocks import SystemClock
-    from equipoise.rig.connection import open_encoder
-    from equipoise.robots.encoder.swing import record_swing
-
-    clock = SystemClock()
-    sensor = open_encoder(recording.encoder, clock, counts_per_rev=recording.counts_per_rev)
-    out = files.file(output, "swing.csv", suffix=".csv")
-    driver = user_code(f"the driver of {recording.encoder}")
-    with output.busy("connecting") as rename, driver, closing(sensor):
-        sensor.connect()
-        swing, missing = record_swing(
-            sensor,
-            clock,
-            recording.duration,
-            tell=lambda instruction: output.tell(f"  {instruction}"),
-            show=lambda theta: rename(f"{degrees(theta):+7.1f} deg"),
-        )
-    write_swing(out, swing)
-    output.result(
-        samples=len(swing.time),
-        duration_s=float(swing.time[-1]),
-        missing=missing,
-        rejected=sensor.rejected,
-        counts_per_rev=sensor.counts_per_rev,
-        recording=out,
-        then=command("identify", out),
     )

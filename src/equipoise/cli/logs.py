@@ -1,18 +1,35 @@
-"""Verbs that read the log of a run: `equipoise log explain` and `log export`."""
+"""Verbs that read the log of a run: `equipoise log show`, `explain` and `export`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import equipoise as eq
 from equipoise import paper
 from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
-from equipoise.cli.output import Output
+from equipoise.cli.output import Output, signals
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from equipoise.log.run_log import RunLog
+
+@verb
+def show(output: Output, run: Path, *, page: opt.Page) -> None:
+    """Replay a run in the browser: the arm in 3-D, plots, events, until Ctrl-C.
+
+    Open the printed address, token included. The page plays the run at 0.1 to 4
+    times its speed, steps by a tick, and jumps to events. A truncated log is
+    shown as far as it is readable.
+    """
+    from equipoise.console.replay import ReplayPage
+    from equipoise.console.web import serving
+
+    log = eq.RunLog.load(run, damaged=True)
+    with signals() as stopped, serving(page.listen, page.port) as (server, address):
+        replay = ReplayPage(server, log, run.stem)
+        output.result(run=run, replay=address, warnings=[log.damage])
+        replay.play(stopped.is_set)
 
 
 @verb
@@ -24,39 +41,42 @@ def explain(output: Output, run: Path) -> None:
     run that survived, or that the operator ended: motion and limits.
     A truncated log is read as far as it is readable.
     """
-    from equipoise.log.run_log import RunLog
     from equipoise.outcomes import Outcome, describe
     from equipoise.rig.explanation import explain as why
 
-    read = RunLog.load(run, damaged=True)
-    causes, end = why(read), read.ending
+    log = eq.RunLog.load(run, damaged=True)
+    causes, end = why(log), log.ending
     then = command("log show", run)
     if end.outcome is Outcome.EXCITED:
         then = command("identify", run)
-    if end.outcome in (Outcome.SURVIVED, Outcome.OPERATOR) and len(read.ticks):
-        found = _standing(read)
+    if end.outcome in (Outcome.SURVIVED, Outcome.OPERATOR) and len(log.ticks):
+        fields = _balance(log)
     else:
-        found: dict[str, Any] = {
+        fields: dict[str, Any] = {
             "cause": causes[0].cause,
             "advice": causes[0].cause.advice,
             "causes": {
-                str(one.cause): {"score": one.score, "time_s": one.time, "evidence": one.evidence}
-                for one in causes
+                str(cause.cause): {
+                    "score": cause.score,
+                    "time_s": cause.time,
+                    "evidence": cause.evidence,
+                }
+                for cause in causes
             },
         }
     output.result(
-        warnings=[read.damage],
+        warnings=[log.damage],
         outcome=end.outcome,
         reason=describe(end) if end.evidence else None,
-        survival_s=causes[0].time and read.survival,
-        **found,
-        phase=None if read.conditions.simulated else read.last_phase and read.last_phase.value,
-        log_complete=read.end is not None,
+        survival_s=causes[0].time and log.survival,
+        **fields,
+        phase=None if log.conditions.simulated else log.last_phase and log.last_phase.value,
+        log_complete=log.end is not None,
         then=then,
     )
 
 
-def _standing(run: "RunLog") -> dict[str, Any]:
+def _balance(run: "eq.RunLog") -> dict[str, Any]:
     """Return how a run balanced: values that safety rules compare, and their limits."""
     import numpy as np
 
@@ -100,14 +120,13 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
     choose another part.
     """
     from equipoise.film import check_format, write_film
-    from equipoise.log.run_log import RunLog
 
     video, tables = film.video, None
     if video is None and film != Film():
         raise InputError("--from and --to choose the part of a film; give --video FILE as well")
     if video is not None:
         check_format(video.suffix.lower())
-    log = RunLog.load(run, damaged=True)
+    log = eq.RunLog.load(run, damaged=True)
     if video is None:
         tables = log.export(files.folder(output, run.with_name(f"{run.stem}-csv")))
     else:

@@ -20,6 +20,7 @@ import typer
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from rich.markup import escape
 
+import equipoise as eq
 from equipoise.cli.output import Output, complain, signals
 from equipoise.entry_points import registered
 from equipoise.errors import INTERRUPTED, InputError
@@ -29,10 +30,8 @@ from equipoise.model.worlds import named_twins
 from equipoise.settings import RECIPES, Friction
 
 if TYPE_CHECKING:
-    from equipoise.arm.arm import Arm
     from equipoise.control.policy import TaskPolicy
     from equipoise.files import Artefact
-    from equipoise.settings import Settings
 
 TABLES: Final = {
     "arms": sorted(registered("equipoise.arms")),
@@ -115,9 +114,9 @@ def command(verb: str, *arguments: object, **options: object) -> str:
         elif argument is not None:
             words.append(str(argument))
     for field, value in (fields | options).items():
-        for one in value if isinstance(value, list) else [value]:
-            if one is not None:
-                words += [_name(field)] if one is True else [_name(field), str(one)]
+        for item in value if isinstance(value, list) else [value]:
+            if item is not None:
+                words += [_name(field)] if item is True else [_name(field), str(item)]
     return shlex.join(words)
 
 
@@ -139,12 +138,10 @@ class Changes(Options):
     set: list[str] | None = None
     """One setting, e.g. learning.gamma=0.98; repeatable."""
 
-    def resolve(self, **named: object) -> "Settings":
+    def resolve(self, **named: object) -> "eq.Settings":
         """Return the settings, with those that an option of their own names, where given."""
-        from equipoise.settings import resolve
-
         chosen = [f"{name}={value}" for name, value in named.items() if value is not None]
-        return resolve(self.recipe, self.settings, [*(self.set or ()), *chosen])
+        return eq.resolve(self.recipe, self.settings, [*(self.set or ()), *chosen])
 
 
 class Task(Options):
@@ -165,15 +162,12 @@ class Task(Options):
         Raises:
             InputError: There is no such policy, or it does not fit the task.
         """
-        from equipoise.control.bound_policy import load_policy
-        from equipoise.settings import resolve
-
-        return load_policy(
+        return eq.load_policy(
             policy,
             pendulum=self.pendulum,
             arm=None if self.arm is None else read_arm(self.arm),
             actuator=self.actuator,
-            settings=None if self.settings is None else resolve(file=self.settings),
+            settings=None if self.settings is None else eq.resolve(file=self.settings),
         )
 
 
@@ -190,7 +184,7 @@ class Random(Options):
         """Number of threads."""
         from equipoise.executors import available_cores
 
-        return available_cores() if self.workers is None else self.workers
+        return self.workers or available_cores()
 
 
 class Page(Options):
@@ -298,7 +292,7 @@ def _remove_empty(folder: Path) -> None:
         folder.rmdir()
 
 
-def read_arm(name: str) -> "Arm":
+def read_arm(name: str) -> "eq.Arm":
     """Return the arm of `--arm`: a registered name, or the path of a URDF or of a rig.toml.
 
     Raises:
@@ -327,7 +321,7 @@ def file_of(digest: str, shipped: "Artefact") -> Path | None:
     return Path(name.upper())
 
 
-def name_of(arm: "Arm") -> str | None:
+def name_of(arm: "eq.Arm") -> str | None:
     """Return the registered name of an arm: None for the default, ARM for one without a name."""
     with suppress(InputError):
         if read_arm(arm.name) == arm:

@@ -74,8 +74,8 @@ class Output:
         """
         if self._as_json:
             dumped = value.model_dump() if value else {}
-            whole = to_json(dumped | fields, inf_nan_mode="null", fallback=str)
-            print(whole.decode(), flush=True)
+            text = to_json(dumped | fields, inf_nan_mode="null", fallback=str)
+            print(text.decode(), flush=True)
         else:
             shown = _labelled(value) if value else {}
             self.warn(*(fields.pop("warnings", None) or ()), *shown.pop("warnings", ()))
@@ -173,12 +173,12 @@ def _labelled(value: "BaseModel") -> dict[str, Any]:
     fields: dict[str, Any] = {}
     for name, info in type(value).model_fields.items():
         unit = re.search(r"\[[^\]]+\]", info.description or "")
-        found = getattr(value, name)
-        nested = hasattr(found, "model_dump") and not hasattr(found, "interval")
+        item = getattr(value, name)
+        nested = hasattr(item, "model_dump") and not hasattr(item, "interval")
         if nested and info.repr:
-            fields |= _labelled(found)
+            fields |= _labelled(item)
         elif info.repr:
-            fields[f"{name} {unit[0]}" if unit else name] = found
+            fields[f"{name} {unit[0]}" if unit else name] = item
     return fields
 
 

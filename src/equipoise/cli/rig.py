@@ -1,18 +1,22 @@
-"""Verbs for a rig: `equipoise rig doctor` and `rig emulate`."""
+"""Verbs for a rig: `equipoise rig doctor`, `rig emulate` and `rig record`."""
 
 import os
 import select
 import sys
 import time
+from contextlib import closing
+from math import degrees
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field
 
+import equipoise as eq
 from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
 from equipoise.errors import InputError
+from equipoise.user_code import user_code
 
 
 class Measurement(Options):
@@ -49,12 +53,16 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
             measurement.seconds,
             paced=plugin is not None and plugin.paced,
         )
-    fit = all(one.status != "bad" for one in findings)
+    fit = all(finding.status != "bad" for finding in findings)
     output.result(
         verdict="fit" if fit else "not fit",
         findings={
-            one.name: {"status": one.status, "found": one.found, "remedy": one.remedy}
-            for one in findings
+            finding.name: {
+                "status": finding.status,
+                "found": finding.found,
+                "remedy": finding.remedy,
+            }
+            for finding in findings
         },
         restart=plugin and plugin.restart,
         code=int(not fit),
@@ -90,7 +98,7 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     for it, and release once it is armed.
     """
     from equipoise.model.pendulum import read_pendulum
-    from equipoise.model.worlds import pendulum_on, read_world
+    from equipoise.model.worlds import pendulum_on
     from equipoise.rig import host
     from equipoise.rig.clocks import SystemClock
     from equipoise.robots.emulation import Emulation
@@ -101,7 +109,7 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
         output.tell(f"{time.monotonic() - began:8.1f} s  {words}")
         output.stream.flush()
 
-    settings = read_world(emulated.world).settings
+    settings = eq.read_world(emulated.world).settings
     link = emulated.encoder_link
     emulation = Emulation(
         emulated.robot,
@@ -135,3 +143,50 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
             return stopped.is_set()
 
         emulation.run(stop)
+
+
+class Recording(Options):
+    """The recording."""
+
+    encoder: str
+    """Address of the encoder, e.g. serial:///dev/ttyACM0."""
+    duration: Annotated[float, Field(ge=1.0, le=600.0)] = 30.0
+    """Maximum duration from the release [s]."""
+    counts_per_rev: int | None = None
+    """Encoder counts per revolution, after x4."""
+
+
+@verb
+def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
+    """Record a free swing of the pendulum from its encoder (swing.csv).
+
+    Hold the pivot still. Let the pendulum hang, lift it, hold it, release it.
+    The angle is shown meanwhile. Ctrl-C ends the recording without a file.
+    """
+    from equipoise.rig.clocks import SystemClock
+    from equipoise.rig.connection import open_encoder
+    from equipoise.robots.encoder.swing import record_swing
+
+    clock = SystemClock()
+    sensor = open_encoder(recording.encoder, clock, counts_per_rev=recording.counts_per_rev)
+    out = files.file(output, "swing.csv", suffix=".csv")
+    driver = user_code(f"the driver of {recording.encoder}")
+    with output.busy("connecting") as rename, driver, closing(sensor):
+        sensor.connect()
+        swing, missing = record_swing(
+            sensor,
+            clock,
+            recording.duration,
+            tell=lambda instruction: output.tell(f"  {instruction}"),
+            show=lambda theta: rename(f"{degrees(theta):+7.1f} deg"),
+        )
+    eq.write_swing(out, swing)
+    output.result(
+        samples=len(swing.time),
+        duration_s=float(swing.time[-1]),
+        missing=missing,
+        rejected=sensor.rejected,
+        counts_per_rev=sensor.counts_per_rev,
+        recording=out,
+        then=command("identify", out),
+    )

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+import equipoise as eq
 from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output
@@ -55,7 +56,7 @@ def train(
     again, at most --attempts times, until a policy meets the target in held-out
     trials. Exit code 1: none meets it; the best policy is written and marked.
     """
-    from equipoise.learning.train import TARGET, check_task, train_to_target
+    from equipoise.learning.train import TARGET, check_task
     from equipoise.model.pendulum import read_pendulum
 
     named = {f"learning.{n}": getattr(learning, n) for n in ("algorithm", "reward", "episodes")}
@@ -67,7 +68,7 @@ def train(
     output.warn(check_task(source, settings, actuator, world=plant.world, target=target))
     out = files.file(output, "policy.json", pendulum, changes.settings)
     with output.progress() as show:
-        best = train_to_target(
+        best = eq.train_to_target(
             source,
             arm,
             settings,
@@ -122,20 +123,18 @@ def reproduce(
     beside the paper's robot. Writes every file to a folder (equipoise-report),
     with a self-contained report in HTML.
     """
-    from equipoise.identification.recording import read_swing
     from equipoise.learning.choice import with_digests
     from equipoise.report.page import build, comparison
-    from equipoise.reproduction.pipeline import reproduce
     from equipoise.reproduction.results import POLICY
 
     recorded = None
     if extent.swing is not None:
-        recorded = read_swing(extent.swing, counts_per_rev=extent.counts_per_rev)
+        recorded = eq.read_swing(extent.swing, counts_per_rev=extent.counts_per_rev)
     arm, settings = opt.read_arm(extent.arm), changes.resolve()
     with_digests(settings.learning)
     out = files.folder(output, Path("equipoise-report"))
     with output.progress() as show:
-        found = reproduce(
+        results = eq.reproduce(
             out,
             swing=recorded,
             arm=arm,
@@ -148,12 +147,12 @@ def reproduce(
         show("report", None, "")
         page = build(out)
         show("report", 1.0, "")
-    evaluation = found.default.evaluation
+    evaluation = results.default.evaluation
     output.result(
         duration_s=evaluation.duration,
         report=page,
-        comparison=comparison(found),
-        warnings=[found.default.policy.shortfall],
+        comparison=comparison(results),
+        warnings=[results.default.policy.shortfall],
         code=int(evaluation.results.summary().median < evaluation.duration),
         then=command("evaluate", out / POLICY, trials=1000),
     )

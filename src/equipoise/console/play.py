@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from itertools import pairwise
-from math import degrees, exp, inf, pi, radians, remainder, sqrt
+from math import exp, inf, pi, radians, remainder, sqrt
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from equipoise.model.grid import TRUNCATED, box_indices, make_grid
 from equipoise.model.random import DEPLOYMENT
 from equipoise.model.worlds import World, read_world
 from equipoise.outcomes import TRIAL_OUTCOMES
-from equipoise.paper import PHI_LIMIT_DEG, U_MAX, X_LIMIT
+from equipoise.paper import PHI_LIMIT, PHI_LIMIT_DEG, U_MAX, X_LIMIT
 from equipoise.report.style import BLUE, GREEN, GREY, INK, PALE, VERMILION, edges
 from equipoise.settings import BoxSettings
 from equipoise.simulation import predicted, setup_of
@@ -153,20 +153,20 @@ class Playground:
         """Advance by one tick; a fall is shown for `FALL`, then the pendulum is released again."""
         if self.fallen and (self._tick - self._fell) * self.h > FALL:
             self.begin()
-        loop, seen = self._loop, predicted(self._loop)
+        loop, observation = self._loop, predicted(self._loop)
         if self.fallen:
             # The flange brakes with 5 times its velocity a second.
             self.u = float(np.clip(-5.0 * loop.state()[1], -U_MAX, U_MAX))
         else:
-            self.u = float(self.policy.act(seen))
+            self.u = float(self.policy.act(observation))
         cause = loop.step(self.u)
         self._tick += 1
         if cause != TRUNCATED and not self.fallen:
             self.fallen, self._fell = TRIAL_OUTCOMES[cause], self._tick
         self.q, self.phi, self.box = loop.joints(), float(loop.state()[2]), -1
-        inside = abs(degrees(seen[2])) < PHI_LIMIT_DEG and abs(seen[0]) < X_LIMIT
+        inside = abs(observation[2]) < PHI_LIMIT and abs(observation[0]) < X_LIMIT
         if self.u_of_box is not None and inside and not self.fallen:
-            self.box = int(box_indices(seen[None, :], self._boxes)[0])
+            self.box = int(box_indices(observation[None, :], self._boxes)[0])
 
     def sentences(self) -> tuple[str, str, str, str]:
         """Return the policy, the scene, the motion so far, and the effect of the latency."""

@@ -32,8 +32,8 @@ def marks_of(run: RunLog, motion: Motion) -> list[tuple[float, str]]:
     """
     first, last = float(motion.time[0]), motion.end
     marks = [
-        (last if one.time is None else one.time, f"{one.cause} (a cause of the end)")
-        for one in explain(run)
+        (last if cause.time is None else cause.time, f"{cause.cause} (a cause of the end)")
+        for cause in explain(run)
     ]
     marks += [
         (event.time - motion.began, f"{event.name}: {event.text}")
@@ -75,19 +75,19 @@ class ReplayPage:
         gui, first = server.gui, round(float(motion.time[0]), 2)
         ends: Any = {"min": first, "max": max(round(motion.end, 2), first + 0.01), "step": 0.01}
         self._slider = gui.add_slider("time [s]", initial_value=first, order=41, **ends)
-        self._slider.on_update(self._asking(lambda: self.jump(self._slider.value)))
+        self._slider.on_update(self._on_user_event(lambda: self.jump(self._slider.value)))
         self._button = gui.add_button("Play", color="blue", order=42)
-        self._button.on_click(self._asking(self.toggle))
+        self._button.on_click(self._on_user_event(self.toggle))
         steps = gui.add_button_group("step", ("−1 tick", "+1 tick"), order=43)
-        steps.on_click(self._asking(lambda: self.step(1 if "+" in steps.value else -1)))
+        steps.on_click(self._on_user_event(lambda: self.step(1 if "+" in steps.value else -1)))
         self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1×", order=44)
         marks = {
             f"{n}  {typeset(f'{time:+.2f}')} s  {printable(name)}": time
             for n, (time, name) in enumerate(marks_of(run, motion), start=1)
         }
         events = gui.add_dropdown("event", tuple(marks), order=45)
-        events.on_update(self._asking(lambda: self.jump(marks[events.value])))
-        server.on_client_connect(self._asking(self.begin))
+        events.on_update(self._on_user_event(lambda: self.jump(marks[events.value])))
+        server.on_client_connect(self._on_user_event(self.begin))
         self.show()
 
     def begin(self) -> None:
@@ -148,13 +148,13 @@ class ReplayPage:
             self._page.draw(self._motion.time[begin:end], self._rows[:, begin:end])
             self._button.label = "Pause" if self.playing else "Play"
 
-    def _asking(self, todo: Callable[[], None]) -> Callable[[Any], None]:
-        """Return a callback that does `todo`, if a browser caused the event."""
+    def _on_user_event(self, action: Callable[[], None]) -> Callable[[Any], None]:
+        """Return a callback that does `action`, if a browser caused the event."""
 
         def callback(event: Any) -> None:
             if event.client_id is not None:
                 with self._lock:
-                    todo()
+                    action()
                     self.show()
 
         return callback

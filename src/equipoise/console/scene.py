@@ -109,11 +109,11 @@ class RigPage:
         if self._q is not None:
             self._data.qpos[:] = [*self._q, phi if isfinite(phi) else 0.0]
         mujoco().mj_kinematics(self._data.model, self._data)
-        seen = known and isfinite(phi)
+        phi_known = known and isfinite(phi)
         for number, mesh in self._bodies.items():
             mesh.position = self._data.xpos[number].copy()
             mesh.wxyz = self._data.xquat[number].copy()
-            placed = seen if mesh is self.pendulum else self._q is not None
+            placed = phi_known if mesh is self.pendulum else self._q is not None
             mesh.visible = placed or number == 0  # the table
         pivot = np.array(self._data.body("pendulum").xpos)
         self._arrow.visible = pushing = known and bool(isfinite(u) and u)
@@ -183,9 +183,9 @@ def _add_bodies(scene: "viser.SceneApi", model: Any) -> dict[int, Any]:
         mesh = _mesh(model, number)
         mesh.visual.face_colors = np.round(255.0 * model.geom_rgba[number]).astype(np.uint8)
         parts[int(model.geom_bodyid[number])].append(mesh)
-    whole: Any = trimesh.util.concatenate
+    concatenate: Any = trimesh.util.concatenate
     return {
-        body: scene.add_mesh_trimesh(f"{NAME}/body {body}", whole(meshes))
+        body: scene.add_mesh_trimesh(f"{NAME}/body {body}", concatenate(meshes))
         for body, meshes in parts.items()
     }
 

@@ -100,14 +100,16 @@ class Gate:
     def _response(self, request: Any, serve: Callable[[Any], Any]) -> Any:
         headers, address = request.headers, urlsplit(request.path)
         is_websocket = bool(headers.get_all("Upgrade"))
-        cookies = [one.strip() for text in headers.get_all("Cookie") for one in text.split(";")]
+        cookies = [part.strip() for text in headers.get_all("Cookie") for part in text.split(";")]
+        has_cookie = any(_equal(cookie, self._cookie) for cookie in cookies)
         tokens = parse_qs(address.query).get("token", [])
-        if self.is_own(headers["Host"]) and tokens and not is_websocket:
+        is_own = self.is_own(headers["Host"])
+        if is_own and tokens and not is_websocket:
             if _equal(tokens[0], self.token):
                 cookie = f"{self._cookie}; Path=/; HttpOnly; SameSite=Strict"
                 more = {"Location": "/", "Set-Cookie": cookie}
                 return _respond(HTTPStatus.SEE_OTHER, "", more)
-        elif self.is_own(headers["Host"]) and any(_equal(one, self._cookie) for one in cookies):
+        elif is_own and has_cookie:
             if is_websocket:
                 origin = urlsplit(headers.get("Origin", "")).netloc
                 if origin == headers["Host"]:
@@ -119,8 +121,8 @@ class Gate:
                 return self._serve_page(request, serve)
             else:
                 return serve(request)
-        whole = "Open this page with its whole address, token included, as the terminal shows it."
-        return _respond(HTTPStatus.FORBIDDEN, whole)
+        advice = "Open this page with its whole address, token included, as the terminal shows it."
+        return _respond(HTTPStatus.FORBIDDEN, advice)
 
     def _serve_page(self, request: Any, serve: Callable[[Any], Any]) -> Any:
         """Return viser's page with the overlay."""
@@ -136,8 +138,8 @@ class Gate:
         return response
 
 
-def _equal(one: str, other: str) -> bool:
-    return hmac.compare_digest(one.encode(), other.encode())
+def _equal(text: str, secret: str) -> bool:
+    return hmac.compare_digest(text.encode(), secret.encode())
 
 
 def _respond(status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> Any:

@@ -37,12 +37,12 @@ from equipoise.files import (
     decode_text,
     read_bytes,
     shortened,
-    write_whole,
+    write_atomically,
 )
 from equipoise.model.encoder import counts_from_theta, theta_from_counts
 from equipoise.model.pendulum import STEPS_PER_PERIOD, Pendulum, PendulumParameters, swing
 from equipoise.printable import printable
-from equipoise.settings import FINEST_ENCODER
+from equipoise.settings import MAX_COUNTS_PER_REV
 
 TIMES: Final = {"time_s": 1.0, "time_ms": 1e-3, "time_us": 1e-6}
 """Accepted columns of time stamps, with their units [s]; a file has one."""
@@ -252,7 +252,7 @@ def write_swing(path: StrPath, trajectory: Trajectory) -> None:
     quantity = "theta_rad" if trajectory.theta is not None else "rate_rad_s"
     rows = zip(trajectory.time.tolist(), trajectory.values.tolist(), strict=True)
     text = "".join(f"{t!r},{value!r}\n" for t, value in rows)
-    write_whole(Path(path), f"time_s,{quantity}\n{text}")
+    write_atomically(Path(path), f"time_s,{quantity}\n{text}")
 
 
 @checked
@@ -262,7 +262,7 @@ def simulate_swing(
     theta0: float,
     duration: Duration,
     rate_hz: Annotated[float, Field(gt=0.0, le=1e5)],
-    counts_per_rev: Annotated[int, Field(ge=4, le=FINEST_ENCODER)],
+    counts_per_rev: Annotated[int, Field(ge=4, le=MAX_COUNTS_PER_REV)],
     noise: Annotated[float, Field(ge=0.0)] = 0.0,
     zero_offset: float = 0.0,
     seed: Seed = 0,

@@ -27,7 +27,7 @@ from pydantic import Field
 from equipoise.arm.arm import Arm
 from equipoise.control.ticks import OperatorMessage, TickInputs, TickOutput
 from equipoise.errors import OutsideError
-from equipoise.files import Name, Value, lock, write_whole
+from equipoise.files import Name, Value, lock, write_atomically
 from equipoise.log.columns import tables, unknown_rows
 from equipoise.outcomes import Phase, describe
 
@@ -285,7 +285,7 @@ def share(info: RunInfo) -> Generator[Path]:
                 (folder / "memory").write_bytes(bytes(size))  # not sparse: a full disk shows here
                 (folder / CONSOLE).touch()
                 # An observer waits for this file.
-                write_whole(folder / "run.json", info.model_dump_json())
+                write_atomically(folder / "run.json", info.model_dump_json())
             except OSError as error:
                 message = f"cannot create {size} bytes of shared memory in {FOLDER}: {error}"
                 raise OutsideError(message) from None

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from equipoise.arrays import Array, IntArray
 from equipoise.errors import ArtefactError, RecordingError
-from equipoise.files import DIGEST_PREFIX, Provenance, StrPath, shortened, write_whole
+from equipoise.files import DIGEST_PREFIX, Provenance, StrPath, shortened, write_atomically
 from equipoise.log.columns import (
     TABLES,
     Rows,
@@ -342,7 +342,7 @@ class RunLog:
         encoder = LogEncoder(stream, self.conditions, Provenance.now(command, inputs), first)
         encoder.write(self.tables)
         encoder.finish(float(times.max(initial=self.survival)), self.end)
-        write_whole(Path(path), stream.getvalue())
+        write_atomically(Path(path), stream.getvalue())
 
     def export(self, folder: Path) -> list[Path]:
         """Write each table as a CSV file, with units in the header and a column for each joint.
@@ -378,7 +378,7 @@ class RunLog:
             writer.writerow(columns)
             writer.writerows(zip(*columns.values(), strict=True))
             made.append(folder / f"{name}.csv")
-            write_whole(made[-1], text.getvalue().encode())
+            write_atomically(made[-1], text.getvalue().encode())
         return made
 
     @classmethod

@@ -24,7 +24,7 @@ from pydantic import Field, ValidationError
 from equipoise.entry_points import how_to_install, registered
 from equipoise.errors import SettingsError
 from equipoise.files import Value, first_fault, quoted
-from equipoise.settings import FINEST_ENCODER, QUARTER_TURN, read_toml
+from equipoise.settings import MAX_COUNTS_PER_REV, QUARTER_TURN, read_toml
 
 if TYPE_CHECKING:
     import numpy as np
@@ -99,7 +99,7 @@ class TwinSettings(Value):
     """Standard deviation of the factor on I, drawn per trial."""
     friction_sigma: float = Field(default=0.2, ge=0.0, lt=1.0)
     """Standard deviation of the factor on b, drawn per trial."""
-    counts_per_rev: int = Field(default=8192, ge=64, le=FINEST_ENCODER)
+    counts_per_rev: int = Field(default=8192, ge=64, le=MAX_COUNTS_PER_REV)
     """Encoder counts per revolution, after x4: 2048 lines."""
     zero_error: float = Field(default=radians(0.2), ge=0.0, le=QUARTER_TURN)
     """Half width of the uniform zero error of the encoder, drawn per trial [rad]. Assumed: stiction

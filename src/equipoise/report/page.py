@@ -16,7 +16,7 @@ from markupsafe import Markup, escape
 
 from equipoise import paper
 from equipoise.errors import OutsideError
-from equipoise.files import Provenance, Value, read_document, write_whole
+from equipoise.files import Provenance, Value, read_document, write_atomically
 from equipoise.film import write_film
 from equipoise.log.motion import truth
 from equipoise.model.worlds import MODEL, TwinSettings
@@ -70,7 +70,7 @@ def build(out: Path) -> Path:
     except OutsideError as error:  # OpenGL may be missing
         missing = str(error)
     provenance = Provenance.model_validate(read_document(out / RECORD)["provenance"])
-    write_whole(out / PAGE, page(results, images, provenance, missing))
+    write_atomically(out / PAGE, page(results, images, provenance, missing))
     return out / PAGE
 
 
@@ -189,8 +189,11 @@ def _task(results: Results) -> Iterator[tuple[str, ...]]:
     period = f"{results.pendulum.period:.4f} s"
     yield "Period of the free swing", "3.2", f"around {paper.FREE_SWING_PERIOD:g} s", period
     pendulum = results.pendulum
-    for name, one in {"w2 = m g l / I [1/s²]": pendulum.w2, "c = b / I [1/s]": pendulum.c}.items():
-        yield name, "3.2", "not stated", plus_minus(one.value, one.interval)
+    for name, estimate in {
+        "w2 = m g l / I [1/s²]": pendulum.w2,
+        "c = b / I [1/s]": pendulum.c,
+    }.items():
+        yield name, "3.2", "not stated", plus_minus(estimate.value, estimate.interval)
     boxes, actions = BoxSettings().count, len(paper.ACTIONS)
     ours = f"{len(policy.Q)} boxes × {len(policy.actions)} accelerations"
     yield "Table", "4.1", f"{boxes} boxes × {actions} accelerations", ours
@@ -223,5 +226,5 @@ def _setting_rows(values: Value, prefix: str) -> Iterator[tuple[str, ...]]:
     for key, field in type(values).model_fields.items():
         reason, value = " ".join((field.description or "").split()), getattr(values, key)
         items: Any = value if isinstance(value, tuple) else (value,)
-        text = ", ".join(f"{one:.4g}" if isinstance(one, float) else f"{one}" for one in items)
+        text = ", ".join(f"{item:.4g}" if isinstance(item, float) else f"{item}" for item in items)
         yield f"`{prefix}{key}`", text, reason

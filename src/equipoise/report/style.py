@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from equipoise.files import write_whole
+from equipoise.files import write_atomically
 from equipoise.printable import printable
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def save(figure: "Figure", stem: Path) -> tuple[Path, Path]:
     """
     svg, png = (stem.with_name(f"{stem.name}.{kind}") for kind in ("svg", "png"))
     for path in (svg, png):
-        write_whole(path, render(figure, path.suffix[1:]))
+        write_atomically(path, render(figure, path.suffix[1:]))
     return svg, png
 
 

@@ -33,14 +33,13 @@ from equipoise.reproduction.results import (
     RecipeResults,
     ReproductionRecord,
     Results,
-    digests,
     save,
 )
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.reproduction.warm_up import TWIN, is_warm, warm_up
 from equipoise.rig.simulate import simulate_run
 from equipoise.settings import Settings, changed, resolve
-from equipoise.simulation.evaluation import evaluate
+from equipoise.simulation.evaluation import Evaluation, evaluate
 
 QUICK: Final = {
     "learning.episodes": 5000,
@@ -87,7 +86,7 @@ def reproduce(
     settings = settings or Settings()
     literal = resolve("paper").model_copy(update={"evaluation": settings.evaluation})
     if quick:
-        settings, literal = shortened(settings), shortened(literal)
+        settings, literal = quick_settings(settings), quick_settings(literal)
     recording = read_swing(swing) if isinstance(swing, str | os.PathLike) else swing
     if not is_warm():
         warm_up(report)
@@ -121,11 +120,7 @@ def reproduce(
         training_s=training_s,
         files={},
     )
-    results = Results(record, fitted, pendulum, default_results, literal_results)
-    record = record.model_copy(update={"files": digests(results)})
-    results = results._replace(record=record)
-    save(results, out)
-    return results
+    return save(Results(record, fitted, pendulum, default_results, literal_results), out)
 
 
 def measure(
@@ -141,30 +136,29 @@ def measure(
         workers: Number of threads.
         report: Called with the progress.
     """
-    trials, with_baselines = policy.settings.evaluation.trials, world == MODEL
-    total = trials * (1 + len(BUILT_IN)) if with_baselines else trials
-    with stage(f"{title}evaluate", report):
-        evaluation = evaluate(
-            policy,
-            world=world,
-            seed=seed,
-            with_baselines=with_baselines,
-            workers=workers,
-            done=counted(f"{title}evaluate", total, report),
-        )
-    twin_evaluation = None
-    if has_twin(policy.arm):
-        world, trials = TWIN, min(TWIN_TRIALS, trials)
-        with stage(f"{title}twin", report):
-            twin_evaluation = evaluate(
+
+    def run_trials(name: str, world: str, trials: int, *, with_baselines: bool) -> Evaluation:
+        total = trials * (1 + len(BUILT_IN)) if with_baselines else trials
+        with stage(name, report):
+            return evaluate(
                 policy,
                 changed(policy.settings, {"evaluation.trials": trials}),
-                world=TWIN,
+                world=world,
                 seed=seed,
-                with_baselines=False,
+                with_baselines=with_baselines,
                 workers=workers,
-                done=counted(f"{title}twin", trials, report),
+                done=counted(name, total, report),
             )
+
+    trials = policy.settings.evaluation.trials
+    evaluation = run_trials(f"{title}evaluate", world, trials, with_baselines=world == MODEL)
+    try:
+        policy.arm.link_inertials()
+    except ArmError:  # an arm with unknown masses has no twin
+        twin_evaluation = None
+    else:
+        world, trials = TWIN, min(TWIN_TRIALS, trials)
+        twin_evaluation = run_trials(f"{title}twin", TWIN, trials, with_baselines=False)
     with stage(f"{title}deploy", report):
         run = simulate_run(policy, world=world, seed=seed)
     return RecipeResults(policy, evaluation, twin_evaluation, run)
@@ -178,17 +172,8 @@ def stage(name: str, report: Show) -> Generator[None]:
     report(name, 1.0, "")
 
 
-def shortened(settings: Settings) -> Settings:
+def quick_settings(settings: Settings) -> Settings:
     """Return the settings of a quick reproduction, limited by `QUICK`."""
     return changed(
         settings, {name: min(attrgetter(name)(settings), most) for name, most in QUICK.items()}
     )
-
-
-def has_twin(arm: Arm) -> bool:
-    """Return whether the masses of an arm are known, which a digital twin needs."""
-    try:
-        arm.link_inertials()
-    except ArmError:
-        return False
-    return True

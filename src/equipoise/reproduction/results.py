@@ -75,12 +75,16 @@ class Results(NamedTuple):
     """Results of the literal recipe, `paper`."""
 
 
-def save(results: Results, out: Path) -> None:
+def save(results: Results, out: Path) -> Results:
     """Write all results but the swing to a folder.
+
+    Returns:
+        The results, with the digests of the files in the record.
 
     Raises:
         OutsideError: The disk rejects a file.
     """
+    record = results.record.model_copy(update={"files": digests(results)})
     sources = {"swing": results.swing.sha256}
     results.pendulum.save(out / PENDULUM, command="reproduce", inputs=sources)
     for prefix, recipe in (("", results.default), (LITERAL, results.literal)):
@@ -89,7 +93,8 @@ def save(results: Results, out: Path) -> None:
             if value is recipe.policy:
                 inputs = {"pendulum": results.pendulum.digest}
             value.save(out / name, command="reproduce", inputs=inputs)
-    results.record.save(out / RECORD, command="reproduce", inputs=results.record.files)
+    record.save(out / RECORD, command="reproduce", inputs=record.files)
+    return results._replace(record=record)
 
 
 def load(out: Path) -> Results:
@@ -112,9 +117,9 @@ def load(out: Path) -> Results:
         recipes.append(recipe)
     swing, pendulum = read_swing(out / SWING), Pendulum.load(out / PENDULUM)
     results = Results(record, swing, pendulum, *recipes)
-    found = digests(results)
+    actual = digests(results)
     for name, recorded in record.files.items():
-        if found.get(name) != recorded:
+        if actual.get(name) != recorded:
             raise ArtefactError(
                 f"{out / name} is not the file that {out / RECORD} records; "
                 "reproduce again, into an empty folder"
@@ -124,10 +129,10 @@ def load(out: Path) -> Results:
 
 def digests(results: Results) -> dict[str, str]:
     """Return the digest of each value, by the name of its file."""
-    found = {SWING: results.swing.sha256, PENDULUM: results.pendulum.digest}
+    files = {SWING: results.swing.sha256, PENDULUM: results.pendulum.digest}
     for prefix, recipe in (("", results.default), (LITERAL, results.literal)):
-        found |= {name: value.digest for name, value in _files(recipe, prefix).items()}
-    return found
+        files |= {name: value.digest for name, value in _files(recipe, prefix).items()}
+    return files
 
 
 def _files(recipe: RecipeResults, prefix: str) -> dict[str, TabularPolicy | Evaluation | RunLog]:

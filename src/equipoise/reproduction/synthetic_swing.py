@@ -18,8 +18,6 @@ SIMULATED_C: Final = 0.15
 show 0.05 to 0.6."""
 SIMULATED_HOLD: Final = 1.2
 """Time before the release [s]."""
-TREMOR: Final = 0.01
-"""Amplitude of the hand's tremor [rad]."""
 
 
 def synthetic_swing(seed: int = 0, *, period: float = paper.FREE_SWING_PERIOD) -> Trajectory:
@@ -35,6 +33,7 @@ def synthetic_swing(seed: int = 0, *, period: float = paper.FREE_SWING_PERIOD) -
     rate = 1000.0  # [Hz]
     noise = 5e-4  # [rad], standard deviation per sample: vibration, play
     release = 0.8  # [rad] from hanging: large enough for a swing that is not sinusoidal
+    tremor = 0.01  # [rad], of the hand
     zero = 0.005  # [rad]: friction stopped the pendulum beside the vertical when referenced
     # The pivot is at rest, so that its coupling k is irrelevant.
     free = simulate_swing(
@@ -53,7 +52,7 @@ def synthetic_swing(seed: int = 0, *, period: float = paper.FREE_SWING_PERIOD) -
     rng = np.random.default_rng([seed, 1])
     phase = rng.uniform(0.0, 2.0 * pi, 2)
     hand = np.sin(2.0 * pi * 1.7 * held + phase[0]) + 0.5 * np.sin(2.0 * pi * 4.1 * held + phase[1])
-    angle = release + zero + TREMOR * left**2 * hand
+    angle = release + zero + tremor * left**2 * hand
     angle += noise * rng.standard_normal(held.size)
     step = free.resolution
     theta = np.concatenate((np.floor(angle / step + 0.5) * step, free.values))

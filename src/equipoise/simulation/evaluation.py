@@ -25,11 +25,11 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.random import TEST
 from equipoise.model.worlds import MODEL, TwinSettings, World
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
-from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
+from equipoise.settings import MAX_TRIAL_DURATION, MAX_TRIALS, Settings
 from equipoise.simulation import Trials, setup_of, simulate
 from equipoise.simulation.interface import Done
 
-Survival = Annotated[float, Field(ge=0.0, le=LONGEST_TRIAL)]
+Survival = Annotated[float, Field(ge=0.0, le=MAX_TRIAL_DURATION)]
 """Duration of a trial [s]."""
 
 
@@ -112,7 +112,7 @@ def trials_for(claim: float) -> int:
         if allowed >= 0 and float(bdtr(allowed, trials, 0.1 * (1.0 - claim))) >= 0.95:
             return trials
     raise InputError(
-        f"a claim of {claim:.10g} takes more than {MOST_TRIALS:,} trials; claim a lower probability"
+        f"a claim of {claim:.10g} takes more than {MAX_TRIALS:,} trials; claim a lower probability"
     )
 
 
@@ -121,9 +121,9 @@ class TrialResults(Value):
 
     name: Name
     """Name of the policy."""
-    survival: Annotated[tuple[Survival, ...], Field(min_length=1, max_length=MOST_TRIALS)]
+    survival: Annotated[tuple[Survival, ...], Field(min_length=1, max_length=MAX_TRIALS)]
     """Duration of each trial [s]."""
-    outcomes: Annotated[tuple[Outcome, ...], Field(max_length=MOST_TRIALS)]
+    outcomes: Annotated[tuple[Outcome, ...], Field(max_length=MAX_TRIALS)]
     """Outcome of each trial."""
 
     @model_validator(mode="after")
