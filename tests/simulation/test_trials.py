@@ -169,8 +169,8 @@ def test_a_limit_is_a_failure_and_what_is_just_within_is_not(plant, sign):
 
 
 def test_an_angle_is_told_before_the_track_the_track_before_a_joint_and_that_before_a_speed(plant):
-    limits = plant.controller.limits.copy()
-    limits[0] += 10.0
+    lower, *others = plant.controller.limits
+    limits = (tuple(q + 10.0 for q in lower), *others)
     slow = plant._replace(max_speed=0.1)
     strict = slow._replace(controller=plant.controller._replace(limits=limits))
     assert placed(strict, phi=0.3, x=0.23, x_dot=0.2)[2] == "angle"

@@ -23,7 +23,7 @@ from equipoise.arm.arm import Arm
 from equipoise.arrays import Array
 from equipoise.errors import InputError
 from equipoise.files import DIGEST_PREFIX, Artefact, Count, Fraction, Number, Seed, Value
-from equipoise.jit import compilable
+from equipoise.jit import inlined
 from equipoise.model import grid
 from equipoise.model.actuator import Actuator
 from equipoise.model.grid import Grid, box_index
@@ -64,7 +64,7 @@ class PolicyKernel(NamedTuple):
     """Edges of the boxes."""
 
 
-@compilable
+@inlined
 def act(
     policy: PolicyKernel, x: float, x_dot: float, phi: float, phi_dot: float, chance: float
 ) -> float:
