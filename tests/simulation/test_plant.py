@@ -17,11 +17,7 @@ from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.pendulum import step as pendulum_step
 from equipoise.settings import BoxSettings, Settings, resolve
 from equipoise.simulation.evaluation import evaluate
-from equipoise.simulation.plant import (
-    DomainRandomization,
-    make_loop_params,
-    scaled,
-)
+from equipoise.simulation.plant import DomainRandomization, make_loop_params, scaled
 from tests.batch import Batch
 from tests.reference.closed_loop import Joints, Loop
 from tests.simulation.recorded import on_the_plant, record
