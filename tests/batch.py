@@ -4,12 +4,12 @@ import numpy as np
 
 from equipoise.arrays import fields, new_records
 from equipoise.jit import call, kernel
-from equipoise.simulation.plant import BatchState
+from equipoise.simulation.plant import BatchState, scaled
 
 
 @kernel
-def _reset(plant, batches, pendulum, variation, start, n):
-    call(plant.reset, (plant, batches[0], pendulum, variation, start, n))
+def _reset(plant, batches, variation, start, n):
+    call(plant.reset, (plant, batches[0], variation, start, n))
 
 
 @kernel
@@ -27,8 +27,12 @@ class Batch:
         self.state = fields(self.records, BatchState)
 
     def reset(self, pendulum, variation, start, n=0):
-        """See `plant.reset`."""
-        _reset(self.plant, self.records, pendulum, variation, start, n)
+        """See `plant.reset`; the true pendulum need not be a variation of the nominal one."""
+        _reset(self.plant, self.records, variation, start, n)
+        own = scaled(pendulum, variation.inertia_factor, variation.friction_factor)
+        pendula = self.state.pendula
+        pendula.w2[n], pendula.k[n], pendula.c[n] = own.w2, own.k, own.c
+        pendula.coulomb[n], pendula.drag[n] = own.coulomb, own.drag
 
     def step(self, lanes=1):
         """See `plant.step`."""

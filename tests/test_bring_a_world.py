@@ -5,7 +5,7 @@ import re
 import shlex
 import sys
 import tomllib
-from importlib.metadata import EntryPoint, EntryPoints
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import gymnasium as gym
@@ -93,8 +93,8 @@ def test_it_is_a_world_of_environments():
 def test_a_registered_world_is_found_by_its_name(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(tmp_path)
     named = tomllib.loads(BLOCKS["toml"])["project"]["entry-points"][simulation.GROUP]
-    points = EntryPoints(EntryPoint(name, value, simulation.GROUP) for name, value in named.items())
-    monkeypatch.setattr(simulation, "entry_points", lambda group: points)
+    points = {name: EntryPoint(name, value, simulation.GROUP) for name, value in named.items()}
+    monkeypatch.setattr(simulation, "registered", lambda group: points)
     assert world_class("windy:anything").ideal_arm
 
 

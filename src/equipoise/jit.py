@@ -27,6 +27,8 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import numba
+import numpy as np
+import numpy.typing as npt
 import platformdirs
 from llvmlite import ir
 from numba import types
@@ -161,6 +163,29 @@ def _type_of_fma(_: Any) -> Any:
 @lower_builtin(fma, types.float64, types.float64, types.float64)
 def _code_of_fma(_context: Any, builder: Any, _signature: Any, values: Any) -> Any:
     return builder.fma(*values)
+
+
+def flat(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return contiguous numbers as an array of one axis; in kernels `ravel` calls into a library.
+
+    In a kernel the result does not own its memory: it has to be the argument of a call alone.
+    """
+    return values.reshape(-1)
+
+
+def _typed_place(_: Any, address: Any) -> Any:
+    def generate(_context: Any, builder: Any, _signature: Any, values: Any) -> Any:
+        return builder.inttoptr(values[0], ir.IntType(8).as_pointer())
+
+    return types.voidptr(address), generate
+
+
+_place: Any = intrinsic(_typed_place)
+
+
+@overload(flat, strict=False)
+def _compiled_flat(values: Any) -> Any:
+    return lambda values: _numba.carray(_place(values.ctypes.data), (values.size,), np.float64)
 
 
 _functions: dict[int, Callable[..., None]] = {}

@@ -12,11 +12,7 @@ from scipy.integrate import solve_ivp
 from equipoise.arm.iiwa import iiwa
 from equipoise.arrays import fields, new_records
 from equipoise.control.baselines import lqr_gains
-from equipoise.control.control_step import (
-    ControllerState,
-    horizon,
-    make_controller_params,
-)
+from equipoise.control.control_step import ControllerState, horizon, make_controller_params
 from equipoise.control.controller import command_tick, estimate_of, observe_tick, start
 from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import SettingsError
@@ -194,12 +190,7 @@ def later(plant, block, ticks):
 
 @pytest.mark.compiled_only
 @pytest.mark.parametrize(
-    ("kind", "horizon", "lag"),
-    [
-        ("kst", 0.04, 0.008),
-        ("kst", 0.06, 0.012),
-        ("lag", 0.04, 0.02),
-    ],
+    ("kind", "horizon", "lag"), [("kst", 0.04, 0.008), ("kst", 0.06, 0.012), ("lag", 0.04, 0.02)]
 )
 def test_what_the_policy_sees_is_the_state_at_the_horizon(kind, horizon, lag):
     """On a plant that is as the controller thinks, the state T later if u is 0 from now on."""

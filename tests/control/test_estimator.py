@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from equipoise.control.estimator import (
-    observer_gains,
-)
+from equipoise.control.estimator import observer_gains
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import ControllerSettings
 from tests.reference.closed_loop import gains as slow_gains

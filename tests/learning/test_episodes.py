@@ -10,7 +10,6 @@ from equipoise.arm.iiwa import iiwa
 from equipoise.arrays import fields
 from equipoise.learning.choice import compile_functions
 from equipoise.learning.episodes import (
-    Plant,
     Totals,
     compiled_loop,
     exploration,
@@ -52,7 +51,7 @@ def trained(plant, parameters, settings, *stops, seed=0):
     training, config = new_training_state(270), training_config(settings, parameters.k, seed)
     train_episodes = compiled_loop(*compile_functions(settings.learning))
     for until in stops:
-        train_episodes(Plant(plant, parameters), config, training, until, 16)
+        train_episodes(plant, config, training, until, 16)
     return training.tables, fields(training.totals, Totals)
 
 

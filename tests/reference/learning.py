@@ -97,7 +97,7 @@ class Episode:
     def advance(self):
         """Make one control step with its action; tell whether it failed."""
         tick, number = [self.tick], [self.number]
-        draw_noise(self.block.controller.noise, self.seed, tick, number, 0, TRAINING_NOISE, 1)
+        draw_noise(self.block.controller.noise, self.seed, tick, number, TRAINING_NOISE, 1)
         self.block.controller.u[0] = paper.ACTIONS[self.action]
         self.block.step()
         self.tick += 1

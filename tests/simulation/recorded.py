@@ -13,7 +13,7 @@ def on_the_plant(params, arm, pendulum, settings=None, seed=0, stream=TEST):
     """Return the simulation of a plant."""
     task = shipped_pendulum(), arm, settings or Settings(), IDEAL_ACTUATOR, paper.STEP
     simulation = PlantSimulation("model", Setup(*task), seed=seed, stream=stream)
-    simulation.params, simulation.pendulum = params, pendulum
+    simulation.params, simulation.pendulum = params, pendulum  # the latter for a loop's report
     return simulation
 
 

@@ -17,11 +17,7 @@ from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.pendulum import step as pendulum_step
 from equipoise.settings import BoxSettings, Settings, resolve
 from equipoise.simulation.evaluation import evaluate
-from equipoise.simulation.plant import (
-    DomainRandomization,
-    make_loop_params,
-    scaled,
-)
+from equipoise.simulation.plant import DomainRandomization, make_loop_params, scaled
 from tests.batch import Batch
 from tests.reference.closed_loop import Joints, Loop
 from tests.simulation.recorded import on_the_plant, record
@@ -106,10 +102,10 @@ def test_a_joint_beyond_any_of_its_limits_is_reported(row):
     plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM)
     block = Batch(plant)
     block.reset(PENDULUM, NOMINAL, (0.0, 0.5, 0.0, 0.0))
-    limits = plant.controller.limits.copy()
-    limits[row] = {0: 3.0, 1: -3.0, 2: 1e-3, 3: 1e-3}[row]
+    limits = list(plant.controller.limits)
+    limits[row] = ({0: 3.0, 1: -3.0, 2: 1e-3, 3: 1e-3}[row],) * 6
     block.controller.u[0] = 2.0
-    block.plant = plant._replace(controller=plant.controller._replace(limits=limits))
+    block.plant = plant._replace(controller=plant.controller._replace(limits=tuple(limits)))
     block.step()
     assert block.state.cause[0] == JOINT_LIMIT
 

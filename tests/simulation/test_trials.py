@@ -8,23 +8,16 @@ from scipy import stats
 
 from equipoise import paper
 from equipoise.arm.iiwa import iiwa
-from equipoise.control.policy import (
-    RANDOM,
-    PolicyKernel,
-)
+from equipoise.control.policy import RANDOM, PolicyKernel
 from equipoise.elementary import BATCH_SIZE
 from equipoise.model.actuator import Actuator
+from equipoise.model.grid import TRACK, TRUNCATED
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import resolve
 from equipoise.simulation.ideal import run_trials
-from equipoise.simulation.plant import (
-    DomainRandomization,
-    FailureLimits,
-    make_loop_params,
-    scaled,
-)
+from equipoise.simulation.plant import DomainRandomization, failure, make_loop_params, scaled
 from equipoise.simulation.trials import draw_trials
 from tests.batch import Batch
 from tests.simulation.recorded import on_the_plant, run_all
@@ -166,18 +159,19 @@ def test_a_limit_is_a_failure_and_what_is_just_within_is_not(plant, sign):
     eleven = sign * np.radians(11.0)
     assert placed(plant, phi=eleven)[2] == "angle"
     assert placed(plant, phi=nextafter(eleven, 0.0))[2] == "survived"
-    x, x_dot, outcome = placed(plant, x=sign * 0.1, x_dot=sign * 0.2)
-    assert (plant.limits, outcome) == (FailureLimits(radians(11.0), 0.22, inf), "survived")
-    for limit, reached, failure in (("x", x, "track"), ("speed", x_dot, Outcome.SPEED)):
-        for least, expected in ((reached, failure), (nextafter(reached, inf), "survived")):
-            strict = plant._replace(limits=plant.limits._replace(**{limit: least}))
-            assert placed(strict, x=sign * 0.1, x_dot=sign * 0.2)[2] == expected
+    _, x_dot, outcome = placed(plant, x=sign * 0.1, x_dot=sign * 0.2)
+    assert (plant.max_speed, outcome) == (inf, "survived")
+    for max_speed, expected in ((x_dot, Outcome.SPEED), (nextafter(x_dot, inf), "survived")):
+        strict = plant._replace(max_speed=max_speed)
+        assert placed(strict, x=sign * 0.1, x_dot=sign * 0.2)[2] == expected
+    assert failure(sign * 0.22, 0.0, 0.0, False, inf) == TRACK
+    assert failure(nextafter(sign * 0.22, 0.0), 0.0, 0.0, False, inf) == TRUNCATED
 
 
 def test_an_angle_is_told_before_the_track_the_track_before_a_joint_and_that_before_a_speed(plant):
-    limits = plant.controller.limits.copy()
-    limits[0] += 10.0
-    slow = plant._replace(limits=plant.limits._replace(speed=0.1))
+    lower, *others = plant.controller.limits
+    limits = (tuple(q + 10.0 for q in lower), *others)
+    slow = plant._replace(max_speed=0.1)
     strict = slow._replace(controller=plant.controller._replace(limits=limits))
     assert placed(strict, phi=0.3, x=0.23, x_dot=0.2)[2] == "angle"
     assert placed(strict, phi=float("nan"))[2] == "angle"

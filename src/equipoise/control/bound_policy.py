@@ -58,10 +58,7 @@ class PythonPolicy:
     """A policy from any function, class or object in Python."""
 
     def __init__(
-        self,
-        source: PolicySource,
-        name: str | None = None,
-        module: ModuleType | None = None,
+        self, source: PolicySource, name: str | None = None, module: ModuleType | None = None
     ) -> None:
         """Wrap a policy.
 

@@ -47,7 +47,7 @@ from equipoise.arrays import Array, IntArray, record_type
 from equipoise.control.estimator import Gains, observer_gains
 from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import ArmError, SettingsError
-from equipoise.jit import call, compilable, inlined, pointer
+from equipoise.jit import call, compilable, flat, inlined, pointer
 from equipoise.model.actuator import (
     CYCLE,
     IDEAL,
@@ -106,18 +106,22 @@ class ControllerCode(NamedTuple):
 
 
 class ControllerParams(NamedTuple):
-    """Constants of the controller, from `make_controller_params`."""
+    """Constants of the controller, from `make_controller_params`.
+
+    Numbers and tuples of them alone: for each array among its arguments a kernel counts references,
+    which takes as long as a formula.
+    """
 
     code: ControllerCode
     """Compiled functions."""
     clik: ClikParameters
     """Gains and damping."""
-    limits: Array
-    """Lower, upper, velocity and acceleration limits of the free joints, shape (4, 6)."""
-    home: Array
-    """Free joints at x = 0 [rad], shape (6,)."""
-    home_reference: Array
-    """Pose of the flange at home, at rest, as a reference, shape (24,)."""
+    limits: tuple[tuple[float, ...], ...]
+    """Lower, upper, velocity and acceleration limits of the free joints."""
+    home: tuple[float, ...]
+    """Free joints at x = 0 [rad]."""
+    home_reference: tuple[float, ...]
+    """Pose of the flange at home, at rest, as a reference of `REFERENCE_SIZE` numbers."""
     pivot: tuple[float, float, float]
     """The pendulum's pivot in the flange frame [m]."""
     h: float
@@ -126,8 +130,8 @@ class ControllerParams(NamedTuple):
     """Whether a sensor and an actuator are modelled; otherwise the state is measured exactly."""
     actuator: ActuatorParameters
     """The model of the arm."""
-    lags: Array
-    """Time constant of each free joint [s], shape (6,)."""
+    lags: tuple[float, ...]
+    """Time constant of each free joint [s]."""
     delay: float
     """d, from sending a setpoint to its effect [s]."""
     horizon: float
@@ -293,22 +297,21 @@ def make_controller_params(
             f"{1e3 * max_delay:.0f} ms, the controller's history; shorten the delay of the link"
         )
     wrist_x, wrist_y, wrist_z = (float(value) for value in compiled.wrist)
+    limits = compiled.lower, compiled.upper, compiled.max_velocity, compiled.max_acceleration
     own, clik = settings.controller, settings.clik
     params = ControllerParams(
         code=ControllerCode(compiled.kinematics, compiled.motion),
         clik=ClikParameters(
             clik.K_p, clik.K_d, SINGULAR_FRACTION * w, DAMPING, (wrist_x, wrist_y, wrist_z)
         ),
-        limits=np.array(
-            [compiled.lower, compiled.upper, compiled.max_velocity, compiled.max_acceleration]
-        ),
-        home=arm.home_free,
-        home_reference=frame[:REFERENCE_SIZE, 0].copy(),
+        limits=tuple(tuple(limit.tolist()) for limit in limits),
+        home=tuple(arm.home_free.tolist()),
+        home_reference=tuple(frame[:REFERENCE_SIZE, 0].tolist()),
         pivot=arm.pivot,
         h=h,
         has_sensor=has_sensor,
         actuator=actuator.parameters,
-        lags=np.array([lag.value for lag in actuator.lags]),
+        lags=tuple(lag.value for lag in actuator.lags),
         delay=actuator.delay.value,
         horizon=horizon(arm, actuator, own.margin) if own.predict else 0.0,
         pendulum=pendulum,
@@ -365,7 +368,7 @@ def kinematics(function: int, q: Array, dq: Array, frame: Array, lanes: int) -> 
         frame: Receives the records.
         lanes: Number of lanes.
     """
-    call(function, (q.ravel(), dq.ravel(), frame.ravel(), lanes))
+    call(function, (flat(q), flat(dq), flat(frame), lanes))
 
 
 @compilable
@@ -572,7 +575,8 @@ def command(controller: ControllerParams, state: ControllerState, lanes: int) ->
     """
     q, dq, ddq, frame, reference = state.q, state.dq, state.ddq, state.frame, state.reference
     e, noise, u, setpoints = state.e, state.noise, state.u, state.setpoints
-    limit_exceeded, h, limits = state.limit_exceeded, controller.h, controller.limits
+    limit_exceeded, h = state.limit_exceeded, controller.h
+    lower, upper, max_velocity, max_acceleration = controller.limits
     for n in range(BATCH_SIZE):
         e[0, n], e[1, n], e[2, n], e[3, n], e[4, n], e[5, n] = pose_error(frame, reference, n)
         reference[GAMMA, n] = u[n]
@@ -592,8 +596,8 @@ def command(controller: ControllerParams, state: ControllerState, lanes: int) ->
     for n in range(BATCH_SIZE):
         within = True
         for i in range(FREE_JOINTS):
-            within &= (limits[0, i] <= q[i, n]) & (q[i, n] <= limits[1, i])
-            within &= (abs(dq[i, n]) <= limits[2, i]) & (abs(ddq[i, n]) <= limits[3, i])
+            within &= (lower[i] <= q[i, n]) & (q[i, n] <= upper[i])
+            within &= (abs(dq[i, n]) <= max_velocity[i]) & (abs(ddq[i, n]) <= max_acceleration[i])
         limit_exceeded[n] = 0 if within else 1
     kinematics(controller.code.kinematics, q, dq, frame, lanes)
     if controller.has_sensor:

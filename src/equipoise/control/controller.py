@@ -305,12 +305,12 @@ def _measured_pose(
 
 
 @compilable
-def flange_pose(frame: Array, home: Array) -> tuple[float, float, float, float]:
+def flange_pose(frame: Array, home: Sequence[float]) -> tuple[float, float, float, float]:
     """Return the entries of `FlangePose`, for the record of the first lane.
 
     Args:
         frame: Record of the kinematics at the measured joints.
-        home: Pose of the flange at home, shape (24,).
+        home: Pose of the flange at home, `ControllerParams.home_reference`.
     """
     x = frame[POSITION, 0] - home[POSITION]
     y = frame[POSITION + 1, 0] - home[POSITION + 1]

@@ -23,7 +23,7 @@ from equipoise.arm.arm import Arm
 from equipoise.arrays import Array
 from equipoise.errors import InputError
 from equipoise.files import DIGEST_PREFIX, Artefact, Count, Fraction, Number, Seed, Value
-from equipoise.jit import compilable
+from equipoise.jit import inlined
 from equipoise.model import grid
 from equipoise.model.actuator import Actuator
 from equipoise.model.grid import Grid, box_index
@@ -64,14 +64,9 @@ class PolicyKernel(NamedTuple):
     """Edges of the boxes."""
 
 
-@compilable
+@inlined
 def act(
-    policy: PolicyKernel,
-    x: float,
-    x_dot: float,
-    phi: float,
-    phi_dot: float,
-    chance: float,
+    policy: PolicyKernel, x: float, x_dot: float, phi: float, phi_dot: float, chance: float
 ) -> float:
     """Return the acceleration that a policy commands.
 
@@ -213,6 +208,10 @@ class TabularPolicy(Artefact):
     """A trained table, with its task and the settings to train it again."""
 
     FORMAT: ClassVar[str] = "equipoise-policy"
+    name: ClassVar[str] = "policy"
+    """Name in results."""
+    u_max: ClassVar[float] = paper.U_MAX
+    """Largest acceleration [m/s^2]."""
 
     actions: Annotated[tuple[Number, ...], Field(max_length=len(paper.ACTIONS))]
     """Accelerations [m/s^2]."""
@@ -261,21 +260,11 @@ class TabularPolicy(Artefact):
     __str__ = __repr__
 
     @property
-    def name(self) -> str:
-        """Name in results."""
-        return "policy"
-
-    @property
     def shortfall(self) -> str:
         """One line where the policy misses the target of its training; else empty."""
         if self.test is None or self.test.met:
             return ""
         return f"the policy misses the target of its training: {self.test}"
-
-    @property
-    def u_max(self) -> float:
-        """Largest acceleration [m/s^2]."""
-        return max(map(abs, self.actions))
 
     @property
     def recipe(self) -> str:
@@ -331,12 +320,12 @@ class BoundPolicy:
     """Model of the arm's response in the controller."""
     settings: Settings
     """Settings of plant, controller and evaluation."""
-    h: float = paper.STEP
+    h: ClassVar[float] = paper.STEP
     """Time step [s]."""
-    u_max: float = paper.U_MAX
+    u_max: ClassVar[float] = paper.U_MAX
     """Largest acceleration [m/s^2], that of the paper's actions: safety limits assume it, and a
     larger u is clipped."""
-    shortfall: str = ""
+    shortfall: ClassVar[str] = ""
     """Empty: no training that could miss a target."""
 
     def reset(self) -> None:

@@ -1,6 +1,6 @@
 """Episode loop of the training: it acts, collects rewards, and lets an algorithm update its table.
 
-One loop runs whole episodes, `BATCH_SIZE` of them at once on the compiled plant, that fraction one
+One loop runs whole episodes, `BATCH_SIZE` of them at once on the compiled plant, that share one
 table: in each step every lane acts by the current table, then the updates follow one after the
 other. An episode that reaches the time limit ends without a failure. In any other world, the same
 loop runs in Python, an episode after the other, as the paper trained in V-REP.
@@ -33,7 +33,6 @@ from equipoise.learning.q_learning import (
     new_tables,
 )
 from equipoise.model.grid import TRUNCATED, Grid, make_grid
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import (
     TRAINING_ACTION,
     TRAINING_ACTUATOR,
@@ -82,15 +81,6 @@ class TrainingConfig(NamedTuple):
     """Grid of the tables."""
     seed: int
     """Master seed."""
-
-
-class Plant(NamedTuple):
-    """The compiled plant of a training."""
-
-    params: LoopParams
-    """Constants of the closed loop."""
-    pendulum: PendulumParameters
-    """Nominal pendulum; each episode varies it."""
 
 
 class Episodes(Protocol):
@@ -197,19 +187,19 @@ def draw_episode(
 
 @compilable
 def release_on_plant(
-    plant: Plant, config: TrainingConfig, batch: BatchState, episode: int, n: int
+    plant: LoopParams, config: TrainingConfig, batch: BatchState, episode: int, n: int
 ) -> None:
     """Release the pendulum of an episode on the compiled plant, in lane `n`."""
     variation, start = draw_episode(config, episode)
-    call(plant.params.reset, (plant.params, batch, plant.pendulum, variation, start, n))
+    call(plant.reset, (plant, batch, variation, start, n))
 
 
 @inlined
-def step_on_plant(plant: Plant, config: TrainingConfig, running: Episodes, lanes: int) -> None:
+def step_on_plant(plant: LoopParams, config: TrainingConfig, running: Episodes, lanes: int) -> None:
     """Advance the episodes of the first lanes on the compiled plant."""
     noise, tick, episode = running.batch.controller.noise, running.tick, running.episode
-    draw_noise(noise, config.seed, tick, episode, 0, TRAINING_NOISE, lanes)
-    call(plant.params.step, (plant.params, running.batch, lanes))
+    draw_noise(noise, config.seed, tick, episode, TRAINING_NOISE, lanes)
+    call(plant.step, (plant, running.batch, lanes))
 
 
 def release_in_world(
@@ -268,13 +258,8 @@ def episode_loop(
         tables, running, totals = training.tables, training.episodes[0], training.totals[0]
         batch, before, seen = running.batch, running.before, running.batch.controller.observation
         box, action, tick, u = running.box, running.action, running.tick, batch.controller.u
-        seed, episode, epsilon, chance = (
-            config.seed,
-            running.episode,
-            running.epsilon,
-            running.chance,
-        )
-        lanes = totals.running
+        episode, epsilon, chance = running.episode, running.epsilon, running.chance
+        seed, lanes = config.seed, totals.running
 
         def begin(n: int) -> None:
             release(world, config, batch, totals.begun, n)
@@ -351,8 +336,7 @@ class Training:
         if world == MODEL:
             plant = PlantSimulation(MODEL, setup, seed=seed, stream=TRAINING_NOISE)
             # The boxes do not resolve speeds below the limit; selection finds tables that keep it.
-            params = plant.params._replace(limits=plant.params.limits._replace(speed=inf))
-            self._world: Any = Plant(params, plant.pendulum)
+            self._world: Any = plant.params._replace(max_speed=inf)
             self._train = compiled_loop(update, reward, cached)
         else:
             self._world = simulate(world, setup, seed=seed, stream=TRAINING_NOISE).loop()
@@ -402,19 +386,8 @@ def training_config(settings: Settings, k: float, seed: int) -> TrainingConfig:
         max_steps=round(learning.episode_duration / paper.STEP),
         epsilon_initial=learning.epsilon_initial,
         epsilon_until=learning.epsilon_until,
-        update=UpdateParams(
-            gamma=learning.gamma,
-            alpha_initial=learning.alpha_initial,
-            alpha_decay=learning.alpha_decay,
-            alpha_minimum=learning.alpha_minimum,
-            mirrored=learning.mirrored,
-        ),
-        start=(
-            learning.start_x,
-            learning.start_x_dot,
-            learning.start_phi,
-            learning.start_phi_dot,
-        ),
+        update=UpdateParams(**learning.model_dump(include=set(UpdateParams._fields))),
+        start=(learning.start_x, learning.start_x_dot, learning.start_phi, learning.start_phi_dot),
         inertia_sigma=plant.inertia_sigma,
         friction_sigma=plant.friction_sigma,
         delay_spread=plant.delay_spread,

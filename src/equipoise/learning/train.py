@@ -16,11 +16,7 @@ from equipoise.arguments import Workers, checked
 from equipoise.arm.arm import Arm
 from equipoise.arm.urdf import read_arm
 from equipoise.arrays import Array
-from equipoise.control.policy import (
-    LearningPoint,
-    TabularPolicy,
-    greedy_accelerations,
-)
+from equipoise.control.policy import LearningPoint, TabularPolicy, greedy_accelerations
 from equipoise.errors import InputError
 from equipoise.executors import Show, counted
 from equipoise.files import Fraction, Seed, StrPath
@@ -165,6 +161,7 @@ def train_to_target(
     check_task(pendulum, settings, actuator, world=world, target=target)
     tested: list[TabularPolicy] = []
     for attempt in range(attempts):
+        show_attempt = _number_stages(show, attempt)
         policy = train(
             pendulum,
             arm,
@@ -173,14 +170,11 @@ def train_to_target(
             world=world,
             seed=seed + attempt,
             workers=workers,
-            show=_of_attempt(attempt, show),
+            show=show_attempt,
         )
+        done = counted("test", settings.selection.test_trials, show_attempt)
         test = measure_survival(
-            policy,
-            target=target,
-            confidence=confidence,
-            workers=workers,
-            done=counted(_stage("test", attempt), settings.selection.test_trials, show),
+            policy, target=target, confidence=confidence, workers=workers, done=done
         )
         tested.append(policy.model_copy(update={"test": test}))
         if test.met:
@@ -188,13 +182,10 @@ def train_to_target(
     return max(tested, key=lambda policy: policy.test.at_least if policy.test else 0.0)
 
 
-def _of_attempt(attempt: int, show: Show) -> Show:
-    return lambda stage, *state: show(_stage(stage, attempt), *state)
-
-
-def _stage(name: str, attempt: int) -> str:
-    """Return the name of a stage; each attempt has its own ones."""
-    return f"{name} {attempt + 1}" if attempt else name
+def _number_stages(show: Show, attempt: int) -> Show:
+    """Return a callback that numbers the stages of the attempts after the first."""
+    suffix = f" {attempt + 1}" if attempt else ""
+    return lambda stage, *state: show(stage + suffix, *state)
 
 
 def check_task(

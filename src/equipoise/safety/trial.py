@@ -5,6 +5,7 @@ controller: measured joints, the observer's estimate, the setpoints sent. Rules 
 and cables do not apply to a trial; external torques are left out, since nothing touches its arm.
 """
 
+from collections.abc import Sequence
 from math import inf
 from typing import Annotated, Final, NamedTuple, Protocol
 
@@ -98,8 +99,8 @@ def new_trial_monitor(arm: Arm, params: SafetyParams | None) -> TrialSafetyMonit
 
 
 @compilable
-def reset_trial_monitor(monitor: TrialSafetyMonitor, q: Array) -> None:
-    """Begin with an arm that rests at the free joints `q` [rad], shape (6,)."""
+def reset_trial_monitor(monitor: TrialSafetyMonitor, q: Sequence[float]) -> None:
+    """Begin with an arm that rests at the free joints `q` [rad]."""
     state = monitor.states[0]
     # Rules need the last two setpoints; earlier ones do not matter.
     for row in range(2):

@@ -5,10 +5,10 @@ it before a colon, and a subclass of `Simulation`. The worlds of this package ar
 same way. Any other world is `MODULE:CLASS`.
 """
 
-from importlib.metadata import entry_points
 from typing import Final
 
 from equipoise.control.policy import TaskPolicy
+from equipoise.entry_points import registered
 from equipoise.errors import SettingsError
 from equipoise.files import StrPath, quoted
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, read_actuator
@@ -59,14 +59,14 @@ def world_class(world: str | World) -> type[Simulation]:
     name = PREFIX if isinstance(world, World) else world
     if isinstance(world, str) and name.startswith(PREFIX):
         read_world(name)
-    registered = {point.name: point for point in entry_points(group=GROUP)}
-    if (point := registered.get(name.partition(":")[0])) is not None:
+    worlds = registered(GROUP)
+    if (point := worlds.get(name.partition(":")[0])) is not None:
         with user_code(f"the world {point.value}"):
             found = point.load()
     elif ":" in name:
         found = load_object(name, "--world")
     else:
-        known = ", ".join(sorted(registered))
+        known = ", ".join(sorted(worlds))
         remedy = suggest_world(name) or f"choose {known} or MODULE:CLASS"
         raise SettingsError(f"there is no world {quoted(name)}; {remedy}")
     if not (isinstance(found, type) and issubclass(found, Simulation)):

@@ -244,14 +244,7 @@ def evaluate(
 
     def run(name: str, policy: TaskPolicy | PolicyKernel) -> TrialResults:
         trials = simulation.draw(count)
-        simulation.run(
-            policy,
-            trials,
-            range(count),
-            duration=span,
-            workers=workers,
-            done=done,
-        )
+        simulation.run(policy, trials, range(count), duration=span, workers=workers, done=done)
         return trial_results(name, trials, h)
 
     nominal = pendulum.parameters(linearised=settings.plant.linearised)

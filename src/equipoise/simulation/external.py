@@ -10,12 +10,11 @@ from math import floor, inf, pi
 
 import numpy as np
 
-from equipoise import paper
 from equipoise.arrays import Array, fields, new_records
 from equipoise.control.control_step import ControllerState, make_controller_params
 from equipoise.control.controller import command_tick, observe_tick, start
 from equipoise.simulation.interface import ClosedLoop, Simulation
-from equipoise.simulation.plant import FailureLimits, draw_noise, failure, scaled
+from equipoise.simulation.plant import draw_noise, failure, scaled
 from equipoise.simulation.trials import Trial
 from equipoise.user_code import user_code
 
@@ -48,8 +47,7 @@ class ExternalLoop(ClosedLoop):
         self._controllers = new_records(ControllerState)
         self.controller = fields(self._controllers, ControllerState)
         self._sigmas = np.repeat([plant.position_error_sigma, plant.orientation_error_sigma], 3)
-        max_speed = inf if plant.max_speed is None else plant.max_speed
-        self._limits = FailureLimits(paper.PHI_LIMIT, paper.X_LIMIT, max_speed)
+        self._max_speed = inf if plant.max_speed is None else plant.max_speed
         self._state, self._tick = np.zeros(4), 0
 
     @abstractmethod
@@ -94,7 +92,7 @@ class ExternalLoop(ClosedLoop):
         simulation, controller, before = self.simulation, self.controller, float(self._state[1])
         if not self.params.has_sensor:
             tick, number = np.array([self._tick]), np.array([self.trial.number])
-            draw_noise(controller.noise, simulation.seed, tick, number, 0, simulation.stream, 1)
+            draw_noise(controller.noise, simulation.seed, tick, number, simulation.stream, 1)
             controller.noise[:, 0] *= self._sigmas
         controller.u[0] = u
         command_tick(self.params, self._controllers)
@@ -109,7 +107,7 @@ class ExternalLoop(ClosedLoop):
         x, x_dot, phi, _ = self._state.tolist()
         self.tracked = (x_dot - before) / self.params.h
         exceeded = bool(controller.limit_exceeded[0])
-        return failure(x, x_dot, phi, exceeded, self._limits)
+        return failure(x, x_dot, phi, exceeded, self._max_speed)
 
     def _observe(self) -> None:
         """Read the state and the measurements; without an encoder the state is the observation."""

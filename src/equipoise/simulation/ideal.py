@@ -14,7 +14,6 @@ from equipoise.control.policy import PolicyKernel
 from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import SettingsError
 from equipoise.jit import call, inlined, kernel
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import IDEAL, MODEL, World
 from equipoise.simulation.interface import ClosedLoop, Setup, Simulation
 from equipoise.simulation.plant import (
@@ -34,8 +33,6 @@ class PlantWorld(NamedTuple):
 
     plant: LoopParams
     """Constants of the closed loop."""
-    pendulum: PendulumParameters
-    """Nominal parameters, which the factors of each trial scale."""
     states: Records
     """`BatchState`."""
     rows: IntArray
@@ -55,9 +52,11 @@ def place(
     start: tuple[float, float, float, float],
     n: int,
 ) -> None:
-    """Place lane `n` at the start of a trial; see `plant.reset`."""
+    """Place lane `n` at the start of a trial, see `plant.reset`, and measure."""
     batch = world.states[0]
-    call(world.plant.reset, (world.plant, batch, world.pendulum, variation, start, n))
+    call(world.plant.reset, (world.plant, batch, variation, start, n))
+    if world.plant.controller.has_sensor:
+        measure(world.plant.controller, batch)
 
 
 @inlined
@@ -71,28 +70,14 @@ def advance(world: PlantWorld, tick: IntArray, number: IntArray, lanes: int) -> 
         lanes: Number of lanes.
     """
     batch = world.states[0]
-    draw_noise(batch.controller.noise, world.seed, tick, number, 0, world.stream, lanes)
+    draw_noise(batch.controller.noise, world.seed, tick, number, world.stream, lanes)
     call(world.plant.step, (world.plant, batch, lanes))
 
 
 run_trials = kernel(trial_loop(place, advance))
 """Runs trials in all lanes of a batch; see `trial_loop`."""
-
-
-@kernel
-def advance_alone(world: PlantWorld, tick: IntArray, number: IntArray) -> None:
-    """Advance the first lane by one step; see `advance`."""
-    advance(world, tick, number, 1)
-
-
-@kernel
-def release(
-    world: PlantWorld, variation: DomainRandomization, start: tuple[float, float, float, float]
-) -> None:
-    """Place the first lane at the start of a trial, and measure."""
-    place(world, variation, start, 0)
-    if world.plant.controller.has_sensor:
-        measure(world.plant.controller, world.states[0], 1)
+place_alone, advance_alone = kernel(place), kernel(advance)
+"""The same steps, called from Python."""
 
 
 class PlantSimulation(Simulation):
@@ -129,8 +114,8 @@ class PlantSimulation(Simulation):
     def world_of(self, batch_size: int) -> PlantWorld:
         """Return the world of some trials that run side by side."""
         states = new_records(BatchState)
-        rows, keys = rows_of(states, BATCH_SIZE), (self.seed, self.stream)
-        return PlantWorld(self.params, self.pendulum, states, rows, batch_size, *keys)
+        rows = rows_of(states, BATCH_SIZE)
+        return PlantWorld(self.params, states, rows, batch_size, self.seed, self.stream)
 
 
 class IdealSimulation(PlantSimulation):
@@ -157,12 +142,12 @@ class PlantLoop(ClosedLoop):
         self._world = self._world._replace(seed=simulation.seed, stream=simulation.stream)
         self.pendulum = scaled(simulation.pendulum, own.inertia_factor, own.friction_factor)
         self.zero = own.zero if self.params.has_sensor else None
-        release(self._world, own, trial.start)
+        place_alone(self._world, own, trial.start, 0)
 
     def step(self, u: float) -> int:
         """Advance by one tick with u [m/s^2], and return the cause of the failure."""
         self.controller.u[0] = u
-        advance_alone(self._world, self._tick, self._number)
+        advance_alone(self._world, self._tick, self._number, 1)
         self._tick += 1
         self.now = float(self._tick[0]) * self.params.h
         self.tracked = float(self._batch.u_tracked[0])

@@ -49,15 +49,7 @@ from equipoise.model.actuator import (
     motion_of,
     steady_error,
 )
-from equipoise.model.grid import (
-    ANGLE,
-    JOINT_LIMIT,
-    SAFETY_STOP,
-    TRACK,
-    TRUNCATED,
-    Grid,
-    box_index,
-)
+from equipoise.model.grid import ANGLE, JOINT_LIMIT, SAFETY_STOP, TRACK, TRUNCATED, Grid, box_index
 from equipoise.model.pendulum import PendulumParameters, runge_kutta
 from equipoise.model.pendulum import step as pendulum_step
 from equipoise.model.random import normal_radius, philox, turn, uniform
@@ -74,24 +66,13 @@ SPEED_LIMIT_CAUSE: Final = SAFETY_STOP + SPEED_CODE
 """Cause of failure where the task limits the flange's speed: that of the guard of a rig."""
 
 
-class FailureLimits(NamedTuple):
-    """Limits whose violation ends an episode."""
-
-    phi: float
-    """Angle |phi| [rad]."""
-    x: float
-    """Displacement |x| [m]."""
-    speed: float
-    """Speed |x_dot| [m/s]; inf without a limit."""
-
-
 class LoopParams(NamedTuple):
     """Constants of the closed loop during an episode."""
 
     controller: ControllerParams
     """Controller: u to setpoints, measurements to observations."""
-    limits: FailureLimits
-    """Limits whose violation ends an episode."""
+    max_speed: float
+    """Limit of the flange's speed [m/s]; inf without a limit."""
     position_noise: float
     """Standard deviation of the noise on the position part of e [m]."""
     orientation_noise: float
@@ -176,7 +157,7 @@ def make_loop_params(
         arm: The arm with its home posture.
         settings: Gains, controller and noise.
         h: Time step [s].
-        pendulum: Pendulum of the controller's model.
+        pendulum: Nominal pendulum, which the controller assumes and episodes vary.
         actuator: Arm response of the controller's model; episodes vary about it.
 
     Raises:
@@ -194,9 +175,7 @@ def make_loop_params(
             counts_per_rev=settings.plant.counts_per_rev,
             has_sensor=actuator.kind != "ideal",
         ),
-        limits=FailureLimits(
-            paper.PHI_LIMIT, paper.X_LIMIT, inf if max_speed is None else max_speed
-        ),
+        max_speed=inf if max_speed is None else max_speed,
         position_noise=settings.plant.position_error_sigma,
         orientation_noise=settings.plant.orientation_error_sigma,
         linearised=settings.plant.linearised,
@@ -205,15 +184,13 @@ def make_loop_params(
     variation = numba.typeof(DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0))
     start, lane = types.UniTuple(types.float64, 4), types.int64
     return plant._replace(
-        reset=pointer(reset, *kinds, numba.typeof(pendulum), variation, start, lane),
-        step=pointer(step, *kinds, lane),
+        reset=pointer(reset, *kinds, variation, start, lane), step=pointer(step, *kinds, lane)
     )
 
 
 def reset(
     plant: LoopParams,
     batch: BatchState,
-    pendulum: PendulumParameters,
     variation: DomainRandomization,
     start: tuple[float, float, float, float],
     n: int,
@@ -223,7 +200,6 @@ def reset(
     Args:
         plant: Constants.
         batch: Changed in place.
-        pendulum: Nominal pendulum.
         variation: Deviation of this lane until its next reset.
         start: Displacement of the flange from home along base x [m], its velocity [m/s], angle of
             the pendulum from upright [rad] and its angular velocity [rad/s].
@@ -232,12 +208,10 @@ def reset(
     controller, memory, state, arm = plant.controller, batch.controller, batch.state, batch.arm
     x, x_dot, phi, phi_dot = start
     zero = variation.zero if controller.has_sensor else 0.0
-    begun = controller, memory, x, x_dot, phi + zero, phi_dot, n
-    call(controller.code.start_controller, begun)
-    own, pendula = (
-        scaled(pendulum, variation.inertia_factor, variation.friction_factor),
-        batch.pendula,
-    )
+    measured = controller, memory, x, x_dot, phi + zero, phi_dot, n
+    call(controller.code.start_controller, measured)
+    own = scaled(controller.pendulum, variation.inertia_factor, variation.friction_factor)
+    pendula = batch.pendula
     pendula.w2[n], pendula.k[n], pendula.c[n] = own.w2, own.k, own.c
     pendula.coulomb[n], pendula.drag[n] = own.coulomb, own.drag
     state.x[n] = memory.frame[POSITION, n] - controller.home_reference[POSITION]
@@ -304,9 +278,9 @@ def step(plant: LoopParams, batch: BatchState, lanes: int) -> None:
         advance_pendula(batch, batch.u_tracked, h, plant.linearised, dry, lanes)
     for n in range(BATCH_SIZE):
         exceeded = memory.limit_exceeded[n] != 0
-        cause[n] = failure(state.x[n], state.x_dot[n], state.phi[n], exceeded, plant.limits)
+        cause[n] = failure(state.x[n], state.x_dot[n], state.phi[n], exceeded, plant.max_speed)
     if controller.has_sensor:
-        measure(controller, batch, lanes)
+        measure(controller, batch)
         call(controller.code.observe, (controller, memory, 0.0, 0.0, lanes))
     else:
         seen = memory.observation
@@ -316,7 +290,7 @@ def step(plant: LoopParams, batch: BatchState, lanes: int) -> None:
 
 
 @inlined
-def failure(x: float, x_dot: float, phi: float, limit_exceeded: bool, limits: FailureLimits) -> int:
+def failure(x: float, x_dot: float, phi: float, limit_exceeded: bool, max_speed: float) -> int:
     """Return the cause of the failure of a state, `TRUNCATED` without one; NaN is a failure.
 
     Args:
@@ -324,12 +298,12 @@ def failure(x: float, x_dot: float, phi: float, limit_exceeded: bool, limits: Fa
         x_dot: Its velocity [m/s].
         phi: Angle of the pendulum from upright [rad].
         limit_exceeded: Whether the last command exceeded a limit of a joint.
-        limits: The limits.
+        max_speed: Limit of the flange's speed [m/s].
     """
-    within = TRUNCATED if abs(x_dot) < limits.speed else SPEED_LIMIT_CAUSE
+    within = TRUNCATED if abs(x_dot) < max_speed else SPEED_LIMIT_CAUSE
     within = JOINT_LIMIT if limit_exceeded else within
-    on_track = within if abs(x) < limits.x else TRACK
-    return on_track if abs(phi) < limits.phi else ANGLE
+    on_track = within if abs(x) < paper.X_LIMIT else TRACK
+    return on_track if abs(phi) < paper.PHI_LIMIT else ANGLE
 
 
 @inlined
@@ -396,8 +370,8 @@ def _send(batch: BatchState, s: int, lanes: int) -> None:
 
 
 @inlined
-def measure(controller: ControllerParams, batch: BatchState, lanes: int) -> None:
-    """Write encoder counts and measured joints to the controllers of the first lanes."""
+def measure(controller: ControllerParams, batch: BatchState) -> None:
+    """Write encoder counts and measured joints to the controllers of all lanes."""
     memory, state, frame = batch.controller, batch.state, batch.frame
     for n in range(BATCH_SIZE):
         tilt = -pose_error(frame, memory.reference, n)[4]
@@ -443,13 +417,7 @@ def pendulum_of(pendula: Pendula, linearised: bool, n: int) -> PendulumParameter
 
 @inlined
 def draw_noise(
-    noise: Array,
-    seed: int,
-    tick: IntArray,
-    index: IntArray,
-    algorithm: int,
-    stream: int,
-    lanes: int,
+    noise: Array, seed: int, tick: IntArray, index: IntArray, stream: int, lanes: int
 ) -> None:
     """Write six standard normal numbers for each lane, from `stream` and the one after it.
 
@@ -458,13 +426,12 @@ def draw_noise(
         seed: Master seed.
         tick: Step of each lane within its episode or trial.
         index: Episode or trial of each lane.
-        algorithm: Number of the algorithm.
         stream: First of the two streams of random numbers.
         lanes: Number of lanes.
     """
     for n in range(lanes):
-        w0, w1, w2, w3 = philox(seed, tick[n], index[n], algorithm, stream)
-        v0, v1, _, _ = philox(seed, tick[n], index[n], algorithm, stream + 1)
+        w0, w1, w2, w3 = philox(seed, tick[n], index[n], 0, stream)
+        v0, v1, _, _ = philox(seed, tick[n], index[n], 0, stream + 1)
         noise[0, n], noise[1, n] = uniform(w0, 1.0, 0.0), turn(w1)
         noise[2, n], noise[3, n] = uniform(w2, 1.0, 0.0), turn(w3)
         noise[4, n], noise[5, n] = uniform(v0, 1.0, 0.0), turn(v1)

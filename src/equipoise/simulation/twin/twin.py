@@ -14,12 +14,13 @@ its own time.
 
 from collections.abc import Sequence
 from math import atan2, ceil, copysign, pi
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
 from equipoise.arm.arm import FREE_JOINTS, Arm
 from equipoise.arrays import Array
+from equipoise.control.controller import Observation
 from equipoise.jit import inlined, kernel
 from equipoise.model.encoder import counts_from_theta
 from equipoise.model.pendulum import PendulumParameters
@@ -74,19 +75,6 @@ def twin_type(n: int) -> np.dtype[Any]:
         ],
         align=True,
     )
-
-
-class TrueState(NamedTuple):
-    """True state of a twin."""
-
-    x: float
-    """Displacement of the flange from home along base x [m]."""
-    x_dot: float
-    """Its velocity [m/s]."""
-    phi: float
-    """Angle of the pendulum from upright, in space [rad]."""
-    phi_dot: float
-    """Its rate [rad/s]."""
 
 
 @inlined
@@ -272,8 +260,8 @@ def reply(twin: np.record, q: Array) -> float:
 
 
 @kernel
-def truth(twin: np.record, data: np.record) -> TrueState:
-    """Return the true state of flange and pendulum."""
+def truth(twin: np.record, data: np.record) -> Observation:
+    """Return the true state of flange and pendulum; its phi is in space."""
     xpos, xmat, cvel, centre = data.xpos, data.xmat, data.cvel, data.subtree_com[LINK]
     y, z = xpos[FLANGE, 1] - centre[1], xpos[FLANGE, 2] - centre[2]
     x_dot = cvel[FLANGE, 3] + cvel[FLANGE, 1] * z - cvel[FLANGE, 2] * y
@@ -281,7 +269,7 @@ def truth(twin: np.record, data: np.record) -> TrueState:
     dx, dy, dz = xmat[ROD, 2], xmat[ROD, 5], xmat[ROD, 8]
     wx, wy, wz = cvel[ROD, 0], cvel[ROD, 1], cvel[ROD, 2]
     change_x, change_z = wy * dz - wz * dy, wx * dy - wy * dx
-    return TrueState(
+    return Observation(
         xpos[FLANGE, 0] - twin.home_x,
         x_dot,
         atan2(dx, dz),
@@ -411,6 +399,6 @@ class Twin:
         stamp = reply(self.state, q)
         return q, float(stamp)
 
-    def truth(self) -> TrueState:
-        """Return the true state of flange and pendulum."""
-        return TrueState(*map(float, truth(self.state, self.args[1][0])))
+    def truth(self) -> Observation:
+        """Return the true state of flange and pendulum; its phi is in space."""
+        return Observation(*map(float, truth(self.state, self.args[1][0])))

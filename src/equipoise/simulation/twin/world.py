@@ -1,28 +1,163 @@
-"""Trials on the digital twin: worlds `twin:NAME` and `twin:FILE`."""
+"""Trials on the digital twin: worlds `twin:NAME` and `twin:FILE`.
+
+The control step is the one of training and deployment: measurements become the observation, its u
+becomes two setpoints. Controller, servo, arm, pendulum and sensors run in one kernel. The true
+state decides how a trial ends; in a world with guards, the rules of a rig end it as well, from the
+rig's measurements. A trial depends on its conditions, the master seed and its number alone.
+"""
 
 from collections.abc import Sequence
-from typing import ClassVar
+from math import inf, pi
+from typing import Annotated, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
 from equipoise.arm.arm import FREE_JOINTS
-from equipoise.arrays import Array, fields, new_records, rows_of
-from equipoise.control.control_step import make_controller_params
+from equipoise.arrays import Array, IntArray, Records, fields, new_records, rows_of
+from equipoise.control.control_step import (
+    LANES,
+    SETPOINTS_PER_TICK,
+    ControllerParams,
+    ControllerState,
+    Observed,
+    make_controller_params,
+)
 from equipoise.control.policy import PolicyKernel
 from equipoise.elementary import BATCH_SIZE
+from equipoise.jit import call, inlined, kernel
+from equipoise.model.grid import SAFETY_STOP, TRUNCATED
 from equipoise.model.worlds import World, pendulum_on, read_world
-from equipoise.safety.trial import new_trial_monitor, trial_safety
-from equipoise.simulation.interface import ClosedLoop, Measurement, Setup, Simulation
-from equipoise.simulation.plant import scaled
-from equipoise.simulation.trials import Trial, Trials, draw_trials
-from equipoise.simulation.twin.trial import (
-    TwinState,
-    TwinWorld,
-    advance_alone,
-    release_alone,
-    run_trials,
+from equipoise.safety.rules import NO_VIOLATION
+from equipoise.safety.trial import (
+    TrialSafetyMonitor,
+    new_trial_monitor,
+    reset_trial_monitor,
+    setpoint_violation,
+    trial_safety,
+    trial_violation,
 )
-from equipoise.simulation.twin.twin import Twin
+from equipoise.simulation.interface import ClosedLoop, Measurement, Setup, Simulation
+from equipoise.simulation.plant import DomainRandomization, failure, scaled
+from equipoise.simulation.trials import Trial, Trials, draw_trials, trial_loop
+from equipoise.simulation.twin.physics import TICK
+from equipoise.simulation.twin.twin import Twin, advance, encoder, reply, reset, send_free, truth
+
+
+class TwinState(Protocol):
+    """State of a closed loop on the twin, in the first lane; kernels change it in place."""
+
+    controller: ControllerState
+    """State of the controller."""
+    state: Observed
+    """True state."""
+    cause: Annotated[IntArray, LANES]
+    """Cause of failure in the last step."""
+
+
+class TwinWorld(NamedTuple):
+    """The twin as a world of compiled trials, one at a time."""
+
+    twins: Records
+    """The twin, see `Twin.args`."""
+    arrays: Records
+    """Arrays of its engine, likewise."""
+    params: ControllerParams
+    """Constants of the controller."""
+    states: Records
+    """`TwinState`."""
+    rows: IntArray
+    """Its rows of lanes, from `rows_of`."""
+    q: Array
+    """Scratch array: free joints [rad], shape (6,)."""
+    monitor: TrialSafetyMonitor
+    """Rules of the world with their state."""
+    seed: int
+    """Seed of a policy that acts at random."""
+    stream: int
+    """Stream of its random numbers."""
+    batch_size: int = 1
+    """Number of trials that run side by side."""
+
+
+@inlined
+def release(
+    world: TwinWorld, _: DomainRandomization, start: tuple[float, float, float, float], n: int
+) -> None:
+    """Release the pendulum, the arm at rest at home; the controller has observed it until now.
+
+    Args:
+        world: Changed in place; its pendulum is that of the trial.
+        start: x, x_dot, phi, phi_dot at the release in SI units; the first two are not used.
+        n: Lane, the first one.
+    """
+    twin, controller, batch = world.twins[0], world.params, world.states[0]
+    phi, phi_dot = start[2], start[3]
+    reset(twin, world.arrays[0], twin.home, phi, phi_dot)
+    counts, stamp = encoder(twin)
+    shown = pi - counts * controller.resolution - stamp * phi_dot
+    begun = controller, batch.controller, 0.0, 0.0, shown, phi_dot, n
+    call(controller.code.start_controller, begun)
+    reset_trial_monitor(world.monitor, controller.home)
+    _read_truth(world)
+
+
+@inlined
+def _read_truth(world: TwinWorld) -> None:
+    real, state = truth(world.twins[0], world.arrays[0]), world.states[0].state
+    state.x[0], state.x_dot[0], state.phi[0], state.phi_dot[0] = real
+
+
+@inlined
+def step(world: TwinWorld, tick: IntArray, number: IntArray, lanes: int) -> None:
+    """Send the setpoints for u; at the end of the step observe, and decide about a failure.
+
+    Args:
+        world: The state of its controller holds u; changed in place.
+        tick: Not used: the twin counts its milliseconds, and knows the number of its trial.
+        number: Not used.
+        lanes: Not used: there is one.
+    """
+    world.states[0].cause[0] = _cause_of_step(world)
+
+
+@inlined
+def _cause_of_step(world: TwinWorld) -> int:
+    twin, data, controller, monitor = world.twins[0], world.arrays[0], world.params, world.monitor
+    q = world.q
+    state = world.states[0].controller
+    call(controller.code.command, (controller, state, 1))
+    for s in range(SETPOINTS_PER_TICK):
+        for i in range(FREE_JOINTS):
+            q[i] = state.setpoints[s, i, 0]
+        if monitor.active:
+            broken = setpoint_violation(monitor, q, twin.now * TICK)
+            if broken != NO_VIOLATION:
+                _read_truth(world)
+                return SAFETY_STOP + broken
+        send_free(twin, q)
+        advance(twin, data, round(controller.h / SETPOINTS_PER_TICK / TICK))
+    tick = twin.now
+    counts, counted = encoder(twin)
+    measured = reply(twin, q)
+    state.counts[0] = counts
+    for i in range(FREE_JOINTS):
+        state.measured[i, 0] = q[i]
+    ages = tick * TICK - counted, tick * TICK - measured
+    call(controller.code.observe, (controller, state, ages[0], ages[1], 1))
+    _read_truth(world)
+    real, exceeded = world.states[0].state, state.limit_exceeded[0] != 0
+    cause = failure(real.x[0], real.x_dot[0], real.phi[0], exceeded, inf)
+    if cause == TRUNCATED and monitor.active:
+        broken = trial_violation(monitor, controller, state, q, measured)
+        if broken != NO_VIOLATION:
+            return SAFETY_STOP + broken
+    return cause
+
+
+run_trials = kernel(trial_loop(release, step))
+"""Runs trials one after the other; see `trial_loop`."""
+release_alone, step_alone = kernel(release), kernel(step)
+"""The same steps, called from Python."""
 
 
 class TwinSimulation(Simulation):
@@ -55,7 +190,7 @@ class TwinSimulation(Simulation):
         I and b vary by the parameters of the twin; the twin draws jitter, noise and the zero error
         of the encoder by itself.
         """
-        sigmas = {name: getattr(self.numbers, name) for name in ("inertia_sigma", "friction_sigma")}
+        sigmas = self.numbers.model_dump(include={"inertia_sigma", "friction_sigma"})
         plant = self.setup.settings.plant.model_copy(update=sigmas)
         settings = self.setup.settings.model_copy(update={"plant": plant})
         return draw_trials(count, settings, self.seed, self.stream, first)
@@ -72,7 +207,7 @@ class TwinSimulation(Simulation):
         try:
             loop = self._idle.pop()  # of a thread that has finished
         except IndexError:
-            loop = self.loop()
+            loop = TwinLoop(self)
         for row in rows:
             world = loop.prepare(trials.trial(row))
             run_trials(world, policy, trials, np.array([row]), max_steps)
@@ -91,12 +226,13 @@ class TwinLoop(ClosedLoop):
         self._state = fields(states, TwinState)
         self.params, self.controller = simulation.params, self._state.controller
         monitor = new_trial_monitor(arm, simulation.safety)
+        self._unused = np.zeros(1, np.int64)
         rows, q = rows_of(states, BATCH_SIZE), np.zeros(FREE_JOINTS)
         self._world = TwinWorld(*self._twin.args, self.params, states, rows, q, monitor, 0, 0)
 
     def reset(self, trial: Trial) -> None:
         """Release the pendulum under the conditions of a trial."""
-        release_alone(self.prepare(trial), trial.start)
+        release_alone(self.prepare(trial), trial.variation, trial.start, 0)
         self.now, self.tracked = 0.0, 0.0
 
     def prepare(self, trial: Trial) -> TwinWorld:
@@ -111,7 +247,7 @@ class TwinLoop(ClosedLoop):
     def step(self, u: float) -> int:
         """Advance by one tick with u [m/s^2], and return the cause of the failure."""
         self.controller.u[0], x_dot = u, float(self._state.state.x_dot[0])
-        advance_alone(self._world)
+        step_alone(self._world, self._unused, self._unused, 1)
         moved = float(self._state.state.x_dot[0]) - x_dot
         self.tracked, self.now = moved / self.params.h, self._twin.now
         return int(self._state.cause[0])
