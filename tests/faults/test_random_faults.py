@@ -48,7 +48,7 @@ def drawn(random):
         "stops": lambda harness: harness.bench.body.stop("emergency stop"),
         "push": lambda harness: harness.bench.push(sign * turn),
         "touch": lambda harness: harness.bench.touch((sign * force, 0.0, 0.0)),
-        "jump": lambda harness: harness.board.jump(counts),
+        "jump": lambda harness: setattr(harness.board, "slipped", counts),
         "key": lambda harness: harness.typed.append(str(random.choice(("stop", "", "y", "n")))),
     }
     name = str(random.choice(list(kinds)))

@@ -70,7 +70,7 @@ def test_counts_and_sequence_wrap_unnoticed_and_the_sign_makes_counts_grow():
 def test_button_and_illegal_transitions_are_told_once(bench):
     for press in (True, False):
         bench.board.press(press)
-    bench.board.meet_illegal()
+    bench.board.illegal = True
     samples = bench.run(0.1)
     assert sum(sample.pressed for sample in samples) == 1
     assert sum(sample.illegal for sample in samples) == 1
@@ -128,7 +128,7 @@ def test_a_jump_of_the_count_is_an_error(bench, counts, turning):
         bench.motion = lambda time: -np.sign(counts) * 15.0 * (time - began)
         bench.run(0.05)
         counts *= 4
-    bench.board.jump(counts)
+    bench.board.slipped = counts
     assert failing(bench, "jumped") < 0.02
     assert bench.sensor.rejected == MAX_INCONSISTENT
 
