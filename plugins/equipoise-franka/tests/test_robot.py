@@ -26,7 +26,6 @@ from equipoise.testing import MISREAD, RobotConformance, RobotUnderTest
 from equipoise_franka import robot as driver
 from equipoise_franka.arm import fr3
 from equipoise_franka.lockstep import Lockstep
-from equipoise_franka.paced import PacedStream
 from equipoise_franka.robot import FrankaRobot
 from tests.faults.test_over_the_wires import balances
 
@@ -44,7 +43,7 @@ class Bench:
         clock.attach(self.rig.advance)
         clock.wait_until(0.5)
         session = Session(clock, clock, load=load)
-        self.robot = PacedStream(FrankaRobot(self.rig.host, session), clock)
+        self.robot = FrankaRobot(self.rig.host, session)
 
 
 @pytest.fixture
