@@ -108,6 +108,10 @@ def _slip_slowly(harness: FaultHarness) -> None:
     harness.each(lambda since: harness.bench.slip(radians(0.005)) if since < 0.2 else None)
 
 
+def _zero_the_count(harness: FaultHarness) -> None:
+    harness.board.slipped = -harness.board._count
+
+
 # fmt: off
 ENCODER = (
     Fault("encoder unplugged", _ends("encoder lost"), _call("sensor.link.close"),
@@ -131,7 +135,7 @@ ENCODER = (
     Fault("board of another encoder", _ends("error"), _change("board", counts_per_rev=4096),
           AT_START, says="4096"),
     Fault("zeroed while swinging", _ends("count jump", "encoder gap", "encoder lost"),
-          _call("board.zero"), Trigger("swing", 1.4), within=0.03),
+          _zero_the_count, Trigger("swing", 1.4), within=0.03),
     Fault("zero error", _ends("survived"), _slip_slowly, Trigger("swing"), check=_referenced_twice),
     Fault("zero error while balancing", FELL | _ends("survived"), _slip_slowly),
     Fault("stale samples", _ends("stale encoder"), _change("sensor.link", delay=0.1),
