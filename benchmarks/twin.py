@@ -20,9 +20,9 @@ from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import TabularPolicy
 from equipoise.executors import available_cores
 from equipoise.identification.actuator import identify_run
-from equipoise.learning.train import ATTEMPTS, train_to_target
+from equipoise.learning.train import train_to_target
 from equipoise.model.actuator import Actuator, shipped_actuator
-from equipoise.model.pendulum import Pendulum, shipped_pendulum
+from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.rig.simulate import excite
 from equipoise.settings import resolve
@@ -34,10 +34,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--world", default="twin:nominal")
     parser.add_argument("--arm", type=int, choices=(7, 14), default=7)
-    parser.add_argument("--pendulum", type=Path, help="by default the shipped one")
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--attempts", type=int, default=ATTEMPTS, help="maximum for each seed")
-    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--trials", type=int, default=200)
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
@@ -52,8 +49,7 @@ def main() -> None:
             *args.set,
         ]
     )
-    pendulum = shipped_pendulum() if args.pendulum is None else Pendulum.load(args.pendulum)
-    world = args.world
+    pendulum, world = shipped_pendulum(), args.world
     file, actuator = args.out / "actuator.json", shipped_actuator()
     if file.exists():
         actuator = Actuator.load(file)
@@ -61,7 +57,7 @@ def main() -> None:
         actuator = identify_run(excite(arm, args.world, pendulum, seed=0))
         actuator.save(file, command="identify")
     found: list[dict] = []
-    for seed in range(args.first, args.first + args.seeds):
+    for seed in range(args.seeds):
         begin = time.perf_counter()
         file = args.out / f"policy-{seed}.json"
         if not file.exists():
@@ -69,7 +65,6 @@ def main() -> None:
                 pendulum,
                 arm,
                 settings,
-                attempts=args.attempts,
                 actuator=actuator,
                 seed=seed,
                 workers=cores,

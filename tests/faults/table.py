@@ -99,7 +99,7 @@ def hold_back(harness: FaultHarness, part: str) -> None:
 
 
 def _referenced_twice(harness: FaultHarness) -> Sequence[str]:
-    swings = [one.name for one in harness.messages].count("swing")
+    swings = [message.name for message in harness.messages].count("swing")
     return () if swings == 2 else (f"{swings} self-tests were made, expected 2",)
 
 
@@ -473,7 +473,7 @@ def _take_away(duration: float) -> Inject:
 
 
 def _never_began(harness: FaultHarness) -> Sequence[str]:
-    began = any(one.name == "balancing" for one in harness.messages)
+    began = any(message.name == "balancing" for message in harness.messages)
     return ("the policy began",) if began else ()
 
 

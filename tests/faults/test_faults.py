@@ -10,7 +10,7 @@ from tests.faults.verdicts import Sent, check_stop, problems_of
 
 pytestmark = pytest.mark.compiled_only
 
-FAULTS = {one.name: one for one in (*TABLE, *FILES)}
+FAULTS = {fault.name: fault for fault in (*TABLE, *FILES)}
 """Faults that are injected in virtual time."""
 QUICK = ("robot not following", "infinity in a setpoint", "TCP drop")
 FULL = (

@@ -18,7 +18,7 @@ PHASES = {
     "lift": 3.0, "armed": 0.5, "balancing": 2.5,
 }  # fmt: skip
 """Messages that a phase begins with, and the time after them within which it fails [s]."""
-LISTED = [each for each in TABLE if each.trigger.event != START]
+LISTED = [fault for fault in TABLE if fault.trigger.event != START]
 """Faults of the table that strike in a run."""
 
 

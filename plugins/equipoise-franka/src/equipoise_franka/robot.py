@@ -363,12 +363,12 @@ class FrankaRobot:
         try:
             yield
         except RuntimeError as error:
-            said = str(error).removeprefix("libfranka: ")
-            errors = said.partition("[")[2]
+            message = str(error).removeprefix("libfranka: ")
+            errors = message.partition("[")[2]
             remedy = (
                 RECOVER if errors else "check its power and its cable, and activate FCI in Desk"
             )
-            self._fail(f"reports {said!r}; {_cause(errors or said, remedy)}", error)
+            self._fail(f"reports {message!r}; {_cause(errors or message, remedy)}", error)
 
     def _fail(self, why: str, error: Exception | None = None) -> NoReturn:
         """Give up the link for good."""
@@ -384,11 +384,11 @@ def _cause(errors: str, otherwise: str = RECOVER) -> str:
 
 def _sockets() -> set[tuple[int, int]]:
     """Return the numbers and the kinds of this process's open sockets."""
-    found = set[tuple[int, int]]()
+    sockets = set[tuple[int, int]]()
     for name in os.listdir("/proc/self/fd"):
         with suppress(OSError):
             number = int(name)
             if stat.S_ISSOCK(os.fstat(number).st_mode):
                 with socket.socket(fileno=os.dup(number)) as opened:
-                    found.add((number, opened.type))
-    return found
+                    sockets.add((number, opened.type))
+    return sockets

@@ -161,7 +161,7 @@ class KstServer:
         """
         self._now, self.deserted, self._reads = now, True, False
 
-    def _say(self, reply: bytes) -> None:
+    def _reply(self, reply: bytes) -> None:
         if not self.drops:
             self._segments.append(NAK if self.refuses else reply)
 
@@ -181,7 +181,7 @@ class KstServer:
                 self._read_target(command)
             elif command.startswith(STOP_SERVO):
                 self._requested = False
-            self._say(answer(command, self._body))
+            self._reply(answer(command, self._body))
         else:
             self._waiting = command
 
@@ -201,16 +201,16 @@ class KstServer:
             self.busy = command.startswith((START_SERVO, "doPTPinJS"))
             try:
                 if command.startswith(MAIN):
-                    self._say(answer(command, self._body))
+                    self._reply(answer(command, self._body))
                 elif command.startswith(START_SERVO):
                     yield from self._serve()
                 elif command.startswith("doPTPinJS"):
                     yield from self._move()
                 elif command.startswith("jRelVel"):  # fraction of the speed limits, for motions
                     self._speed = java_double("".join(tokens(command)[1:2]))
-                    self._say(DONE)
+                    self._reply(DONE)
             except InputError:
-                self._say(NAK)
+                self._reply(NAK)
             self.busy = False
             yield
 
@@ -222,7 +222,7 @@ class KstServer:
     def _serve(self) -> Iterator[None]:
         """Run a servo; it runs on without a client."""
         self._requested = True
-        self._say(DONE)
+        self._reply(DONE)
         yield from self._sleep(SERVO_START)
         self._runs = True
         self._body.servo(True)
@@ -237,7 +237,7 @@ class KstServer:
     def _move(self) -> Iterator[None]:
         """Move to the target along a minimum-jerk path, at the set speed."""
         body, joints, goal = self._body, self._body.arm.joints, tuple(self._target)
-        self._say(DONE)
+        self._reply(DONE)
         yield from self._sleep(PLANNING_TIME)
         within = all(a.lower <= q <= a.upper for a, q in zip(joints, goal, strict=True))
         if body.stopped or not within or not 0.0 < self._speed <= 1.0:
@@ -250,7 +250,7 @@ class KstServer:
             body.target(path.at(self._now - start).q)
             yield
         body.servo(False)
-        self._say(NAK if body.stopped else DONE)
+        self._reply(NAK if body.stopped else DONE)
         self._waiting = ""
 
 
