@@ -56,7 +56,7 @@ def main() -> None:
     elif world not in (MODEL, IDEAL):
         actuator = identify_run(excite(arm, args.world, pendulum, seed=0))
         actuator.save(file, command="identify")
-    found: list[dict] = []
+    rows: list[dict] = []
     for seed in range(args.seeds):
         begin = time.perf_counter()
         file = args.out / f"policy-{seed}.json"
@@ -89,7 +89,7 @@ def main() -> None:
             "trials": summary.trials,
             "median_s": summary.median,
         }
-        found.append(row)
+        rows.append(row)
         test = policy.test
         more = {
             "causes": summary.outcomes,
@@ -98,7 +98,7 @@ def main() -> None:
             "all_s": round(time.perf_counter() - begin),
         }
         print(json.dumps(row | more), flush=True)
-    survived, trials = sum(row["survived"] for row in found), args.seeds * args.trials
+    survived, trials = sum(row["survived"] for row in rows), args.seeds * args.trials
     total = {
         "world": args.world,
         "arm": arm.name,
@@ -106,13 +106,13 @@ def main() -> None:
         "survived": survived,
         "trials": trials,
         "interval": exact_interval(survived, trials),
-        "median_s": median(row["median_s"] for row in found),
-        "seeds_at_99_percent": sum(row["survived"] >= 0.99 * row["trials"] for row in found),
-        "worst": min(found, key=lambda row: row["survived"]),
+        "median_s": median(row["median_s"] for row in rows),
+        "seeds_at_99_percent": sum(row["survived"] >= 0.99 * row["trials"] for row in rows),
+        "worst": min(rows, key=lambda row: row["survived"]),
     }
     print(json.dumps(total))
     if args.json:
-        args.json.write_text(json.dumps(total | {"by_seed": found}))
+        args.json.write_text(json.dumps(total | {"by_seed": rows}))
 
 
 if __name__ == "__main__":

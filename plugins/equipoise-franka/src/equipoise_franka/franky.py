@@ -121,7 +121,7 @@ class Controller(FrankaRobotServer):
         if connected:
             self.init()
         elif not self.tcp_connected:
-            self._hosts[:] = [self.hostname]  # of the next `init`
+            self._hosts[:] = [str(self.hostname)]  # of the next `init`
             self.cleanup()  # refuses a client
 
     def start_motion(self, controller: Any, generator: Any, motion: int) -> None:
