@@ -19,7 +19,6 @@ from equipoise.robots.kst.codec import (
     expect_numbers,
     java_double,
     java_number,
-    numbers_reply,
     setpoint,
     split_lines,
     tokens,
@@ -114,10 +113,6 @@ def test_what_the_server_may_not_say_is_a_link_error(line):
             expect_numbers(line, count, "jpJP")
     with pytest.raises(LinkError):
         expect_done(line, "jp")
-
-
-def test_a_reply_holds_each_number():
-    assert numbers_reply([0.5, -2.0]) == b"0.5_-2.0_\n"
 
 
 @pytest.mark.parametrize(("value", "text"), JAVA.items())
