@@ -20,7 +20,7 @@ from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import TabularPolicy
 from equipoise.executors import available_cores
 from equipoise.identification.actuator import identify_run
-from equipoise.learning.train import train_to_target
+from equipoise.learning.train import ATTEMPTS, train_to_target
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.worlds import IDEAL, MODEL
@@ -35,6 +35,7 @@ def main() -> None:
     parser.add_argument("--world", default="twin:nominal")
     parser.add_argument("--arm", type=int, choices=(7, 14), default=7)
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--attempts", type=int, default=ATTEMPTS, help="maximum for each seed")
     parser.add_argument("--trials", type=int, default=200)
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
@@ -65,6 +66,7 @@ def main() -> None:
                 pendulum,
                 arm,
                 settings,
+                attempts=args.attempts,
                 actuator=actuator,
                 seed=seed,
                 workers=cores,
