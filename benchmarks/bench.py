@@ -43,14 +43,12 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from equipoise import paper
 from equipoise.arm.arm import Arm
 from equipoise.control.policy import shipped_policy
 from equipoise.elementary import fma
 from equipoise.executors import available_cores
-from equipoise.files import Value
 from equipoise.jit import kernel
 from equipoise.learning.train import train
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
@@ -79,6 +77,8 @@ TRIALS: Final = "trials behind the actuator"
 TWIN: Final = "trials on the twin"
 YARDSTICK: Final = "pinocchio"
 """Peer of which every ratio is."""
+PACKAGES: Final = {TWIN: "mujoco", YARDSTICK: "pin"}
+"""Package of each work, where it has another name."""
 PEAK: Final = "peak"
 """The loop of fused multiply-adds."""
 OPERATIONS: Final = {OURS: 1125.0, BEHIND: 4848.0, TRIALS: 4848.0}
@@ -97,208 +97,128 @@ PEER_STEPS: Final = 32_000
 """Steps of a peer in a round: some tenths of a second."""
 
 
-class Contestant(NamedTuple):
-    """Somebody who takes part."""
+class Rate(NamedTuple):
+    """Speed of one piece of work over the rounds [steps/s]."""
 
-    name: str
-    """One word."""
-    package: str
-    """What `pip` installs it from; empty for ours."""
-    prepare: Callable[[], Work]
-    """Imports and builds; raises `ImportError` where the package is not installed."""
-
-
-class Rate(Value):
-    """How fast one of them was."""
-
-    steps_per_second: float
-    """Median over the rounds."""
+    median: float
     slowest: float
-    """Slowest round [steps/s]."""
     fastest: float
-    """Fastest round [steps/s]."""
 
 
-class Benchmark(Value):
-    """What came of a benchmark."""
+class Benchmark(NamedTuple):
+    """Results of a benchmark."""
 
     rates: dict[str, Rate]
-    """Each that took part, by name; ours is the first."""
+    """Speed of each work, by name; ours is the first."""
     missing: dict[str, str]
-    """Why the others did not, by name."""
-    rounds: int
-    """How many rounds each median is of."""
+    """Reason of each work that was left out, by name."""
     core: int | None
-    """The core that all ran on; none where the system cannot say."""
-    processor: str
-    """What the processor calls itself."""
+    """The core that all ran on; None where the system cannot say."""
+    scaling: dict[int, float]
+    """Speed of trainings side by side on a number of cores, relative to one core."""
 
     @property
     def steps_per_second(self) -> dict[str, float]:
         """Median steps per second, by name."""
-        rates = self.rates.items()
-        return {name: rate.steps_per_second for name, rate in rates if name != PEAK}
-
-    scaling: dict[int, float] = Field(default_factory=dict)
-    """Speed of trainings side by side on a number of cores, relative to one core."""
+        return {name: rate.median for name, rate in self.rates.items() if name != PEAK}
 
     @property
     def ratios(self) -> dict[str, float]:
-        """How many times faster each is than Pinocchio's loop, by name; empty without that."""
-        if YARDSTICK not in self.rates:
-            return {}
-        peer = self.rates[YARDSTICK].steps_per_second
-        return {n: rate / peer for n, rate in self.steps_per_second.items() if n != YARDSTICK}
+        """Speed relative to Pinocchio's loop, by name; empty without that."""
+        speeds = self.steps_per_second
+        peer = speeds.pop(YARDSTICK, None)
+        return {} if peer is None else {name: speed / peer for name, speed in speeds.items()}
 
     @property
     def real_time(self) -> dict[str, float]:
-        """How many times faster than the arm ours are, by name."""
+        """Speed of ours relative to the arm, by name."""
         ours = (OURS, BEHIND, TRIALS, TWIN)
         return {n: r * paper.STEP for n, r in self.steps_per_second.items() if n in ours}
 
     @property
     def fractions(self) -> dict[str, float]:
         """Fraction of the core's peak, by name."""
-        if PEAK not in self.rates:
-            return {}
-        peak, speed = self.rates[PEAK].steps_per_second, self.steps_per_second
+        peak, speed = self.rates[PEAK].median, self.steps_per_second
         return {name: count * speed[name] / peak for name, count in OPERATIONS.items()}
 
 
-def benchmark(
-    pendulum: Pendulum,
-    arm: Arm,
-    settings: Settings,
-    *,
-    rounds: int = ROUNDS,
-    episodes: int | None = None,
-    progress: Callable[[str], None] | None = None,
-) -> Benchmark:
+def benchmark(pendulum: Pendulum, arm: Arm, settings: Settings) -> Benchmark:
     """Measure our training and the peers that are installed.
 
     Args:
-        pendulum: What training balances.
+        pendulum: Pendulum of the trainings.
         arm: The arm of ours and of Pinocchio.
         settings: Gains, noise and learning.
-        rounds: How often each is measured.
-        episodes: Episodes of training in a round; the settings' number if not given.
-        progress: Called with the name of each piece of work before it is done.
     """
-    if episodes is not None:
-        learning = settings.learning.model_copy(update={"episodes": episodes})
-        settings = settings.model_copy(update={"learning": learning})
-    result = race(contestants(pendulum, arm, settings), rounds, progress=progress)
-    _tell(progress, "side by side")
-    work = training_work(pendulum, arm, settings)
-    speeds = scaling(work, available_cores(), rounds)
-    return result.model_copy(update={"scaling": speeds})
+    training = training_work(pendulum, arm, settings)
+    prepare: dict[str, Callable[[], Work]] = {
+        OURS: lambda: training,
+        BEHIND: lambda: training_work(pendulum, arm, settings, shipped_actuator()),
+        TRIALS: lambda: trials_work("model", TRIAL_COUNT),
+        TWIN: lambda: trials_work("twin:nominal", TWIN_TRIALS),
+        YARDSTICK: lambda: pinocchio_work(arm, settings),
+        "gymnasium": cart_pole_work,
+        PEAK: peak_work,
+    }
+    with _one_core() as core:
+        rates, missing = race(prepare)
+    _print_to_stderr("side by side")
+    return Benchmark(rates, missing, core, scaling(training, available_cores()))
 
 
-def contestants(pendulum: Pendulum, arm: Arm, settings: Settings) -> tuple[Contestant, ...]:
-    """Return ours and the peers."""
-    return (
-        Contestant(
-            OURS,
-            "",
-            lambda: training_work(pendulum, arm, settings),
-        ),
-        Contestant(
-            BEHIND,
-            "",
-            lambda: training_work(pendulum, arm, settings, shipped_actuator()),
-        ),
-        Contestant(
-            TRIALS,
-            "",
-            lambda: trials_work("model", TRIAL_COUNT),
-        ),
-        Contestant(
-            TWIN,
-            "mujoco",
-            lambda: trials_work("twin:nominal", TWIN_TRIALS),
-        ),
-        Contestant(
-            "pinocchio",
-            "pin",
-            lambda: pinocchio_work(arm, settings),
-        ),
-        Contestant(
-            "gymnasium",
-            "gymnasium",
-            cart_pole_work,
-        ),
-        Contestant(PEAK, "", peak_work),
-    )
-
-
-def race(
-    contestants: Sequence[Contestant],
-    rounds: int,
-    *,
-    clock: Callable[[], float] = time.perf_counter,
-    progress: Callable[[str], None] | None = None,
-) -> Benchmark:
-    """Let them work in turn on one core, without garbage collection, as `timeit` does.
+def race(prepare: dict[str, Callable[[], Work]]) -> tuple[dict[str, Rate], dict[str, str]]:
+    """Let works run in turn, without garbage collection, as `timeit` does.
 
     Args:
-        contestants: Ours first.
-        rounds: How often each is measured.
-        clock: Gives the time [s].
-        progress: Called with the name of each piece of work before it is done.
+        prepare: Prepares each work, by name; raises `ImportError` where a package is missing.
+
+    Returns:
+        The speed of each work, and why the others were left out, by name.
     """
     works: dict[str, Work] = {}
     missing: dict[str, str] = {}
-    rates: dict[str, list[float]] = {}
-    with _one_core() as core:
-        for name, package, prepare in contestants:
-            _tell(progress, f"{name}: preparing")
-            try:
-                works[name] = prepare()
-            except ImportError as error:
-                if not package:
-                    raise
-                missing[name] = (
-                    f"{package} cannot be imported ({error}); "
-                    f"install it with: python -m pip install {package}"
-                )
-                continue
-            works[name]()  # compiles what is compiled on the first call
-            rates[name] = []
-        for number in range(1, rounds + 1):
-            for name, work in works.items():
-                _tell(progress, f"{name}: round {number} of {rounds}")
-                with _no_collection():
-                    begin = clock()
-                    steps = work()
-                    rates[name].append(steps / (clock() - begin))
-    return Benchmark(
-        rates={
-            name: Rate(
-                steps_per_second=statistics.median(rates[name]),
-                slowest=min(rates[name]),
-                fastest=max(rates[name]),
+    for name, prepared in prepare.items():
+        _print_to_stderr(f"{name}: preparing")
+        try:
+            works[name] = prepared()
+        except ImportError as error:
+            missing[name] = (
+                f"{error}; install it with: python -m pip install {PACKAGES.get(name, name)}"
             )
-            for name, _, _ in contestants
-            if name in rates
-        },
-        missing=missing,
-        rounds=rounds,
-        core=core,
-        processor=_processor(),
-    )
+            continue
+        works[name]()  # compiles what is compiled on the first call
+    rates: dict[str, list[float]] = {name: [] for name in works}
+    for number in range(1, ROUNDS + 1):
+        for name, work in works.items():
+            _print_to_stderr(f"{name}: round {number} of {ROUNDS}")
+            with _no_collection():
+                rates[name].append(speed_of(work))
+    return {n: Rate(statistics.median(r), min(r), max(r)) for n, r in rates.items()}, missing
+
+
+def speed_of(work: Work, threads: int = 1) -> float:
+    """Return the speed of a work, in each of some threads [steps/s]."""
+    if threads == 1:
+        begin = time.perf_counter()
+        steps = work()
+        return steps / (time.perf_counter() - begin)
+    with ThreadPoolExecutor(threads) as pool:
+        begin = time.perf_counter()
+        steps = sum(pool.map(lambda _: work(), range(threads)))
+        return steps / (time.perf_counter() - begin)
 
 
 def table(result: Benchmark) -> "Table":
     """Return the result as a table for a terminal."""
     from rich.table import Table
 
-    where = result.processor if result.core is None else f"core {result.core}, {result.processor}"
-    notes = [f"median of {result.rounds} rounds, on {where}"]
-    notes += [
-        f"ratio: to the {YARDSTICK} loop; real time: as a multiple, with steps of {paper.STEP:g} s"
+    where = _processor() if result.core is None else f"core {result.core}, {_processor()}"
+    notes = [
+        f"median of {ROUNDS} rounds, on {where}",
+        f"ratio: to the {YARDSTICK} loop; real time: as a multiple, with steps of {paper.STEP:g} s",
     ]
     cores = ", ".join(f"{n}: {speed:.2f}" for n, speed in result.scaling.items())
-    notes += [f"speed of trainings side by side, by the number of cores: {cores}"] if cores else []
+    notes += [f"speed of trainings side by side, by the number of cores: {cores}"]
     notes += [f"{name} is left out: {why}" for name, why in result.missing.items()]
     view = Table(title="Thousand steps per second", caption="\n".join(notes))
     view.add_column()
@@ -307,14 +227,13 @@ def table(result: Benchmark) -> "Table":
     for name, rate in result.rates.items():
         if name == PEAK:
             continue
-        speeds = (rate.steps_per_second, rate.slowest, rate.fastest)
         cells = (
             (result.ratios, "{:.1f}"),
             (result.real_time, "{:,.0f}"),
             (result.fractions, "{:.0%}"),
         )
         others = (form.format(values[name]) if name in values else "" for values, form in cells)
-        view.add_row(name, *(f"{speed / 1e3:,.0f}" for speed in speeds), *others)
+        view.add_row(name, *(f"{speed / 1e3:,.0f}" for speed in rate), *others)
     return view
 
 
@@ -334,7 +253,7 @@ def trials_work(world: str, count: int) -> Work:
         ImportError: The world needs a library that is not installed.
     """
     if world != "model":
-        _imported("mujoco")
+        import_module("mujoco")
     policy = shipped_policy()
     setup = setup_of(policy, world, None, shipped_actuator())
     simulation = simulate(world, setup, seed=0, stream=TEST)
@@ -369,22 +288,18 @@ def peak_work(repeats: int = 4000) -> Work:
     return work
 
 
-def scaling(work: Work, cores: int, rounds: int) -> dict[int, float]:
+def scaling(work: Work, cores: int) -> dict[int, float]:
     """Return the speed of works side by side in threads, relative to one, by their number.
 
     Args:
         work: Releases Python's lock.
         cores: Largest number of threads; numbers are powers of two.
-        rounds: Number of alternating rounds, of which the median is taken.
     """
     numbers = [2**i for i in range(cores.bit_length())]
     speeds: dict[int, list[float]] = {number: [] for number in numbers}
-    for _ in range(rounds):
+    for _ in range(ROUNDS):  # in turn, and the median of each
         for number in numbers:
-            with ThreadPoolExecutor(number) as pool:
-                begin = time.perf_counter()
-                steps = sum(pool.map(lambda _: work(), range(number)))
-                speeds[number].append(steps / (time.perf_counter() - begin))
+            speeds[number].append(speed_of(work, number))
     alone = statistics.median(speeds[1])
     return {number: statistics.median(speeds[number]) / alone for number in numbers}
 
@@ -421,7 +336,7 @@ class PinocchioLoop:
         Raises:
             ImportError: Pinocchio is not installed.
         """
-        self.pin = pin = _imported("pinocchio")
+        self.pin = pin = import_module("pinocchio")
         self.model, self.frame, self.pivot = _model(pin, arm)
         self.data = self.model.createData()
         self.h, self.clik = h, settings.clik
@@ -536,7 +451,7 @@ def cart_pole_work(steps: int = PEER_STEPS) -> Work:
     Raises:
         ImportError: Gymnasium is not installed.
     """
-    gymnasium = _imported("gymnasium")
+    gymnasium = import_module("gymnasium")
     env = gymnasium.make("CartPole-v1")
     xs, x_dots, phis, phi_dots = CART_POLE_EDGES
     alpha, gamma, epsilon = 0.1, 0.99, 0.05
@@ -561,18 +476,8 @@ def cart_pole_work(steps: int = PEER_STEPS) -> Work:
     return work
 
 
-def _imported(module: str) -> Any:
-    """Import a library that has no types, or may be absent."""
-    return import_module(module)
-
-
 def _print_to_stderr(text: str) -> None:
     print(text, file=sys.stderr)
-
-
-def _tell(progress: Callable[[str], None] | None, what: str) -> None:
-    if progress is not None:
-        progress(what)
 
 
 @contextmanager
@@ -595,14 +500,12 @@ def _one_core() -> Generator[int | None]:
 
 @contextmanager
 def _no_collection() -> Generator[None]:
-    enabled = gc.isenabled()
     gc.collect()
     gc.disable()
     try:
         yield
     finally:
-        if enabled:
-            gc.enable()
+        gc.enable()
 
 
 def _processor() -> str:
@@ -631,7 +534,7 @@ def main() -> None:
     except EquipoiseError as error:
         parser.error(str(error))
     _print_to_stderr("Measuring on one core, in alternating rounds, for about half a minute")
-    result = benchmark(shipped_pendulum(), arm, Settings(), progress=_print_to_stderr)
+    result = benchmark(shipped_pendulum(), arm, Settings())
     if args.json:
         print(json.dumps(summary(result)))
     else:
@@ -648,7 +551,7 @@ def summary(result: Benchmark) -> dict[str, object]:
         "share_of_peak": result.fractions,
         "scaling": result.scaling,
         "missing": result.missing,
-        "processor": result.processor,
+        "processor": _processor(),
     }
 
 

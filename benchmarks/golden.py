@@ -43,16 +43,16 @@ def trainings() -> dict[str, str]:
     from equipoise.learning.train import train
     from equipoise.settings import resolve
 
-    policy, found = shipped_policy(), {}
+    policy, digests = shipped_policy(), {}
     for recipe, episodes in EPISODES.items():
         changes = [f"learning.episodes={episodes}", "selection.trials=4"]
         settings = resolve(recipe, overrides=changes)
         for seed in SEEDS:
             trained = train(policy.pendulum, policy.arm, settings, seed=seed)
-            found[f"training {recipe} {seed}"] = digest(
+            digests[f"training {recipe} {seed}"] = digest(
                 trained.actions, trained.visits, trained.steps
             )
-    return found
+    return digests
 
 
 def evaluations() -> dict[str, str]:
@@ -60,7 +60,7 @@ def evaluations() -> dict[str, str]:
     from equipoise.control.policy import shipped_policy
     from equipoise.simulation import evaluation
 
-    policy, found, codes, results = shipped_policy(), {}, {}, evaluation.trial_results
+    policy, digests, codes, results = shipped_policy(), {}, {}, evaluation.trial_results
 
     def recorded(name: str, trials: Any, h: float) -> Any:
         names = ("survived", "angle", "track", "joint limit", "guard")
@@ -75,9 +75,9 @@ def evaluations() -> dict[str, str]:
         for seed in SEEDS:
             done = evaluation.evaluate(policy, settings, world=world, seed=seed)
             outcomes = ((one.survival, *codes[one.name]) for one in (done.results, *done.baselines))
-            found[f"evaluation {world} {seed}"] = digest(*chain.from_iterable(outcomes))
+            digests[f"evaluation {world} {seed}"] = digest(*chain.from_iterable(outcomes))
     evaluation.trial_results = results
-    return found
+    return digests
 
 
 def runs() -> dict[str, str]:
@@ -85,11 +85,13 @@ def runs() -> dict[str, str]:
     from equipoise.control.policy import shipped_policy
     from equipoise.rig.simulate import simulate_run
 
-    found = {}
+    digests = {}
     for world in ("model", "twin:nominal", "twin:harsh"):
         run = simulate_run(shipped_policy(), world=world, seed=3, duration=5.0)
-        found[f"run {world}"] = digest(run.x, run.x_dot, run.phi, run.phi_dot, run.u, run.stream.q)
-    return found
+        digests[f"run {world}"] = digest(
+            run.x, run.x_dot, run.phi, run.phi_dot, run.u, run.stream.q
+        )
+    return digests
 
 
 def virtual_runs() -> dict[str, str]:
@@ -97,7 +99,7 @@ def virtual_runs() -> dict[str, str]:
     from equipoise.log.run_log import RunLog
     from tests.faults.harness import FaultHarness, Scenario
 
-    found = {}
+    digests = {}
     for seed in SEEDS:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "run.mcap"
@@ -105,16 +107,12 @@ def virtual_runs() -> dict[str, str]:
             harness.run()
             log = RunLog.load(path)
         for name, tap in (("robot", harness.robot_tap), ("encoder", harness.encoder_tap)):
-            found[f"bytes to the {name} {seed}"] = digest(*(line for _, line in tap.sent))
+            digests[f"bytes to the {name} {seed}"] = digest(*(line for _, line in tap.sent))
         for name, table in sorted(log.tables.items()):
             if name != "event":  # its texts may be reworded
-                columns = (
-                    table[column]
-                    for column in table.dtype.names
-                    if column not in ("late", "compute")
-                )
-                found[f"log {name} {seed}"] = digest(*columns)
-    return found
+                columns = (table[column] for column in table.dtype.names if column not in MEASURED)
+                digests[f"log {name} {seed}"] = digest(*columns)
+    return digests
 
 
 PARTS: tuple[Callable[[], dict[str, str]], ...] = (trainings, evaluations, runs, virtual_runs)
@@ -125,16 +123,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--against", type=Path, help="digests of another tree")
     against = parser.parse_args().against
-    found: dict[str, str] = {}
+    digests: dict[str, str] = {}
     for part in PARTS:
-        found |= part()
+        digests |= part()
         print(f"{part.__name__}: done", file=sys.stderr)
     if against is None:
-        print(json.dumps(found, indent=1))
+        print(json.dumps(digests, indent=1))
         return 0
     before = json.loads(against.read_text())
-    changed = [name for name in {**before, **found} if before.get(name) != found.get(name)]
-    print("\n".join(changed) or f"all {len(found)} digests are equal")
+    changed = [name for name in {**before, **digests} if before.get(name) != digests.get(name)]
+    print("\n".join(changed) or f"all {len(digests)} digests are equal")
     return int(bool(changed))
 
 

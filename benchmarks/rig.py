@@ -105,7 +105,7 @@ def _p999(late: np.ndarray) -> float:
 
 def _run(args: argparse.Namespace, number: int, console: bool) -> dict[str, object]:
     """Make one run on a rig of its own; return what came of it."""
-    said: list[str] = []
+    lines: list[str] = []
     log = args.out / f"run-{number}{'-console' if console else ''}.mcap"
     with tempfile.TemporaryDirectory() as folder:
         link = Path(folder) / "encoder"
@@ -119,16 +119,16 @@ def _run(args: argparse.Namespace, number: int, console: bool) -> dict[str, obje
             stderr=subprocess.STDOUT,
             text=True,
         )
-        threading.Thread(target=_listen, args=(rig, said), daemon=True).start()
+        threading.Thread(target=_listen, args=(rig, lines), daemon=True).start()
         try:
             while not link.exists():
                 if rig.poll() is not None:
-                    sys.exit("\n".join(said))
+                    sys.exit("\n".join(lines))
                 time.sleep(0.1)
-            before = sum(STALL in line for line in said)
+            before = sum(STALL in line for line in lines)
             with _witness(Path(folder) / "gaps") as gaps:
                 outcome = _deploy(args, link, log, console, rig)
-            outcome["stalls"] = sum(STALL in line for line in said) - before
+            outcome["stalls"] = sum(STALL in line for line in lines) - before
         finally:
             rig.send_signal(signal.SIGINT)
             rig.wait()
@@ -289,9 +289,9 @@ def _deploy(
         return {"code": code, "error": last}
 
 
-def _listen(process: subprocess.Popen[str], said: list[str]) -> None:
+def _listen(process: subprocess.Popen[str], lines: list[str]) -> None:
     for line in process.stdout or ():
-        said.append(line.rstrip())
+        lines.append(line.rstrip())
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from equipoise.executors import available_cores
 from equipoise.identification.actuator import identify_run
 from equipoise.learning.train import ATTEMPTS, train_to_target
 from equipoise.model.actuator import Actuator, shipped_actuator
-from equipoise.model.pendulum import Pendulum, shipped_pendulum
+from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.rig.simulate import excite
 from equipoise.settings import resolve
@@ -34,10 +34,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--world", default="twin:nominal")
     parser.add_argument("--arm", type=int, choices=(7, 14), default=7)
-    parser.add_argument("--pendulum", type=Path, help="by default the shipped one")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--attempts", type=int, default=ATTEMPTS, help="maximum for each seed")
-    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--trials", type=int, default=200)
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
@@ -52,16 +50,15 @@ def main() -> None:
             *args.set,
         ]
     )
-    pendulum = shipped_pendulum() if args.pendulum is None else Pendulum.load(args.pendulum)
-    world = args.world
+    pendulum, world = shipped_pendulum(), args.world
     file, actuator = args.out / "actuator.json", shipped_actuator()
     if file.exists():
         actuator = Actuator.load(file)
     elif world not in (MODEL, IDEAL):
         actuator = identify_run(excite(arm, args.world, pendulum, seed=0))
         actuator.save(file, command="identify")
-    found: list[dict] = []
-    for seed in range(args.first, args.first + args.seeds):
+    rows: list[dict] = []
+    for seed in range(args.seeds):
         begin = time.perf_counter()
         file = args.out / f"policy-{seed}.json"
         if not file.exists():
@@ -94,7 +91,7 @@ def main() -> None:
             "trials": summary.trials,
             "median_s": summary.median,
         }
-        found.append(row)
+        rows.append(row)
         test = policy.test
         more = {
             "causes": summary.outcomes,
@@ -103,7 +100,7 @@ def main() -> None:
             "all_s": round(time.perf_counter() - begin),
         }
         print(json.dumps(row | more), flush=True)
-    survived, trials = sum(row["survived"] for row in found), args.seeds * args.trials
+    survived, trials = sum(row["survived"] for row in rows), args.seeds * args.trials
     total = {
         "world": args.world,
         "arm": arm.name,
@@ -111,13 +108,13 @@ def main() -> None:
         "survived": survived,
         "trials": trials,
         "interval": exact_interval(survived, trials),
-        "median_s": median(row["median_s"] for row in found),
-        "seeds_at_99_percent": sum(row["survived"] >= 0.99 * row["trials"] for row in found),
-        "worst": min(found, key=lambda row: row["survived"]),
+        "median_s": median(row["median_s"] for row in rows),
+        "seeds_at_99_percent": sum(row["survived"] >= 0.99 * row["trials"] for row in rows),
+        "worst": min(rows, key=lambda row: row["survived"]),
     }
     print(json.dumps(total))
     if args.json:
-        args.json.write_text(json.dumps(total | {"by_seed": found}))
+        args.json.write_text(json.dumps(total | {"by_seed": rows}))
 
 
 if __name__ == "__main__":

@@ -154,13 +154,15 @@ def decision_time(policy: TaskPolicy) -> float:
     return float(np.median(times))
 
 
-def draw(rows: dict[str, Row], titles: list[str], found: dict[tuple[str, str], Summary]) -> Figure:
+def draw(
+    rows: dict[str, Row], titles: list[str], summaries: dict[tuple[str, str], Summary]
+) -> Figure:
     """Draw the fraction of the trials that survived, with its 95 % interval."""
     figure = Figure(figsize=(10.0, 1.5 + 0.25 * len(rows)), layout="constrained")
     panels = figure.subplots(1, len(titles), sharey=True, squeeze=False)[0]
     for panel, title in zip(panels, titles, strict=True):
         for place, (name, row) in enumerate(rows.items()):
-            summary = found[name, title]
+            summary = summaries[name, title]
             low, high = summary.interval
             arms = 100.0 * np.array([[summary.rate - low], [high - summary.rate]])
             look = {"fmt": "o", "color": COLOURS[row.kind], "capsize": 2, "markersize": 4}
@@ -188,7 +190,7 @@ def main() -> None:
     args = parser.parse_args()
     rows = made_rows(args.rows, args.policies, args.set, args.quick)
     columns = columns_of(args.worlds, args.known)
-    found = {
+    summaries = {
         (name, title): survival(row.policy, world, known, args.trials, args.duration)
         for name, row in rows.items()
         for title, world, known in columns
@@ -198,16 +200,18 @@ def main() -> None:
     print("| --- " * (len(titles) + 4) + "|")
     made: list[dict] = []
     for name, row in rows.items():
-        cells = [f"{found[name, t].rate:.0%} ({found[name, t].median:.1f} s)" for t in titles]
+        cells = [
+            f"{summaries[name, t].rate:.0%} ({summaries[name, t].median:.1f} s)" for t in titles
+        ]
         rms_mm = 1e3 * rms_x(row.policy, args.duration)
         cells.append(f"{rms_mm:.1f}")
         made.append({"name": Path(name).stem, "rms_x_mm": rms_mm})
         for title in titles:
             key = title.removeprefix("twin:").replace(", ", "_")
-            made[-1][key] = {field: getattr(found[name, title], field) for field in STORED}
+            made[-1][key] = {field: getattr(summaries[name, title], field) for field in STORED}
         cells += [f"{row.wall:.0f} s", f"{1e6 * decision_time(row.policy):.1f} us"]
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
-    draw(rows, titles, found).savefig(args.out, dpi=150)
+    draw(rows, titles, summaries).savefig(args.out, dpi=150)
     if args.json:
         about = {"trials": args.trials, "duration": args.duration, "seed": 0}
         args.json.write_text(json.dumps(about | {"rows": made}))

@@ -52,17 +52,17 @@ def main() -> None:
         policy, policy.actuator, RIG, f"franka://{WORLD}", None, args.duration, identify=identify
     )
     logs = in_processes(identified, [replace(request, seed=s) for s in range(args.logs)])
-    found = [log for log in logs if log is not None]
-    for actuator in found:
+    actuators = [log for log in logs if log is not None]
+    for actuator in actuators:
         print(actuator.summary, flush=True)
-    found[0].save(args.out / "actuator.json", command="experiments/franka.py", inputs={})
-    policies, trials = trained(found[0], args)
+    actuators[0].save(args.out / "actuator.json", command="experiments/franka.py", inputs={})
+    policies, trials = trained(actuators[0], args)
     policies[0].save(args.out / "policy.json")
     request = replace(request, policy=policies[0], actuator=policies[0].actuator, identify=None)
     ends = Counter(in_processes(outcome, [replace(request, seed=s) for s in range(args.runs)]))
     print(dict(ends))
     results = {
-        "servo_ms": servo(found),
+        "servo_ms": servo(actuators),
         "trials": trials,
         "runs": {"survived": ends[Outcome.SURVIVED], "trials": args.runs},
     }
@@ -105,10 +105,12 @@ def trained(actuator: Actuator, args: argparse.Namespace) -> tuple[list[Any], di
     for seed in range(args.seeds):
         policy = eq.train(None, RIG.described_arm, actuator=actuator, seed=seed, workers=cores)
         numbers = policy.settings.model_copy(update={"evaluation": trials})
-        found = eq.evaluate(
+        evaluation = eq.evaluate(
             policy, numbers, world=WORLD, seed=seed + UNSEEN, with_baselines=False, workers=cores
         )
-        rates.append(float(np.mean([one == Outcome.SURVIVED for one in found.results.outcomes])))
+        rates.append(
+            float(np.mean([one == Outcome.SURVIVED for one in evaluation.results.outcomes]))
+        )
         policies.append(policy)
         print(seed, rates[-1], flush=True)
     survived = round(sum(rates) * args.trials)
@@ -119,18 +121,19 @@ def trained(actuator: Actuator, args: argparse.Namespace) -> tuple[list[Any], di
     }
 
 
-def servo(found: list[Actuator]) -> dict[str, Any]:
+def servo(actuators: list[Actuator]) -> dict[str, Any]:
     """Return mean and standard deviation of the delay, its mean half width, and lags [ms]."""
     delays = 1e3 * np.array(
-        [(actuator.delay.value, actuator.delay.low, actuator.delay.high) for actuator in found]
+        [(actuator.delay.value, actuator.delay.low, actuator.delay.high) for actuator in actuators]
     )
-    lags = 1e3 * np.mean([[lag.value for lag in actuator.lags] for actuator in found], axis=0)
+    lags = 1e3 * np.mean([[lag.value for lag in actuator.lags] for actuator in actuators], axis=0)
     return {
-        "logs": len(found),
+        "logs": len(actuators),
         "delay": {"mean": delays[:, 0].mean(), "sd": delays[:, 0].std()},
         "half_width": float(np.mean(delays[:, 2] - delays[:, 1]) / 2.0),
         "lags": [lags.min(), lags.max()],
-        "rms_mrad": 1e3 * float(np.mean([actuator.fit.rms for actuator in found if actuator.fit])),
+        "rms_mrad": 1e3
+        * float(np.mean([actuator.fit.rms for actuator in actuators if actuator.fit])),
     }
 
 

@@ -104,8 +104,8 @@ class Study(NamedTuple):
             known = identified_on(self.policy.actuator, self.twin.settings, world)
         there = "model" if world is None else World(self.twin.name, world)
         args = {"with_baselines": False, "workers": available_cores()}
-        found = eq.evaluate(table, settings, world=there, actuator=known, **args)
-        return found.results.survival
+        result = eq.evaluate(table, settings, world=there, actuator=known, **args)
+        return result.results.survival
 
 
 def identified_on(actuator: eq.Actuator, twin: TwinSettings, changed: TwinSettings) -> eq.Actuator:
@@ -130,15 +130,15 @@ def identified_on(actuator: eq.Actuator, twin: TwinSettings, changed: TwinSettin
 def curves(study: Study, number: str, values: Sequence[float]) -> dict[str, list[Mean]]:
     """Return the survival of each controller against one number of the twin."""
     full = study.twin.settings
-    found: dict[str, list[Mean]] = {}
+    points_of: dict[str, list[Mean]] = {}
     for controller in LINES:
         base = full.model_copy(update=CLEAN) if controller.endswith("clean twin") else full
         if number == "zero_offset":
             base = base.model_copy(update={"zero_error": 0.0})
         points = [base.model_copy(update={number: value}) for value in values]
-        found[controller] = [mean_of(study.survival(controller, each)) for each in points]
-        print(f"{number}, {controller}: {', '.join(map(str, found[controller]))}", flush=True)
-    return found
+        points_of[controller] = [mean_of(study.survival(controller, each)) for each in points]
+        print(f"{number}, {controller}: {', '.join(map(str, points_of[controller]))}", flush=True)
+    return points_of
 
 
 class Effects(NamedTuple):
@@ -161,17 +161,17 @@ def effects(study: Study) -> Effects:
     plant = mean_of(study.survival("paper", None))
     at_best, as_is = study.survival("paper", clean), study.survival("paper", full)
     print(f"paper: {plant} on its plant, {mean_of(at_best)} clean, {mean_of(as_is)} full twin")
-    found: dict[str, tuple[Mean, Mean]] = {}
+    changes: dict[str, tuple[Mean, Mean]] = {}
     for name, off in EFFECTS.items():
         on = {number: getattr(full, number) for number in off}
         alone = study.survival("paper", clean.model_copy(update=on))
         removed = study.survival("paper", full.model_copy(update=off))
-        found[name] = (
+        changes[name] = (
             mean_of(np.subtract(alone, at_best)),
             mean_of(np.subtract(removed, as_is)),
         )
-        print(f"{name}: alone {found[name][0]}, removed {found[name][1]}", flush=True)
-    return Effects(plant, mean_of(at_best), mean_of(as_is), found)
+        print(f"{name}: alone {changes[name][0]}, removed {changes[name][1]}", flush=True)
+    return Effects(plant, mean_of(at_best), mean_of(as_is), changes)
 
 
 def survived(survival: Sequence[float], args: argparse.Namespace) -> dict[str, int]:
@@ -182,7 +182,7 @@ def survived(survival: Sequence[float], args: argparse.Namespace) -> dict[str, i
 def results(
     delay: dict[str, list[Mean]],
     zero: dict[str, list[Mean]],
-    found: Effects,
+    changes_by_effect: Effects,
     worlds: dict[str, Any],
 ) -> dict[str, Any]:
     """Return all results for a file, by the names that the documents use."""
@@ -194,12 +194,12 @@ def results(
     return {
         "delay": named(delay, [f"{1e3 * each:.0f}ms" for each in DELAYS]),
         "zero": named(zero, [f"{100 * degrees(each):.0f}" for each in ZEROS]),
-        "plant": found.plant.row(),
-        "clean": found.clean.row(),
-        "full": found.full.row(),
+        "plant": changes_by_effect.plant.row(),
+        "clean": changes_by_effect.clean.row(),
+        "full": changes_by_effect.full.row(),
         "effects": [
             {"name": name, "alone": alone.row(), "removed": removed.row()}
-            for name, (alone, removed) in found.changes.items()
+            for name, (alone, removed) in changes_by_effect.changes.items()
         ],
         "worlds": worlds,
     }
@@ -215,8 +215,8 @@ def draw(
     axes = figure.subplots(2, 2, sharey="row")
     panels = ((axes[0, 0], delay, 1e3 * np.array(DELAYS), "transport delay [ms]"),)
     panels += ((axes[0, 1], zero, np.degrees(ZEROS), "error of the encoder's zero [deg]"),)
-    for panel, found, x, label in panels:
-        for controller, points in found.items():
+    for panel, curve, x, label in panels:
+        for controller, points in curve.items():
             middle, half = np.transpose(points)
             panel.errorbar(
                 x[: len(middle)], middle, yerr=half, label=controller, **LINES[controller]
@@ -255,8 +255,8 @@ def main() -> None:
         length = {"trials": min(args.trials, 8), "duration": min(args.duration, 20.0)}
     study = Study(policy, paper, eq.read_world(args.world), length)
     delay, zero = curves(study, "transport", DELAYS), curves(study, "zero_offset", ZEROS)
-    found = effects(study)
-    draw(delay, zero, found.changes).savefig(args.out, dpi=150)
+    paper_effects = effects(study)
+    draw(delay, zero, paper_effects.changes).savefig(args.out, dpi=150)
     worlds: dict[str, Any] = {}
     for name in () if args.quick else WORLDS:
         world = eq.read_world(f"twin:{name}").settings
@@ -268,7 +268,7 @@ def main() -> None:
         }
         print(name, worlds[name], flush=True)
     if args.json:
-        args.json.write_text(json.dumps(results(delay, zero, found, worlds), indent=1))
+        args.json.write_text(json.dumps(results(delay, zero, paper_effects, worlds), indent=1))
 
 
 if __name__ == "__main__":

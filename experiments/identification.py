@@ -28,27 +28,33 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="file of the results")
     args = parser.parse_args()
     rows: list[dict] = []
-    held: list[bool] = []
+    covered: list[bool] = []
     for world in args.worlds:
         true = equivalent_actuator(eq.read_world(f"twin:{world}").settings)
         logs = [eq.excite("iiwa7", f"twin:{world}", seed=seed) for seed in range(args.logs)]
-        found = [eq.identify_run(log) for log in logs]
+        actuators = [eq.identify_run(log) for log in logs]
         row: dict = {"name": world}
         for name in ("cycle", "delay"):
             estimates, value = (
-                [getattr(actuator, name) for actuator in found],
+                [getattr(actuator, name) for actuator in actuators],
                 getattr(true, name).value,
             )
-            held += [one.low <= value <= one.high for one in estimates]
+            covered += [one.low <= value <= one.high for one in estimates]
             fitted = 1e3 * np.array([one.value for one in estimates])
             row[name] = {"true": 1e3 * value, "mean": fitted.mean(), "sd": fitted.std()}
-        lags = 1e3 * np.mean([[lag.value for lag in actuator.lags] for actuator in found], axis=0)
+        lags = 1e3 * np.mean(
+            [[lag.value for lag in actuator.lags] for actuator in actuators], axis=0
+        )
         row["lags"] = [lags.min(), lags.max()]
         rows.append(row)
         print(json.dumps(row), flush=True)
-    print(f"intervals that hold: {sum(held)} of {len(held)}")
+    print(f"intervals that hold: {sum(covered)} of {len(covered)}")
     if args.json:
-        intervals = {"survived": sum(held), "trials": len(held), "rate": sum(held) / len(held)}
+        intervals = {
+            "survived": sum(covered),
+            "trials": len(covered),
+            "rate": sum(covered) / len(covered),
+        }
         text = json.dumps({"logs": args.logs, "worlds_ms": rows, "intervals": intervals})
         args.json.write_text(text)
 

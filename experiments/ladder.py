@@ -48,7 +48,7 @@ def rungs(overrides: list[str]) -> dict[str, eq.Settings]:
         overrides: Single settings of every rung, such as `learning.episodes=1000`.
     """
     settings, default = eq.resolve("paper", overrides=overrides), eq.resolve(overrides=overrides)
-    found: dict[str, eq.Settings] = {}
+    settings_of: dict[str, eq.Settings] = {}
     for name, taken in CHANGES.items():
         changes: dict[str, Any] = {}
         for result in taken:
@@ -57,21 +57,21 @@ def rungs(overrides: list[str]) -> dict[str, eq.Settings]:
             keys = [key] if key else type(group).model_fields
             changes |= {f"{section}.{one}": getattr(group, one) for one in keys}
         settings = changed(settings, changes)
-        found[name] = settings
-    return found
+        settings_of[name] = settings
+    return settings_of
 
 
-def tested(found: list[Summary]) -> dict[str, Any]:
+def tested(summaries: list[Summary]) -> dict[str, Any]:
     """Return the results of a rung in one world, from those of its policies."""
-    survived, trials = sum(s.survived for s in found), sum(s.trials for s in found)
-    rates = [s.rate for s in found]
+    survived, trials = sum(s.survived for s in summaries), sum(s.trials for s in summaries)
+    rates = [s.rate for s in summaries]
     return {
         "trials": trials,
         "fraction": survived / trials,
         "interval": exact_interval(survived, trials),
         "worst": min(rates),
         "median_seed": float(np.median(rates)),
-        "median": float(np.median([s.median for s in found])),
+        "median": float(np.median([s.median for s in summaries])),
     }
 
 
@@ -136,11 +136,13 @@ def main() -> None:
             summaries = [evaluation.results.summary() for evaluation in evaluations]
             return summaries, withstood(policy, known, args.trials)
 
-        found = [result for _, result in completed(results, range(args.seeds), available_cores())]
-        summaries = zip(*(result for result, _ in found), strict=True)
+        seed_results = [
+            result for _, result in completed(results, range(args.seeds), available_cores())
+        ]
+        summaries = zip(*(result for result, _ in seed_results), strict=True)
         by_world = zip(args.worlds, summaries, strict=True)
         row = {world.removeprefix("twin:"): tested(list(result)) for world, result in by_world}
-        pushed = sum(balanced for _, balanced in found) / (args.seeds * args.trials)
+        pushed = sum(balanced for _, balanced in seed_results) / (args.seeds * args.trials)
         rows.append({"name": name, "seeds": args.seeds, "pushed": pushed} | row)
         fractions = (
             f"{world} {of['fraction']:.1%} ({of['median']:.1f} s)" for world, of in row.items()

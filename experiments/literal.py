@@ -117,16 +117,16 @@ def median_interval(values: Sequence[float]) -> tuple[float, float]:
     return float(ordered[max(int(low) - 1, 0)]), float(ordered[min(int(high), n - 1)])
 
 
-def summary(found: Sequence[Ends]) -> dict[str, Any]:
+def summary(policies: Sequence[Ends]) -> dict[str, Any]:
     """Return the distribution over the seeds of a world."""
-    medians = [float(np.median(ends.survival)) for ends in found]
-    failed = np.concatenate([~ends.survived for ends in found])
-    track = np.concatenate([ends.track for ends in found])
-    lean = np.concatenate([ends.lean for ends in found])[track]
-    fractions = [float(ends.survived.mean()) for ends in found]
+    medians = [float(np.median(ends.survival)) for ends in policies]
+    failed = np.concatenate([~ends.survived for ends in policies])
+    track = np.concatenate([ends.track for ends in policies])
+    lean = np.concatenate([ends.lean for ends in policies])[track]
+    fractions = [float(ends.survived.mean()) for ends in policies]
     low, high = median_interval(medians)
     result: dict[str, Any] = {
-        "seeds": len(found),
+        "seeds": len(policies),
         "trials": len(failed),
         "median": round(float(np.median(medians)), 2),
         "median_low": round(low, 2),
@@ -161,15 +161,17 @@ def posterior(likelihood: np.ndarray) -> dict[str, Any]:
     return {"delay": round(middle, 1), "interval": [round(low, 1), round(high, 1)]}
 
 
-def inferred(found: dict[str, list[list[Ends]]], stands: Sequence[int]) -> list[dict[str, Any]]:
+def inferred(
+    ends_by_kind: dict[str, list[list[Ends]]], stands: Sequence[int]
+) -> list[dict[str, Any]]:
     """Return the posterior of the delay for each kind of robot and each reading.
 
     Args:
-        found: Trials of each policy on each robot, by kind and delay.
+        ends_by_kind: Trials of each policy on each robot, by kind and delay.
         stands: Indices of the policies that stand in simulation.
     """
     rows: list[dict[str, Any]] = []
-    for kind, robots in found.items():
+    for kind, robots in ends_by_kind.items():
         row: dict[str, Any] = {"name": kind, "label": KINDS[kind][2], "policies": len(stands)}
         for reading, how in READINGS.items():
             likelihood = np.array(
@@ -236,17 +238,17 @@ def main() -> None:
 
     twin = summary(everywhere("twin:nominal"))
     print(f"twin:nominal: {twin}", flush=True)
-    found: dict[str, list[list[Ends]]] = {kind: [] for kind in KINDS}
+    ends_by_kind: dict[str, list[list[Ends]]] = {kind: [] for kind in KINDS}
     robots: list[dict[str, Any]] = []
     for delay in DELAYS:
         row: dict[str, Any] = {"delay": delay}
         for kind in KINDS:
-            found[kind].append(everywhere(robot(delay, kind)))
-            row[kind] = summary(found[kind][-1])
+            ends_by_kind[kind].append(everywhere(robot(delay, kind)))
+            row[kind] = summary(ends_by_kind[kind][-1])
             print(f"{delay:g} ms, {KINDS[kind][2]}: {row[kind]['median']} s", flush=True)
         robots.append(row)
     stands = [i for i, trained in enumerate(ends) if trained.survived.mean() >= SURVIVES]
-    delays = inferred(found, stands or range(args.seeds))
+    delays = inferred(ends_by_kind, stands or range(args.seeds))
     for row in delays:
         for reading in READINGS:
             print(f"{row['label']}, {reading}: {row[reading]}")

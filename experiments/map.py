@@ -122,19 +122,19 @@ def draw(slices: dict[str, MapSlice], settings: eq.Settings) -> Figure:
     """Draw the slices, with the area of the releases."""
     figure = Figure(figsize=(5.0 * len(slices), 4.5), layout="constrained")
     panels = figure.subplots(1, len(slices), squeeze=False)[0]
-    for panel, (title, found) in zip(panels, slices.items(), strict=True):
+    for panel, (title, section) in zip(panels, slices.items(), strict=True):
         axes = PLANES[title]
         unit = np.array([UNITS[axis] for axis in axes])
-        starts, size = unit * found.starts, 9000.0 / len(found.starts)
+        starts, size = unit * section.starts, 9000.0 / len(section.starts)
         for which, look, label in (
-            (~found.inside & ~found.held, {"color": "0.7", "marker": "."}, "lost, outside"),
-            (found.inside & ~found.held, {"color": "tab:red", "marker": "x"}, "lost, inside"),
-            (found.held, {"color": "tab:blue", "marker": "s"}, "held by the policy"),
+            (~section.inside & ~section.held, {"color": "0.7", "marker": "."}, "lost, outside"),
+            (section.inside & ~section.held, {"color": "tab:red", "marker": "x"}, "lost, inside"),
+            (section.held, {"color": "tab:blue", "marker": "s"}, "held by the policy"),
         ):
             panel.scatter(*starts[which].T, s=size, linewidths=0.5, label=label, **look)
-        closed = unit * np.concatenate((found.edge, found.edge[:1]))
+        closed = unit * np.concatenate((section.edge, section.edge[:1]))
         panel.plot(*closed.T, color="black", label="beyond: no controller recovers")
-        fraction = found.fraction()
+        fraction = section.fraction()
         low, high = fraction["interval"]
         panel.set_title(
             f"{title}\nheld: {fraction['rate']:.0%} [{low:.0%}, {high:.0%}] of the inside"
@@ -147,8 +147,8 @@ def draw(slices: dict[str, MapSlice], settings: eq.Settings) -> Figure:
             look = {"fill": False, "edgecolor": "tab:orange", "linewidth": 2.0, "zorder": 3}
             for sign in (1.0, -1.0):
                 panel.add_patch(Rectangle(sign * corner, sign * width, sign * height, **look))
-        panel.set_xlim(1.02 * unit[0] * np.array((-1.0, 1.0)) * np.abs(found.starts[:, 0]).max())
-        panel.set_ylim(1.05 * unit[1] * np.array((-1.0, 1.0)) * np.abs(found.starts[:, 1]).max())
+        panel.set_xlim(1.02 * unit[0] * np.array((-1.0, 1.0)) * np.abs(section.starts[:, 0]).max())
+        panel.set_ylim(1.05 * unit[1] * np.array((-1.0, 1.0)) * np.abs(section.starts[:, 1]).max())
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8)
     return figure
@@ -169,11 +169,11 @@ def main() -> None:
         title: slice_of(policy, args.world, axes, args.starts, args.duration)
         for title, axes in PLANES.items()
     }
-    for title, found in slices.items():
-        print(f"{title}: {found.held.sum()} of {len(found.held)} starts held")
+    for title, section in slices.items():
+        print(f"{title}: {section.held.sum()} of {len(section.held)} starts held")
     draw(slices, policy.settings).savefig(args.out, dpi=150)
     if args.json:
-        fractions = [found.fraction() for found in slices.values()]
+        fractions = [section.fraction() for section in slices.values()]
         args.json.write_text(json.dumps({"starts": args.starts, "slices": fractions}))
 
 

@@ -197,16 +197,16 @@ def largest_start(params: RecoveryParams, direction: Array) -> float:
     high = np.concatenate(([inf], np.full(N, params.u_max), np.ones(2 * N), np.tile(limits, N)))
     low = -high
     low[0] = 0.0
-    found: Any = linprog(
+    solution: Any = linprog(
         -np.eye(1, len(low))[0],
         A_eq=sparse.hstack(parts),
         b_eq=np.zeros(4 * N),
         bounds=np.column_stack((low, high)),
         method="highs",
     )
-    if found.x is None:
-        raise SettingsError(f"no recovery was computed ({found.message}); check the pendulum")
-    return float(found.x[0])
+    if solution.x is None:
+        raise SettingsError(f"no recovery was computed ({solution.message}); check the pendulum")
+    return float(solution.x[0])
 
 
 def _help(params: RecoveryParams) -> Array:

@@ -140,10 +140,10 @@ def export(model: BaseAlgorithm, path: Path) -> int:
     rng, different = np.random.default_rng(0), 0
     for _ in range(SAMPLES):
         row = (rng.uniform(-1.0, 1.0, (1, 4)) * SCALE).astype(np.float32)
-        found = np.asarray(session.run(None, {name: row})[0]).item()
+        computed = np.asarray(session.run(None, {name: row})[0]).item()
         action = model.predict(row / np.array(SCALE, np.float32), deterministic=True)[0].item()
         wanted = paper.ACTIONS[action] if network.discrete else paper.U_MAX * action
-        different += abs(found - wanted) > TOLERANCE
+        different += abs(computed - wanted) > TOLERANCE
     return different
 
 
@@ -176,7 +176,7 @@ def main() -> int:
                 file=sys.stderr,
             )
             return 1
-        found = {
+        facts = {
             "algorithm": algorithm,
             "environment": hyperparameters(algorithm)[0],
             "steps": int(model.num_timesteps),
@@ -187,8 +187,8 @@ def main() -> int:
             "versions": {name: version(name) for name in PACKAGES},
             "cores": len(os.sched_getaffinity(0)),
         }
-        write_atomically(record, json.dumps(found, indent=1) + "\n")
-        print(f"{algorithm}: {found['steps']:,} steps in {wall:.0f} s, wrote {path}")
+        write_atomically(record, json.dumps(facts, indent=1) + "\n")
+        print(f"{algorithm}: {facts['steps']:,} steps in {wall:.0f} s, wrote {path}")
     return 0
 
 

@@ -41,8 +41,8 @@ def suggested(trial: optuna.Trial, ranges: dict[str, str]) -> list[str]:
             value = trial.suggest_categorical(name, choices)
         else:
             low, high, *log = text.split(":")
-            whole = all(end.lstrip("-").isdecimal() for end in (low, high))
-            suggest, kind = (trial.suggest_int, int) if whole else (trial.suggest_float, float)
+            integers = all(end.lstrip("-").isdecimal() for end in (low, high))
+            suggest, kind = (trial.suggest_int, int) if integers else (trial.suggest_float, float)
             value = suggest(name, kind(low), kind(high), log=log == ["log"])
         overrides.append(f"{name}={value}")
     return overrides
@@ -62,8 +62,8 @@ def fraction_survived(overrides: list[str], seeds: range, args: argparse.Namespa
 
     def fraction(seed: int) -> float:
         policy = eq.train(eq.shipped_pendulum(), eq.iiwa(7), settings, seed=seed)
-        found = eq.evaluate(policy, tested, world=args.world, seed=seed, with_baselines=False)
-        return found.results.summary().rate
+        result = eq.evaluate(policy, tested, world=args.world, seed=seed, with_baselines=False)
+        return result.results.summary().rate
 
     return float(np.mean([result for _, result in completed(fraction, seeds, available_cores())]))
 

@@ -81,10 +81,10 @@ def lqr_table(settings: BoxSettings, pendulum: eq.PendulumParameters) -> np.ndar
         x = ahead - settings.look_ahead * (x_dot + phi_dot / pendulum.k)
         u = float(np.dot(gains, (x, x_dot, phi, phi_dot)))
         half.append(int(np.argmin(np.abs(LEVELS - u))))
-    return LEVELS[whole_table(np.array(half))]
+    return LEVELS[mirrored_table(np.array(half))]
 
 
-def whole_table(half: np.ndarray) -> np.ndarray:
+def mirrored_table(half: np.ndarray) -> np.ndarray:
     """Return the actions of all boxes from those of the lower half, shape (boxes,)."""
     return np.concatenate((half, len(LEVELS) - 1 - half[::-1]))
 
@@ -131,11 +131,11 @@ def search_table(
         chances = rng.random((tables, len(p), 1))
         halves = np.minimum((chances > p.cumsum(axis=1)).sum(axis=2), len(LEVELS) - 1)
         halves[0] = p.argmax(axis=1)
-        order = ordered([LEVELS[whole_table(one)] for one in halves], generation, trials=TRIALS)
+        order = ordered([LEVELS[mirrored_table(one)] for one in halves], generation, trials=TRIALS)
         elite = halves[order[: max(1, round(ELITE * tables))]]
         fraction = (elite[:, :, None] == np.arange(len(LEVELS))).mean(axis=0)
         p = (1.0 - SMOOTHING) * p + SMOOTHING * fraction
-        modes.append(LEVELS[whole_table(p.argmax(axis=1))])
+        modes.append(LEVELS[mirrored_table(p.argmax(axis=1))])
     candidates = [*begun, *modes]
     best = candidates[ordered(candidates, 0)[0]]
     Q = (best[:, None] == LEVELS).astype(float).tolist()
@@ -155,11 +155,11 @@ def main() -> None:
     workers = available_cores()
     learned = eq.train(eq.shipped_pendulum(), eq.iiwa(7), settings, workers=workers)
     size = {"generations": args.generations, "tables": args.tables}
-    found = search_table(learned, [learned.u_of_box], workers=workers, **size)
-    for name, policy in (("learned", learned), ("searched", found)):
+    searched = search_table(learned, [learned.u_of_box], workers=workers, **size)
+    for name, policy in (("learned", learned), ("searched", searched)):
         summary = eq.evaluate(policy, with_baselines=False, workers=workers).results.summary()
         print(f"{name}: {summary.survived} of {summary.trials} trials survived")
-    found.save(args.out, command="table_search")
+    searched.save(args.out, command="table_search")
 
 
 if __name__ == "__main__":

@@ -134,10 +134,10 @@ def main() -> None:
     args = parser.parse_args()
     workers = available_cores()
     size = {"rounds": args.rounds, "loops": args.loops, "ticks": args.ticks}
-    found = solve_table(eq.shipped_policy(), workers=workers, **size)
-    summary = eq.evaluate(found, with_baselines=False, workers=workers).results.summary()
+    solved = solve_table(eq.shipped_policy(), workers=workers, **size)
+    summary = eq.evaluate(solved, with_baselines=False, workers=workers).results.summary()
     print(f"{summary.survived} of {summary.trials} trials survived")
-    found.save(args.out, command="value_iteration")
+    solved.save(args.out, command="value_iteration")
 
 
 if __name__ == "__main__":

@@ -191,7 +191,7 @@ class FaultHarness:
         return typed
 
     def _notice(self, name):
-        for fault in [each for each in self._faults if each[0].event == name]:
+        for fault in [fault for fault in self._faults if fault[0].event == name]:
             self._faults.remove(fault)
             trigger, inject = fault
             self.after(trigger.after, partial(self._inject, inject))

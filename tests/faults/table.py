@@ -99,13 +99,17 @@ def hold_back(harness: FaultHarness, part: str) -> None:
 
 
 def _referenced_twice(harness: FaultHarness) -> Sequence[str]:
-    swings = [one.name for one in harness.messages].count("swing")
+    swings = [message.name for message in harness.messages].count("swing")
     return () if swings == 2 else (f"{swings} self-tests were made, expected 2",)
 
 
 def _slip_slowly(harness: FaultHarness) -> None:
     """Turn the encoder by 1 deg on its spindle, slowly enough for any plausibility."""
     harness.each(lambda since: harness.bench.slip(radians(0.005)) if since < 0.2 else None)
+
+
+def _zero_the_count(harness: FaultHarness) -> None:
+    harness.board.slipped = -harness.board._count
 
 
 # fmt: off
@@ -120,7 +124,7 @@ ENCODER = (
     Fault("encoder frozen before the self-test", _ends("self-test"),
           _change("board", frozen=True), Trigger("swing")),
     Fault("count jump", _ends("count jump", "encoder gap", "encoder lost"),
-          _call("board.jump", round(8192 * 5 / 360)), within=0.02),
+          _change("board", slipped=round(8192 * 5 / 360)), within=0.02),
     Fault("slow count loss", FELL | _ends("survived"), _change("board", loss=0.05),
           Trigger("balancing"), _with(duration=8.0)),
     Fault("wrong sign", _ends("self-test"), _change("board", sign=-1), AT_START, says="sign"),
@@ -131,7 +135,7 @@ ENCODER = (
     Fault("board of another encoder", _ends("error"), _change("board", counts_per_rev=4096),
           AT_START, says="4096"),
     Fault("zeroed while swinging", _ends("count jump", "encoder gap", "encoder lost"),
-          _call("board.zero"), Trigger("swing", 1.4), within=0.03),
+          _zero_the_count, Trigger("swing", 1.4), within=0.03),
     Fault("zero error", _ends("survived"), _slip_slowly, Trigger("swing"), check=_referenced_twice),
     Fault("zero error while balancing", FELL | _ends("survived"), _slip_slowly),
     Fault("stale samples", _ends("stale encoder"), _change("sensor.link", delay=0.1),
@@ -141,9 +145,9 @@ ENCODER = (
     Fault("stall of the encoder", _ends("survived"), lambda harness: hold_back(harness, "sensor")),
     Fault("malformed lines", _ends("encoder gap"), _change("board", malformed=0.02), within=0.5,
           says="missing"),
-    Fault("one lost line", _ends("survived"), _call("board.skip", 1), says="was lost"),
-    Fault("lost lines", _ends("encoder gap"), _call("board.skip", 3), within=0.03),
-    Fault("illegal transition", _ends("illegal transition"), _call("board.meet_illegal"),
+    Fault("one lost line", _ends("survived"), _change("board", skipped=1), says="was lost"),
+    Fault("lost lines", _ends("encoder gap"), _change("board", skipped=3), within=0.03),
+    Fault("illegal transition", _ends("illegal transition"), _change("board", illegal=True),
           within=0.03, says="wiring"),
     Fault("board restarts", _ends("stale encoder", "encoder gap", "encoder lost"),
           _call("board.reboot"), within=0.09),
@@ -469,7 +473,7 @@ def _take_away(duration: float) -> Inject:
 
 
 def _never_began(harness: FaultHarness) -> Sequence[str]:
-    began = any(one.name == "balancing" for one in harness.messages)
+    began = any(message.name == "balancing" for message in harness.messages)
     return ("the policy began",) if began else ()
 
 

@@ -10,7 +10,7 @@ from tests.faults.verdicts import Sent, check_stop, problems_of
 
 pytestmark = pytest.mark.compiled_only
 
-FAULTS = {one.name: one for one in (*TABLE, *FILES)}
+FAULTS = {fault.name: fault for fault in (*TABLE, *FILES)}
 """Faults that are injected in virtual time."""
 QUICK = ("robot not following", "infinity in a setpoint", "TCP drop")
 FULL = (
@@ -23,16 +23,15 @@ ARM = RigSettings().described_arm
 HOME = np.array(ARM.home)
 
 
-@pytest.mark.parametrize(
-    "name", [*QUICK, *(pytest.param(name, marks=pytest.mark.full) for name in FULL)]
-)
+def tier(name):
+    """Return the mark of a fault's test."""
+    if name in QUICK:
+        return ()
+    return pytest.mark.full if name in FULL else pytest.mark.slow
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=tier(name)) for name in FAULTS])
 def test_a_fault_ends_as_it_should(name):
-    assert problems_of(FAULTS[name]) == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in FAULTS if name not in QUICK + FULL])
-def test_each_other_fault_ends_as_it_should(name):
     assert problems_of(FAULTS[name]) == []
 
 

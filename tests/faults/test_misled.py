@@ -144,6 +144,6 @@ def test_at_most_three_stalls_a_second_are_bridged(seed):
 
 def moves(harness, time):
     """Return whether the arm moves at a time [s], by the messages before."""
-    named = [one.name for one in harness.messages if one.time <= time]
+    named = [message.name for message in harness.messages if message.time <= time]
     known = [name for name in named if name in (*MOVING, "home", "hang", "lift", "stopping")]
     return bool(known) and known[-1] in MOVING

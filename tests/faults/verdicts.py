@@ -76,9 +76,9 @@ def check_stop(arm, sent, stop):
 
     Each is slower than the one before, down to rest; after that none leaves the reach of the ramp.
     """
-    q = np.array([one.q for one in sent])
+    q = np.array([setpoint.q for setpoint in sent])
     steps = np.abs(np.diff(q, axis=0)).max(axis=1)
-    times = np.array([one.time for one in sent[1:]])
+    times = np.array([setpoint.time for setpoint in sent[1:]])
     after = np.flatnonzero(times >= stop - 1e-9)
     if not len(after):
         rests = len(steps) == 0 or steps[-1] <= MAX_HOLD_STEP
@@ -152,7 +152,7 @@ def check_run(harness, outcome):
         problems += check_stop(arm, sent, stop) if sent else []
     elif not any(map(_warns, messages)):
         problems.append("no message says that software cannot stop the robot")
-    if any(one.name in CONTINUING for one in messages if one.time > stop + 1e-9):
+    if any(m.name in CONTINUING for m in messages if m.time > stop + 1e-9):
         problems.append("the run went on after its stop")
     ended = [time for time, line in harness.robot_tap.sent if line.startswith(b"stopDirectServo")]
     if ended and sent and sent[-1].time > ended[0]:
@@ -163,7 +163,7 @@ def check_run(harness, outcome):
 def stop_time(harness):
     """Return the time of the first message of a run's end [s]; inf without one."""
     ends = ("stopping", "fault", "error")
-    return next((one.time for one in harness.messages if one.name in ends and one.text), inf)
+    return next((m.time for m in harness.messages if m.name in ends and m.text), inf)
 
 
 def problems_of(fault, scenario=None):
@@ -184,7 +184,7 @@ def judge(harness, outcome, fault):
         problems.append(f"it ended with {outcome.outcome} ({outcome.reason})")
     if harness.injected_at is None:
         return [*problems, "the run ended before the fault was injected"]
-    if fault.says and not any(fault.says in one.text for one in messages):
+    if fault.says and not any(fault.says in message.text for message in messages):
         problems.append(f"no message contains {fault.says!r}")
     if outcome.outcome is Outcome.ERROR:
         return problems
@@ -196,7 +196,7 @@ def judge(harness, outcome, fault):
     if outcome.stoppable is not fault.stoppable:
         problems.append(f"software can{'' if outcome.stoppable else 'not'} stop the robot")
     if not fault.stoppable:
-        late = next((one.time for one in messages if _warns(one)), stop) - harness.injected_at
+        late = next((m.time for m in messages if _warns(m)), stop) - harness.injected_at
         if late > MAX_NOTICE + 1e-9:
             problems.append(f"the operator was warned after {1e3 * late:.0f} ms")
     return problems
@@ -210,8 +210,8 @@ def _warns(message):
 
 def _moved_on(harness, sent, stop):
     """Return the problem of a joint that moves further after a stop [s] than the ramp."""
-    k = bisect_left([one.time for one in sent], stop - 1e-9)
-    later = [one.q for one in harness.observations if one.time >= stop]
+    k = bisect_left([setpoint.time for setpoint in sent], stop - 1e-9)
+    later = [arm.q for arm in harness.observations if arm.time >= stop]
     if k < 2 or not later:
         return []
     arm, before, last = harness.scenario.settings.described_arm, sent[k - 2].q, sent[k - 1].q
@@ -235,14 +235,14 @@ def _log_problems(harness):
 
 
 def _on_track(harness):
-    home = next((one.time for one in harness.messages if one.name == "home"), inf)
-    x = max((abs(one.x) for one in harness.observations if one.time >= home), default=0.0)
+    home = next((m.time for m in harness.messages if m.name == "home"), inf)
+    x = max((abs(arm.x) for arm in harness.observations if arm.time >= home), default=0.0)
     return [f"the flange was {x:.3f} m from home"] if x >= paper.X_LIMIT else []
 
 
 def _at_rest(harness):
     end = harness.observations[-1].time
-    return check_still([one.q for one in harness.observations if one.time > end - 0.3])
+    return check_still([arm.q for arm in harness.observations if arm.time > end - 0.3])
 
 
 def check_still(postures):

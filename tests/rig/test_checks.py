@@ -130,8 +130,8 @@ def test_what_is_lost_damaged_or_illegal_is_counted():
 
     def disturb(now):
         if abs(now - trouble) < 1e-9:
-            bench.board.skip(7)
-            bench.board.meet_illegal()
+            bench.board.skipped = 7
+            bench.board.illegal = True
 
     bench.clock.attach(disturb)
     _, _, ages, *lost = listen(bench.sensor, bench.clock, 0.5)

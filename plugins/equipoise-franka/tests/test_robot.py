@@ -26,48 +26,58 @@ from equipoise.testing import MISREAD, RobotConformance, RobotUnderTest
 from equipoise_franka import robot as driver
 from equipoise_franka.arm import fr3
 from equipoise_franka.lockstep import Lockstep
-from equipoise_franka.paced import PacedStream
 from equipoise_franka.robot import FrankaRobot
 from tests.faults.test_over_the_wires import balances
 
 pytestmark = pytest.mark.compiled_only
 
 
-class Bench:
-    """An arm at rest at home, and its driver."""
+class Rig:
+    """An arm near home on a controller in a process of its own, which serves many drivers."""
 
-    def __init__(self, load=None):
+    def __init__(self):
         arm, settings = fr3(), read_world("twin:nominal").settings
         pendulum = pendulum_on(shipped_pendulum(), settings)
-        self.rig = Lockstep(Bodies(arm, pendulum, settings, arm.home_free, 0.0, 0))
-        clock = VirtualClock()
-        clock.attach(self.rig.advance)
-        clock.wait_until(0.5)
-        session = Session(clock, clock, load=load)
-        self.robot = PacedStream(FrankaRobot(self.rig.host, session), clock)
+        self.arm = Lockstep(Bodies(arm, pendulum, settings, arm.home_free, 0.0, 0))
+        self.clock = VirtualClock()
+        self.clock.attach(self.arm.advance)
+        self.clock.wait_until(0.5)
+
+    def driver(self, load=None):
+        """Return a driver of the controller after all faults have been cleared."""
+        self.arm.plug(True)
+        self.arm.set_free()
+        self.arm.mismeasure(np.zeros(7))
+        self.clock.wait_until(self.clock.now() + 0.5)
+        return FrankaRobot(self.arm.host, Session(self.clock, self.clock, load=load))
+
+
+@pytest.fixture(scope="module")
+def rig():
+    rig = Rig()
+    yield rig
+    rig.arm.close()
 
 
 @pytest.fixture
-def bench():
-    bench = Bench()
-    yield bench
-    bench.robot.close()
-    bench.rig.close()
+def robot(rig):
+    robot = rig.driver()
+    yield robot
+    robot.close()
 
 
 class TestFranka(RobotConformance):
+    @pytest.fixture(autouse=True)
+    def use(self, rig):
+        self.rig = rig
+
     def make(self):
-        self.bench = Bench()
-        rig, robot = self.bench.rig, self.bench.robot
+        arm, robot = self.rig.arm, self.rig.driver()
 
         def misread(numbers):  # all from now on: the controller has a process of its own
-            rig.mismeasure(MISREAD * np.eye(7)[0])
+            arm.mismeasure(MISREAD * np.eye(7)[0])
 
-        return RobotUnderTest(robot, robot, rig.plug, lambda: rig.q, misread)
-
-    def teardown_method(self):
-        super().teardown_method()
-        self.bench.rig.close()
+        return RobotUnderTest(robot, robot, arm.plug, lambda: arm.q, misread)
 
 
 def at(moment, act):
@@ -91,17 +101,17 @@ def stream(robot, offset, seconds=0.5):
         robot.replies()
 
 
-def test_a_jump_of_the_path_is_smoothed_and_without_the_limits_it_is_rejected(bench, monkeypatch):
-    bench.robot.connect()
+def test_a_jump_of_the_path_is_smoothed_and_without_the_limits_it_is_rejected(robot, monkeypatch):
+    robot.connect()
 
     def jump(time):
         return 0.01 * (time > 0.1)
 
-    stream(bench.robot, jump)
-    bench.robot.stop()
+    stream(robot, jump)
+    robot.stop()
     monkeypatch.setattr(driver, "limited", lambda v, *_: v)
     with pytest.raises(LinkError, match="discontinuity"):
-        stream(bench.robot, jump)
+        stream(robot, jump)
 
 
 FAULTS = {
@@ -117,11 +127,10 @@ FAULTS = {
 
 
 @pytest.mark.parametrize(("fault", "words"), FAULTS.values(), ids=FAULTS)
-def test_a_fault_ends_the_stream_and_names_its_remedy(bench, fault, words):
-    robot = bench.robot
+def test_a_fault_ends_the_stream_and_names_its_remedy(rig, robot, fault, words):
     robot.connect()
     with pytest.raises(LinkError, match=words):
-        stream(robot, at(0.2, lambda: fault(bench.rig, robot.now())))
+        stream(robot, at(0.2, lambda: fault(rig.arm, robot.now())))
 
 
 @pytest.mark.parametrize(
@@ -181,21 +190,22 @@ def test_a_fault_ends_a_balance_with_the_arm_at_rest_and_its_cause_in_the_log(
     ],
     ids=["reflex", "self-collision", "user stop", "brakes"],
 )
-def test_nothing_is_measured_before_the_operator_has_cleared_a_stop(bench, stop, words):
-    stop(bench.rig)
+def test_nothing_is_measured_before_the_operator_has_cleared_a_stop(rig, robot, stop, words):
+    stop(rig.arm)
     with pytest.raises(LinkError, match=words):
-        bench.robot.connect()
+        robot.connect()
 
 
 def test_a_load_is_no_external_torque():
-    bench = Bench(load=Load(0.25, (0.065, 0.0, 0.0)))
-    without = bench.rig.external_torque()
-    bench.robot.connect()
-    bench.robot.start()
-    bench.rig.advance(1.0)
-    assert np.abs(bench.rig.external_torque()).max() < 0.2 < 0.2 * np.abs(without).max()
-    bench.robot.close()
-    bench.rig.close()
+    rig = Rig()  # whose pendulum hangs still
+    robot = rig.driver(load=Load(0.25, (0.065, 0.0, 0.0)))
+    without = rig.arm.external_torque()
+    robot.connect()
+    robot.start()
+    rig.arm.advance(rig.clock.now() + 0.5)
+    assert np.abs(rig.arm.external_torque()).max() < 0.2 < 0.2 * np.abs(without).max()
+    robot.close()
+    rig.arm.close()
 
 
 def requested():

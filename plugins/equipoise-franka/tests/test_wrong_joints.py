@@ -13,7 +13,6 @@ from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.plugins import Session
-from equipoise_franka.paced import PacedStream
 from equipoise_franka.robot import FrankaRobot
 from tests.rig.test_run_controller import (
     POLICY,
@@ -48,9 +47,7 @@ class Rig(Course):
         self.clock.attach(lambda now: self.true.append((now, self.arm.q)))
         with pytest.MonkeyPatch.context() as patch:
             patch.setitem(sys.modules, "pylibfranka", self.arm)
-            self.stream = PacedStream(
-                FrankaRobot("fr3", Session(self.clock, self.clock)), self.clock
-            )
+            self.stream = FrankaRobot("fr3", Session(self.clock, self.clock))
             self.stream.connect()
         super().__init__(q, identify, FR3)
         self.robot = GuardedRobot(self.stream, self.guard.limits, 0.005)
@@ -140,6 +137,26 @@ def test_what_the_controller_reports_ends_the_link_with_its_cause_and_remedy(fau
     with pytest.raises(LinkError, match=words):
         rig.ticks(2)
     rig.arm.close()
+
+
+@pytest.mark.parametrize("wrong", [0.1, -9.0, np.nan])
+@pytest.mark.parametrize("lies", ["measured", "request"])
+def test_a_start_that_the_first_request_contradicts_answers_nothing(monkeypatch, lies, wrong):
+    clock = VirtualClock()
+    arm = Controller(ARM.home, clock)
+    monkeypatch.setitem(sys.modules, "pylibfranka", arm)
+    robot = FrankaRobot("fr3", Session(clock, clock))
+    robot.connect()
+    faulty, correct = replaced(q=tuple(np.add(ARM.home, wrong))), arm.report
+    arm.report = faulty if lies == "measured" else correct
+    robot.start()
+    arm.report = faulty if lies == "request" else correct
+    arm.writeOnce = lambda _: pytest.fail("it was answered")
+    with pytest.raises(LinkError, match="from its posture at the start"):
+        robot.wait_until(clock.now() + 0.02)
+    with pytest.raises(LinkError, match="from its posture at the start"):
+        robot.send(ARM.home)
+    arm.close()
 
 
 def drawn(random, rig):

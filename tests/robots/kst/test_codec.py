@@ -15,13 +15,12 @@ from equipoise.robots.kst.codec import (
     JOINTS,
     MAX_LINE,
     PORT,
-    KstLineSplitter,
     expect_done,
     expect_numbers,
     java_double,
     java_number,
-    numbers_reply,
     setpoint,
+    split_lines,
     tokens,
 )
 
@@ -73,25 +72,21 @@ def test_only_seven_finite_numbers_are_sent(q):
 def test_stream_is_split_into_lines_however_it_is_cut():
     stream = b"jp_1_\n\ngetJointsPositions\r\n\r\nend\n"
     for cut in range(len(stream) + 1):
-        lines = KstLineSplitter()
-        assert lines.feed(stream[:cut]) + lines.feed(stream[cut:]) == [
+        lines, rest = split_lines(stream[:cut])
+        assert lines + split_lines(rest + stream[cut:])[0] == [
             b"jp_1_",
             b"getJointsPositions",
             b"end",
         ]
 
 
-def test_line_without_an_end_is_given_up_for_good():
-    lines, longest = KstLineSplitter(), b"x" * MAX_LINE
-    assert lines.feed(longest) == []
-    assert lines.feed(b"\n" + longest) == [longest]
-    with pytest.raises(LinkError, match="at most 1024 bytes"):
-        lines.feed(b"9")
-    for _ in range(3):
+def test_line_that_is_too_long_is_an_error():
+    longest = b"x" * MAX_LINE
+    assert split_lines(longest) == ([], longest)
+    assert split_lines(longest + b"\n" + longest) == ([longest], longest)
+    for data in (longest + b"9", b"done\n" + longest + b"x\ndone\n"):
         with pytest.raises(LinkError, match="at most 1024 bytes"):
-            lines.feed(b"\ndone\n")
-    with pytest.raises(LinkError, match="at most 1024 bytes"):
-        KstLineSplitter().feed(b"done\n" + longest + b"x\ndone\n")
+            split_lines(data)
 
 
 def test_replies_of_the_captured_session_are_read():
@@ -118,10 +113,6 @@ def test_what_the_server_may_not_say_is_a_link_error(line):
             expect_numbers(line, count, "jpJP")
     with pytest.raises(LinkError):
         expect_done(line, "jp")
-
-
-def test_a_reply_holds_each_number():
-    assert numbers_reply([0.5, -2.0]) == b"0.5_-2.0_\n"
 
 
 @pytest.mark.parametrize(("value", "text"), JAVA.items())
@@ -167,7 +158,7 @@ SAID = st.one_of(
 
 @given(st.lists(SAID, min_size=100, max_size=100))
 def test_whatever_is_said_is_read_or_refused(said):
-    for line in KstLineSplitter().feed(b"\n".join(said) + b"\n"):
+    for line in split_lines(b"\n".join(said) + b"\n")[0]:
         with contextlib.suppress(LinkError):
             assert all(map(math.isfinite, expect_numbers(line, line.count(b"_"), "jpJP")))
         for field in tokens(line.decode("latin-1")):

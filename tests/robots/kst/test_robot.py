@@ -139,7 +139,7 @@ def test_joints_that_cannot_have_been_reached_are_not_believed(streaming, step, 
             streaming.robot.replies()
 
 
-@pytest.mark.parametrize("extra", [b"done\n", b"0.0_" * 8 + b"\n", b"\xff\n"])
+@pytest.mark.parametrize("extra", [b"done\n", b"0.0_" * 8 + b"\n", b"\xff\n", b"0" * 1025])
 def test_wrong_answer_ends_the_link(streaming, extra):
     streaming.robot.send(HOME)
     streaming.end.write(extra)

@@ -74,12 +74,11 @@ class Controller(FrankaRobotServer):
         """Create the controller of a robot, at the first free one of some addresses."""
         self.external = (0.0,) * 7
         """External torques [N m]."""
-        super().__init__(robot, hosts)
-        self._frozen, self._frozen_time = b"", False
+        self._hosts = list(hosts)
+        super().__init__(robot, self._hosts)
         self.connected = True
         """Whether packets pass: not while the cable is pulled."""
-        self._mode = RobotMode.kIdle
-        self._errors = [False] * 41
+        self._mode, self._error = RobotMode.kIdle, ""
         self._changed = False
         self._command: Array | None = None
         self._offset = np.zeros(7)
@@ -87,14 +86,16 @@ class Controller(FrankaRobotServer):
 
     def stop(self, error: str = "") -> None:
         """Abort the motion by a user stop, or by a reflex on an error; until `set_free`."""
-        self._mode = RobotMode.kReflex if error else RobotMode.kUserStopped
-        self._errors = [number == ERRORS.get(error) for number in range(41)]
+        self._error = error
+        if error:
+            self._mode, status = RobotMode.kReflex, MoveStatus.kReflexAborted
+        else:
+            self._mode = RobotMode.kUserStopped
+            status = MoveStatus.kPreemptedDueToActivatedSafetyFunctions
         if self.current_motion_id:
-            reason = MoveStatus.kPreemptedDueToActivatedSafetyFunctions
-            reason = MoveStatus.kReflexAborted if error else reason
             move = self._tcp_socket, RobotCommand.kMove, self.current_motion_id
             self.send_state()
-            BaseCommand.send_response(*move, reason)
+            BaseCommand.send_response(*move, status)
             self.reset_current_motion_id()
         self.stop_motion()
 
@@ -104,10 +105,10 @@ class Controller(FrankaRobotServer):
 
     def set_free(self) -> None:
         """Release the user stop, clear the error, and unlock the joints."""
-        self._mode, self._errors = RobotMode.kIdle, [False] * 41
+        self._mode, self._error = RobotMode.kIdle, ""
 
     def freeze(self, *, times: bool) -> None:
-        """Repeat the state of now from now on, with new times or with that of now."""
+        """Repeat the present state to this client, with new times or with the present one."""
         self._frozen, self._frozen_time = self._get_state_bytes(), not times
 
     def mismeasure(self, offset: Array) -> None:
@@ -117,7 +118,10 @@ class Controller(FrankaRobotServer):
     def plug(self, connected: bool) -> None:
         """Pull the cable, or put it back."""
         self.connected = connected
-        if not connected and not self.tcp_connected:
+        if connected:
+            self.init()
+        elif not self.tcp_connected:
+            self._hosts[:] = [str(self.hostname)]  # of the next `init`
             self.cleanup()  # refuses a client
 
     def start_motion(self, controller: Any, generator: Any, motion: int) -> None:
@@ -167,7 +171,7 @@ class Controller(FrankaRobotServer):
             super().process_commands()
 
     def _reset_state(self) -> None:
-        self._sent = -1
+        self._sent, self._frozen, self._frozen_time = -1, b"", False
         super()._reset_state()
 
     def _handle_udp_command(self, command_data: bytes) -> None:
@@ -213,7 +217,7 @@ class Controller(FrankaRobotServer):
         if self.current_motion_id:
             changes |= {"q_d": tuple(self._q), "dq_d": tuple(self._dq)}
         if self._mode != RobotMode.kIdle:
-            errors = tuple(self._errors)
+            errors = tuple(number == ERRORS.get(self._error) for number in range(41))
             changes |= {"robot_mode": self._mode, "errors": errors, "reflex_reason": errors}
         return self.robot_state.replace(**changes).pack_state()
 

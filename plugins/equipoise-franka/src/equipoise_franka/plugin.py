@@ -10,7 +10,6 @@ from equipoise.errors import InputError
 from equipoise.rig.plugins import Emulated, Hardware, RobotPlugin, Session
 from equipoise.rig.simulated_rig import Bodies
 from equipoise_franka.lockstep import Lockstep, require_emulator
-from equipoise_franka.paced import PacedStream
 from equipoise_franka.robot import FrankaRobot
 
 TWIN: Final[Mapping[str, Any]] = {
@@ -42,9 +41,9 @@ def host_of(address: str) -> str:
     )
 
 
-def open_robot(address: str, session: Session) -> PacedStream:
+def open_robot(address: str, session: Session) -> FrankaRobot:
     """Return the driver for an address; nothing is opened before it is connected."""
-    return PacedStream(FrankaRobot(host_of(address), session), session.loop_clock, session.period)
+    return FrankaRobot(host_of(address), session)
 
 
 def emulate(rig: Any, arm: Arm, session: Session, delay: float, seed: int) -> Emulated:

@@ -1,9 +1,10 @@
-"""Driver of a Franka Research 3 on the vendor's `pylibfranka`, of requests and answers.
+"""Driver of a Franka Research 3 on the vendor's `pylibfranka`: a `Robot`, and clock of its rig.
 
-The controller sends its state every millisecond, and expects a velocity. A motion stops by itself
-after 20 packets without an answer, after a reflex, and after a command beyond the limits
-(`equipoise_franka.velocity`). Any such end is final: nothing here recovers from an error,
-the operator does.
+The controller sends its state every millisecond, on its own clock, and expects a velocity. Each
+state is answered while the loop waits for its clock, from the path between the setpoints
+(`equipoise_franka.path`), by a velocity within the limits (`equipoise_franka.velocity`). A motion
+stops by itself after 20 packets without an answer, after a reflex, and after a command beyond the
+limits. Any such end is final: nothing here recovers from an error, the operator does.
 
 `pylibfranka` waits up to a second for a packet, and holds Python's lock meanwhile. The driver calls
 it only once a packet has arrived, at the socket that `pylibfranka` has opened.
@@ -13,23 +14,29 @@ import os
 import select
 import socket
 import stat
+from collections import deque
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
-from typing import Any, Final, NamedTuple, NoReturn
+from typing import Any, Final, NoReturn
 
 import numpy as np
 
 from equipoise.arrays import Array
 from equipoise.errors import LinkError, OutsideError
-from equipoise.rig.interfaces import checked_setpoint
+from equipoise.rig.interfaces import Reply, checked_setpoint
 from equipoise.rig.plugins import Session
+from equipoise.safety.rules import FIRST_LIMIT
+from equipoise_franka.path import SetpointPath
 from equipoise_franka.velocity import GAIN, PERIOD, limited, velocity_limits
 
 JOINTS: Final = 7
 """Number of joints of the arm."""
 SILENCE: Final = 0.5
 """Time without a packet after which the link is lost [s]."""
+REQUEST_TIMEOUT: Final = 0.1
+"""Time without a state, while setpoints come, after which the link is lost [s]; a stall of 70 ms is
+bridged."""
 POLL_PERIOD: Final = 1e-4
 """Time between two looks for a packet [s]: a late answer counts as a lost packet."""
 DRIFT: Final = 1e-4
@@ -77,17 +84,6 @@ CAUSES: Final = {
 """Cause and remedy by a part of the name of a controller's error, or of what the library says."""
 
 
-class Request(NamedTuple):
-    """Request for the next command."""
-
-    time: float
-    """Time of the request [s]."""
-    q: tuple[float, ...]
-    """Measured joints [rad], shape (7,)."""
-    torque: tuple[float, ...] | None
-    """External torques [N m], shape (7,); None in a request without them."""
-
-
 class FrankaRobot:
     """Driver of an FR3; see the module."""
 
@@ -109,6 +105,10 @@ class FrankaRobot:
         self._packets = self._commands = -1
         self._streams = False
         self._failure = ""
+        self._path = SetpointPath(np.zeros(JOINTS), session.period)
+        self._requested = -np.inf  # time of the last state [s]
+        self._sent: deque[float] = deque()
+        self._replies: list[Reply] = []
         self._offset = np.inf
         self._time, self._elapsed = 0.0, PERIOD
         self._state: Any = None
@@ -116,6 +116,35 @@ class FrankaRobot:
         self._desired = np.zeros(JOINTS)
         self._before: Array | None = None
         self._velocity = self._acceleration = np.zeros(JOINTS)
+
+    # The clock.
+
+    def now(self) -> float:
+        """Return the time [s]."""
+        return self._session.loop_clock.now()
+
+    def wait_until(self, time: float) -> None:
+        """Answer the controller's states until a time [s].
+
+        Raises:
+            LinkError: The link is down, or the robot has stopped, or it was not at rest where it
+                was measured at the start.
+        """
+        while self._streams and (moment := self._next_request(time)) is not None:
+            away = np.abs(np.subtract(self._state.q, self._path.end)).max()
+            if not self._path.started and not away <= FIRST_LIMIT:  # NaN fails, too
+                self._fail(
+                    f"was measured {away:.2g} rad from its posture at the start, "
+                    f"expected at most {FIRST_LIMIT:g} rad: a reply is wrong, or the arm moves"
+                )
+            self._follow(self._path.at(moment))
+            received = self._requested = self.now()
+            q, torques = tuple(self._state.q), tuple(self._state.tau_ext_hat_filtered)
+            while self._sent and self._sent[0] <= moment:
+                self._replies.append(Reply(self._sent.popleft(), received, q, torques))
+        self._session.loop_clock.wait_until(time)
+
+    # The robot.
 
     def connect(self) -> None:
         """Connect to the controller, and check that it accepts motions.
@@ -149,43 +178,107 @@ class FrankaRobot:
         Raises:
             LinkError: The controller is silent, or accepts no motions.
         """
-        self._at_rest("measure")
-        return np.array(self._fresh().q)
+        self._require_rest("measure")
+        return np.array(self._idle_state().q)
 
-    def start(self) -> None:
-        """Start the velocity servo, at rest; the motion begins with the first request.
+    def start(self) -> Array:
+        """Start the velocity servo, at rest; the motion begins with the first state.
 
         A motion without commands ends after 20 ms, and the caller may have more to prepare.
+
+        Returns:
+            The joints where it is held [rad], shape (7,). The states have to agree until the
+            first setpoint: a single one may be wrong.
 
         Raises:
             LinkError: The controller accepts no motions.
         """
-        self._at_rest("start another")
+        held_at = self.measured()
         with self._final_errors():
             self._robot.set_collision_behavior(TORQUES, TORQUES, FORCES, FORCES)
             if self._session.load is not None:
                 self._robot.set_load(*self._session.load, POINT)
-        self._fresh()
-        self._clock, self._streams, self._same = self._session.loop_clock, True, 0
+        self._idle_state()
+        self._clock, self._same = self._session.loop_clock, 0
         self._velocity = self._acceleration = np.zeros(JOINTS)
         self._before = self._state = None
+        self._path = SetpointPath(held_at, self._session.period)
+        self._sent.clear()
+        self._replies.clear()
+        self._requested, self._streams = self.now(), True
+        return held_at
 
-    def request(self, until: float) -> Request | None:
-        """Block until the next state of the controller, or until a time [s].
+    def send(self, q: Sequence[float] | Array) -> None:
+        """Add a setpoint of all joints to the path.
+
+        Args:
+            q: The joints [rad], shape (7,).
 
         Raises:
-            LinkError: The motion was stopped, or the controller is silent.
+            LinkError: No servo runs, or the robot is silent.
+            InputError: The setpoint is not seven finite numbers; it was not added.
         """
-        self._link()
+        setpoint = checked_setpoint(q, JOINTS)
+        self._check_link()
         if not self._streams:
             raise LinkError("the servo does not run; start it first")
+        now = self.now()
+        if now - self._requested > REQUEST_TIMEOUT:
+            self._fail(f"has requested nothing for {1e3 * REQUEST_TIMEOUT:g} ms")
+        self._path.add(setpoint, now)
+        self._sent.append(now)
+
+    def replies(self) -> list[Reply]:
+        """Return the replies since the last call, the oldest first.
+
+        A reply has the joints of the first state after its setpoint.
+        """
+        replies, self._replies = self._replies, []
+        return replies
+
+    def stop(self) -> None:
+        """Bring the joints to rest, and end the motion; without a servo, do nothing.
+
+        Raises:
+            LinkError: The motion was stopped otherwise.
+        """
+        self._check_link()
+        if not self._streams:
+            return
+        self._streams, self._clock = False, self._session.clock
+        end, rests = self._clock.now() + STOPPING, False
+        while not rests:
+            if self._next_request(self._clock.now() + SILENCE) is None:
+                self._fail(f"sent nothing for {SILENCE:g} s")
+            if self._clock.now() > end:
+                self._fail(f"does not rest within {STOPPING:g} s; press the emergency stop")
+            changes = self._velocity, PERIOD * self._acceleration
+            rests = bool(np.abs(changes).max() < AT_REST)
+            self._command(np.zeros(JOINTS), finished=rests)
+        self._control = None
+
+    def close(self) -> None:
+        """Disconnect; the controller stops a motion that runs."""
+        self._streams = False
+        if self._robot is not None:
+            self._failure = self._failure or "the connection was closed"
+            # libfranka would end a motion first, and wait for a silent controller without end.
+            with suppress(OSError), socket.socket(fileno=os.dup(self._commands)) as commands:
+                commands.shutdown(socket.SHUT_RDWR)
+        self._control = self._robot = None
+
+    # The motion.
+
+    def _next_request(self, until: float) -> float | None:
+        """Wait for the next state of the controller; return its time, None at a time [s]."""
+        self._check_link()
         if self._control is None:
-            if self._next(until) is None:
+            if self._next_state(until) is None:
                 return None
             mode = self._library.ControllerMode.JointImpedance
             with self._final_errors():
                 self._control = self._robot.start_joint_velocity_control(mode)
-        if not self._arrived(until):
+        if not self._has_packet(until):
             return None
         with self._final_errors():
             state, _ = self._control.readOnce()
@@ -209,51 +302,15 @@ class FrankaRobot:
         self._state, self._time = state, time
         # The controller's clock paces the path evenly; packets are late by different times.
         self._offset = min(self._offset + DRIFT * self._elapsed, now - time)
-        return Request(time + self._offset, tuple(state.q), tuple(state.tau_ext_hat_filtered))
+        return time + self._offset
 
-    def answer(self, q: Sequence[float] | Array) -> None:
-        """Answer with the command that leads to a point of the path [rad], shape (7,).
-
-        Raises:
-            LinkError: The link is down, or the motion was stopped.
-            InputError: The point is not seven finite numbers.
-        """
-        there = checked_setpoint(q, JOINTS)
+    def _follow(self, q: Array) -> None:
+        """Command the velocity that leads to a point of the path [rad], shape (7,)."""
         if self._before is None:  # the path begins where the controller holds the joints
-            self._before = self._desired = there
+            self._before = self._desired = q
         error = self._before - self._desired
-        self._command((there - self._before) / self._elapsed + GAIN * error)
-        self._before = there
-
-    def stop(self) -> None:
-        """Bring the joints to rest, and end the motion; without a servo, do nothing.
-
-        Raises:
-            LinkError: The motion was stopped otherwise.
-        """
-        self._link()
-        if not self._streams:
-            return
-        self._clock = self._session.clock
-        end, rests = self._clock.now() + STOPPING, False
-        while not rests:
-            if self.request(self._clock.now() + SILENCE) is None:
-                self._fail(f"sent nothing for {SILENCE:g} s")
-            if self._clock.now() > end:
-                self._fail(f"does not rest within {STOPPING:g} s; press the emergency stop")
-            changes = self._velocity, PERIOD * self._acceleration
-            rests = bool(np.abs(changes).max() < AT_REST)
-            self._command(np.zeros(JOINTS), finished=rests)
-        self._streams, self._control = False, None
-
-    def close(self) -> None:
-        """Disconnect; the controller stops a motion that runs."""
-        if self._robot is not None:
-            self._failure = self._failure or "the connection was closed"
-            # libfranka would end a motion first, and wait for a silent controller without end.
-            with suppress(OSError), socket.socket(fileno=os.dup(self._commands)) as commands:
-                commands.shutdown(socket.SHUT_RDWR)
-        self._control = self._robot = None
+        self._command((q - self._before) / self._elapsed + GAIN * error)
+        self._before = q
 
     def _command(self, v: Array, *, finished: bool = False) -> None:
         bounds = velocity_limits(self._desired)
@@ -263,9 +320,9 @@ class FrankaRobot:
         with self._final_errors():
             self._control.writeOnce(command)
 
-    def _fresh(self) -> Any:
+    def _idle_state(self) -> Any:
         """Return the next state while no motion runs, and check that one can begin."""
-        if (state := self._next(self._clock.now() + SILENCE)) is None:
+        if (state := self._next_state(self._clock.now() + SILENCE)) is None:
             self._fail(f"sent nothing for {SILENCE:g} s; check its cable and its power")
         mode, errors = state.robot_mode.name, str(state.current_errors)
         if mode != "Idle" or errors != "[]":
@@ -274,14 +331,14 @@ class FrankaRobot:
             self._fail(f"accepts no motion: {cause}{named}")
         return state
 
-    def _next(self, until: float) -> Any:
+    def _next_state(self, until: float) -> Any:
         """Return the next state while no motion runs; None without one at a time [s]."""
         with self._final_errors():
-            if self._arrived(self._clock.now()):
+            if self._has_packet(self._clock.now()):
                 self._robot.read_once()  # the newest of the past
-            return self._robot.read_once() if self._arrived(until) else None
+            return self._robot.read_once() if self._has_packet(until) else None
 
-    def _arrived(self, until: float) -> bool:
+    def _has_packet(self, until: float) -> bool:
         """Wait for a packet until a time [s], and return whether there is one."""
         while not select.select([self._packets], [], [], 0.0)[0]:
             if (now := self._clock.now()) >= until:
@@ -289,12 +346,12 @@ class FrankaRobot:
             self._clock.wait_until(min(now + POLL_PERIOD, until))
         return True
 
-    def _at_rest(self, what: str) -> None:
-        self._link()
+    def _require_rest(self, what: str) -> None:
+        self._check_link()
         if self._streams:
             raise LinkError(f"a servo runs; stop it before you {what}")
 
-    def _link(self) -> None:
+    def _check_link(self) -> None:
         if self._failure:
             raise LinkError(self._failure)
         if self._robot is None:
@@ -306,12 +363,12 @@ class FrankaRobot:
         try:
             yield
         except RuntimeError as error:
-            said = str(error).removeprefix("libfranka: ")
-            errors = said.partition("[")[2]
+            message = str(error).removeprefix("libfranka: ")
+            errors = message.partition("[")[2]
             remedy = (
                 RECOVER if errors else "check its power and its cable, and activate FCI in Desk"
             )
-            self._fail(f"reports {said!r}; {_cause(errors or said, remedy)}", error)
+            self._fail(f"reports {message!r}; {_cause(errors or message, remedy)}", error)
 
     def _fail(self, why: str, error: Exception | None = None) -> NoReturn:
         """Give up the link for good."""
@@ -327,11 +384,11 @@ def _cause(errors: str, otherwise: str = RECOVER) -> str:
 
 def _sockets() -> set[tuple[int, int]]:
     """Return the numbers and the kinds of this process's open sockets."""
-    found = set[tuple[int, int]]()
+    sockets = set[tuple[int, int]]()
     for name in os.listdir("/proc/self/fd"):
         with suppress(OSError):
             number = int(name)
             if stat.S_ISSOCK(os.fstat(number).st_mode):
                 with socket.socket(fileno=os.dup(number)) as opened:
-                    found.add((number, opened.type))
-    return found
+                    sockets.add((number, opened.type))
+    return sockets

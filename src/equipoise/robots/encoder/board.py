@@ -12,7 +12,7 @@ import os
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import floor
 from pathlib import Path
 from typing import Final
@@ -22,7 +22,7 @@ import numpy as np
 from equipoise.errors import InputError, OutsideError
 from equipoise.model.encoder import counts_from_theta
 from equipoise.rig.transports import CHUNK
-from equipoise.robots.encoder.codec import Banner, Flags, Reading, Requests, encode
+from equipoise.robots.encoder.codec import Banner, Flags, Reading, count_requests, encode
 
 BOOT: Final = 0.3
 """Time from a restart to the banner [s]."""
@@ -61,11 +61,17 @@ class Board:
     """Whether the board sends no lines: a fault."""
     malformed: float = 0.0
     """Fraction of damaged lines: a fault."""
+    slipped: int = field(default=0, init=False)
+    """Counts added until a restart, as by a slipping coupling or a burst of noise: a fault."""
+    skipped: int = field(default=0, init=False)
+    """Number of next lines that are dropped: a fault."""
+    illegal: bool = field(default=False, init=False)
+    """Whether both lines of the encoder have changed at once since the last line: a fault."""
 
     def __post_init__(self) -> None:
         """Switch the board on."""
         self._rng = np.random.default_rng(self.seed)
-        self._requests = Requests()
+        self._received = b""
         self._now = self.start
         self._boot(self.start, self.offset_us)
 
@@ -74,33 +80,22 @@ class Board:
         self._start_us = t_us
         self._theta = self.angle()
         self._raw = self._counted(self._theta)
-        self._line = self._count = self._shift = self._skip = self._requested = 0
+        self._line = self._count = self.slipped = self.skipped = self._requested = 0
         self._lost = 0.0
         self._greets = True
-        self._down = self._latched = self._illegal = False
+        self._down = self._latched = self.illegal = False
 
-    # Inputs and faults.
+    # Inputs.
 
     def feed(self, data: bytes) -> None:
         """Receive bytes from the host."""
-        self._requested += self._requests.feed(data)
+        requests, self._received = count_requests(self._received + data)
+        self._requested += requests
 
     def press(self, down: bool = True) -> None:
         """Press the button, or release it; a press is latched until the next line."""
         self._latched |= down and not self._down
         self._down = down
-
-    def jump(self, counts: int) -> None:
-        """Change the count at once, as a slipping coupling or a burst of noise does."""
-        self._shift += counts
-
-    def skip(self, lines: int) -> None:
-        """Drop the next lines."""
-        self._skip += lines
-
-    def meet_illegal(self) -> None:
-        """Inject a simultaneous change of both lines of the encoder."""
-        self._illegal = True
 
     def reboot(self) -> None:
         """Restart count, sequence and clock, after `BOOT`."""
@@ -146,28 +141,26 @@ class Board:
 
     def _line_now(self) -> bytes:
         flags = Flags.DOWN * self._down | Flags.PRESSED * self._latched
-        flags |= Flags.ILLEGAL * self._illegal
+        flags |= Flags.ILLEGAL * self.illegal
         clock = (self._next - self._started) * (1.0 + self.drift)
         t_us = (self._start_us + round(1e6 * clock)) % 2**32
-        count = (self._count + self._shift + 2**31) % 2**32 - 2**31
+        count = (self._count + self.slipped + 2**31) % 2**32 - 2**31
         line = encode(Reading(self._line, t_us, count, int(flags)))
         self._line = (self._line + 1) % 2**16
-        if self._skip or self.silent:
-            self._skip = max(self._skip - 1, 0)
+        if self.skipped or self.silent:
+            self.skipped = max(self.skipped - 1, 0)
             return b""
-        self._latched = self._illegal = False
+        self._latched = self.illegal = False
         if self.malformed > 0.0 and self._rng.random() < self.malformed:
             return self._damaged(line)
         return line
 
     def _damaged(self, line: bytes) -> bytes:
         """Return a line in which bytes are changed or lost."""
-        place, count = int(self._rng.integers(len(line))), 1 + int(self._rng.integers(8))
-        if self._rng.random() < 0.5:
-            return line[:place] + line[place + count :]
-        return (
-            line[:place] + self._rng.bytes(len(line[place : place + count])) + line[place + count :]
-        )
+        begin, count = int(self._rng.integers(len(line))), 1 + int(self._rng.integers(8))
+        end = min(begin + count, len(line))
+        lost = self._rng.random() < 0.5
+        return line[:begin] + (b"" if lost else self._rng.bytes(end - begin)) + line[end:]
 
 
 class Terminal:

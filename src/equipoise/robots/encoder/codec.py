@@ -110,20 +110,20 @@ def encode(line: Reading | Banner) -> bytes:
         name, firmware, counts_per_rev, rate_hz = line
         text = f"I,{name},{firmware},{counts_per_rev},{rate_hz}"
         body = text.encode("ascii", errors="replace")
-    whole = b"%s*%02X" % (body, crc8(body))
-    if decode(whole) != line:
+    encoded = b"%s*%02X" % (body, crc8(body))
+    if decode(encoded) != line:
         raise InputError(f"{line} does not fit the E-line protocol; see its fields' ranges")
-    return whole + b"\n"
+    return encoded + b"\n"
 
 
 def decode(line: bytes) -> Reading | Banner | None:
     """Decode a line without its end; return None for an invalid line."""
-    found = _READING.fullmatch(line) or _BANNER.fullmatch(line)
-    if found is None or crc8(line[:-3]) != int(found[5], 16):
+    match = _READING.fullmatch(line) or _BANNER.fullmatch(line)
+    if match is None or crc8(line[:-3]) != int(match[5], 16):
         return None
-    if found.re is _BANNER:
-        return Banner(found[1].decode(), found[2].decode(), int(found[3]), int(found[4]))
-    reading = Reading(int(found[1]), int(found[2]), int(found[3]), int(found[4], 16))
+    if match.re is _BANNER:
+        return Banner(match[1].decode(), match[2].decode(), int(match[3]), int(match[4]))
+    reading = Reading(int(match[1]), int(match[2]), int(match[3]), int(match[4], 16))
     fits = reading.seq < 2**16 and reading.t_us < 2**32 and -(2**31) <= reading.counts < 2**31
     return reading if fits else None
 
@@ -137,55 +137,33 @@ class Decoder:
 
     def __init__(self) -> None:
         """Start within a line."""
-        self._part = bytearray()
-        self._skipping = True
+        self._rest, self._skipping = b"", True
         self.rejected = 0
         """Number of invalid lines; an incomplete first line is not counted."""
 
     def feed(self, data: bytes) -> list[Reading | Banner]:
         """Add bytes, and return the contents of the lines that they complete."""
-        *ended, rest = data.split(b"\n")
-        decoded: list[Reading | Banner] = []
-        for piece in ended:
-            self._add(piece)
-            if not self._skipping:
-                line = decode(bytes(self._part))
-                decoded += [] if line is None else [line]
-                self.rejected += line is None
-            self._part.clear()
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        if lines and self._skipping:
+            del lines[0]
             self._skipping = False
-        self._add(rest)
-        return decoded
-
-    def _add(self, piece: bytes) -> None:
-        if self._skipping:
-            return
-        self._part += piece
-        if len(self._part) > MAX_LINE:
-            self._part.clear()
-            self._skipping = True
-            self.rejected += 1
+        contents = [decode(line) for line in lines]
+        valid = [content for content in contents if content is not None]
+        self.rejected += len(contents) - len(valid)
+        if len(self._rest) > MAX_LINE:
+            self.rejected += not self._skipping
+            self._rest, self._skipping = b"", True
+        return valid
 
 
-class Requests:
-    r"""Parser of the host's requests at the board: `?` alone on a line.
+def count_requests(data: bytes) -> tuple[int, bytes]:
+    r"""Return the number of requests of a host, and the incomplete rest.
 
-    A carriage return also ends a line, for terminals that send one. The line feed behind it is then
-    an empty line, so that the request is answered once.
+    A request is `?` alone on a line. A carriage return also ends a line, for terminals that send
+    one. The line feed behind it is then an empty line, so that the request is answered once.
+
+    Args:
+        data: The rest of the last call, and the bytes received since.
     """
-
-    def __init__(self) -> None:
-        """Start at the beginning of a line."""
-        self._line = 0
-        """Content of the current line: 0 empty, 1 a question mark, 2 anything else."""
-
-    def feed(self, data: bytes) -> int:
-        """Add bytes, and return the number of requests that they complete."""
-        requests = 0
-        for byte in data:
-            if byte in b"\r\n":
-                requests += self._line == 1
-                self._line = 0
-            else:
-                self._line = 1 if byte == ord("?") and self._line == 0 else 2
-        return requests
+    *lines, rest = data.replace(b"\r", b"\n").split(b"\n")
+    return lines.count(b"?"), rest[:2]  # two bytes already make it no request

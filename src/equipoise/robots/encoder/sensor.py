@@ -189,7 +189,7 @@ class LineEncoder:
         self._expected, self._sign = counts_per_rev, sign
         self._transport: Transport | None = None
         self._banner: Banner | None = None
-        self._failed = "is not connected; connect it first"
+        self._failure = f"{name} is not connected; connect it first"
         self._decoder = Decoder()
         self._down, self._counts = False, 0
         self._received = clock.now()
@@ -226,9 +226,9 @@ class LineEncoder:
             self._settle(transport, self._banner)
         except LinkError as error:
             self.close()
-            self._failed = str(error).removeprefix(f"{self._name} ")
+            self._failure = str(error)
             raise
-        self._failed = ""
+        self._failure = ""
 
     def _request_banner(self, transport: Transport) -> Banner:
         clock = self._clock
@@ -299,8 +299,8 @@ class LineEncoder:
             LinkError: The link is down or silent, the board restarted, its counts jumped, or its
                 lines are late. The zero is void then.
         """
-        if self._failed or self._transport is None:
-            raise LinkError(f"{self._name} {self._failed}")
+        if self._failure or self._transport is None:
+            raise LinkError(self._failure)
         try:
             data = self._transport.read()
         except LinkError as error:
@@ -326,14 +326,24 @@ class LineEncoder:
         if self._transport is not None:
             self._transport.close()
         self._transport = None
-        self._failed = self._failed or "is closed"
+        self._failure = self._failure or f"{self._name} is closed"
 
     def _take(self, line: Reading, now: float) -> list[Sample]:
         """Return the sample of a line, or no sample for an inconsistent line."""
         ahead = self._time.ahead(line.t_us, now)
         if why := self._order.inconsistency(line, ahead):
-            self._drop(line, why)
-            return []
+            self._decoder.rejected += 1
+            if not self._order.drop():
+                return []
+            if why == "time":
+                raise self._fail(
+                    f"began anew with line {line.seq}: it restarted, and its zero is void"
+                )
+            raise self._fail(
+                f"jumped to {line.counts} counts, faster than {MAX_RATE:g} rad/s; check the "
+                "encoder's coupling, wires and counts per revolution, then connect and reference "
+                "again"
+            )
         if ahead > MAX_LATENESS:
             raise self._late(ahead)
         missing, step = self._order.accept(line)
@@ -343,27 +353,12 @@ class LineEncoder:
         pressed = bool(line.flags & Flags.PRESSED) or (down and not self._down)
         self._down = down
         time = self._time(line.t_us, now)
-        self._watch_lateness(now)
-        return [Sample(time, self._counts, pressed, bool(line.flags & Flags.ILLEGAL), missing)]
-
-    def _drop(self, line: Reading, why: Inconsistency) -> None:
-        self._decoder.rejected += 1
-        if not self._order.drop():
-            return
-        if why == "time":
-            raise self._fail(f"began anew with line {line.seq}: it restarted, and its zero is void")
-        raise self._fail(
-            f"jumped to {line.counts} counts, faster than {MAX_RATE:g} rad/s; check the encoder's "
-            "coupling, wires and counts per revolution, then connect and reference again"
-        )
-
-    def _watch_lateness(self, now: float) -> None:
         self._block_lateness = min(self._block_lateness, self._time.lateness)
-        if now < self._block_end:
-            return
-        if self._block_lateness > MAX_LATENESS:
-            raise self._late(self._block_lateness)
-        self._block_end, self._block_lateness = now + 1.0, inf
+        if now >= self._block_end:
+            if self._block_lateness > MAX_LATENESS:
+                raise self._late(self._block_lateness)
+            self._block_end, self._block_lateness = now + 1.0, inf
+        return [Sample(time, self._counts, pressed, bool(line.flags & Flags.ILLEGAL), missing)]
 
     def _late(self, lateness: float) -> LinkError:
         return self._fail(
@@ -372,6 +367,7 @@ class LineEncoder:
             "latency timer to 1 ms, or use a faster link or a board with a quartz"
         )
 
-    def _fail(self, what: str) -> LinkError:
-        self._failed = what
-        return LinkError(f"{self._name} {what}")
+    def _fail(self, problem: str) -> LinkError:
+        """Return the permanent error of a problem, the rest of a sentence about the board."""
+        self._failure = f"{self._name} {problem}"
+        return LinkError(self._failure)

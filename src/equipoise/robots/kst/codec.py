@@ -42,13 +42,13 @@ ReplyKind = Literal["joints", "external"]
 SETPOINTS: Final[dict[ReplyKind, str]] = {"joints": "jpJP", "external": "jpExT"}
 """Commands that set the target of the joint servo, by requested reply."""
 
-GET_JOINTS: Final = b"getJointsPositions\n"
+GET_JOINTS: Final = "getJointsPositions"
 """Request for the measured joints, at any time."""
-START_SERVO: Final = b"startDirectServoJoints\n"
+START_SERVO: Final = "startDirectServoJoints"
 """Start of the joint servo; acknowledged before it runs."""
-STOP_SERVO: Final = b"stopDirectServoJoints\n"
+STOP_SERVO: Final = "stopDirectServoJoints"
 """Stop of the servo; acknowledged at once, obeyed a few milliseconds later."""
-END: Final = b"end\n"
+END: Final = "end"
 """End of servo, connection and server, which an operator has to start again; not answered."""
 
 _NUMBER = re.compile(rb"-?[0-9]+\.[0-9]+(?:E-?[0-9]+)?")
@@ -57,30 +57,21 @@ _DOUBLE = re.compile(
 )
 
 
-class KstLineSplitter:
-    """Splitter of a byte stream into lines; fails for good at a line that is too long."""
+def split_lines(data: bytes) -> tuple[list[bytes], bytes]:
+    r"""Return the complete lines of received bytes without their ends, and the incomplete rest.
 
-    def __init__(self) -> None:
-        """Create a splitter without bytes."""
-        self._rest = b""
-        self._broken = False
+    Lines end in \n or \r\n; empty lines are left out.
 
-    def feed(self, data: bytes) -> list[bytes]:
-        r"""Add bytes, and return the lines that they complete, without line ends.
-
-        Lines end in \n or \r\n; empty lines are left out.
-
-        Raises:
-            LinkError: A line is too long, now or earlier.
-        """
-        *lines, self._rest = (self._rest + data).split(b"\n")
-        if self._broken or any(len(line) > MAX_LINE for line in (*lines, self._rest)):
-            self._broken, self._rest = True, b""
-            raise LinkError(
-                f"expected lines of at most {MAX_LINE} bytes, and more came without a line "
-                "end; is this a KST server?"
-            )
-        return [line for line in (line.removesuffix(b"\r") for line in lines) if line]
+    Raises:
+        LinkError: A line is too long; the stream is not to be read further.
+    """
+    *lines, rest = data.split(b"\n")
+    if any(len(line) > MAX_LINE for line in (*lines, rest)):
+        raise LinkError(
+            f"expected lines of at most {MAX_LINE} bytes, and more came without a line "
+            "end; is this a KST server?"
+        )
+    return [line for line in (line.removesuffix(b"\r") for line in lines) if line], rest
 
 
 def setpoint(

@@ -23,18 +23,25 @@ does not end when no client connects for 60 s.
 """
 
 import socket
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from typing import Final, TypeVar
+from typing import Final
 
 from equipoise.control.minimum_jerk import path_within
 from equipoise.errors import InputError, LinkError, OutsideError
 from equipoise.rig.simulated_rig import Bodies, SimulatedRig
 from equipoise.rig.transports import SocketTransport
-from equipoise.robots.kst.codec import PORT, KstLineSplitter, java_double, numbers_reply, tokens
+from equipoise.robots.kst.codec import (
+    GET_JOINTS,
+    PORT,
+    START_SERVO,
+    STOP_SERVO,
+    java_double,
+    numbers_reply,
+    split_lines,
+    tokens,
+)
 from equipoise.simulation.twin.simulated_arm import SimulatedArm
-
-T = TypeVar("T")
 
 HOST: Final = "127.0.0.1"
 """Address of the emulated cabinet: this machine."""
@@ -52,47 +59,24 @@ that receives both replies in one segment waits for the second without end."""
 SETTLING_TIME: Final = 0.35
 """Time from the end of a motion's path until its second acknowledgement [s]: the emulated arm
 follows by the law of the servo, which takes this for the last milliradian."""
-EPSILON: Final = 1e-9
-"""Rounding of times [s]."""
+READER: Final = (
+    *("jp_", "jpJP_", "jpExT_", "jpMT_"),  # targets
+    *(GET_JOINTS, STOP_SERVO, "blueOn", "blueOff"),
+)
+"""Starts of the lines that the reader answers."""
+MAIN: Final = ("Torques_ext_J", "Torques_m_J")
+"""Starts of the lines that the main thread answers from the arm."""
 
-Answer = Callable[[SimulatedArm], bytes]
 
-
-def _done(_arm: SimulatedArm) -> bytes:
+def answer(command: str, arm: SimulatedArm) -> bytes:
+    """Return the reply to a line of `READER` or `MAIN`."""
+    if command.startswith(("jpJP_", GET_JOINTS)):
+        return numbers_reply(arm.measured())
+    if command.startswith(("jpExT_", "Torques_ext_J")):
+        return numbers_reply(arm.torques(external=True))
+    if command.startswith(("jpMT_", "Torques_m_J")):
+        return numbers_reply(arm.torques(external=False))
     return DONE
-
-
-def _joints(arm: SimulatedArm) -> bytes:
-    return numbers_reply(arm.measured())
-
-
-def _external_torques(arm: SimulatedArm) -> bytes:
-    return numbers_reply(arm.torques(external=True))
-
-
-def _motor_torques(arm: SimulatedArm) -> bytes:
-    return numbers_reply(arm.torques(external=False))
-
-
-TARGETS: Final[dict[str, Answer]] = {
-    "jp_": _done,
-    "jpJP_": _joints,
-    "jpExT_": _external_torques,
-    "jpMT_": _motor_torques,
-}
-"""Replies of the reader to a line with targets, by its start."""
-READER: Final[dict[str, Answer]] = {
-    "getJointsPositions": _joints,
-    "stopDirectServoJoints": _done,
-    "blueOn": _done,
-    "blueOff": _done,
-}
-"""Replies of the reader to other lines."""
-MAIN: Final[dict[str, Answer]] = {
-    "Torques_ext_J": _external_torques,
-    "Torques_m_J": _motor_torques,
-}
-"""Replies of the main thread."""
 
 
 class KstServer:
@@ -125,18 +109,12 @@ class KstServer:
         self.busy = False
         """Whether a servo or a motion runs or is starting."""
         self._body, self._target = body, [0.0] * len(body.arm.joints)
-        self._own_reading = body.measured  # of the servo, which no fault of a reply reaches
-        self._lines = KstLineSplitter()
-        self._reads = True
+        self._measure = body.measured  # of the servo, which no fault of a reply reaches
+        self._rest, self._reads = b"", True
         self._segments: list[bytes] = []
         self._now = self._speed = 0.0
         self._waiting = ""
         self._requested = self._runs = False  # the servo
-        self._tasks: dict[str, Callable[[str], Iterable[None]]] = {
-            "startDirectServoJoints": self._serve,
-            "doPTPinJS": self._move,
-            "jRelVel": self._set_speed,
-        }
         self._main = self._run_main()
 
     @property
@@ -155,9 +133,10 @@ class KstServer:
         if self.closed or self.deaf or not self._reads:
             return
         try:
-            for line in self._lines.feed(data):
+            lines, self._rest = split_lines(self._rest + data)
+            for line in lines:
                 if self._reads:
-                    self._read(line)
+                    self._read(line.decode("latin-1"))
         except (InputError, LinkError):
             self._reads = False
 
@@ -182,66 +161,72 @@ class KstServer:
         """
         self._now, self.deserted, self._reads = now, True, False
 
-    def _say(self, reply: bytes) -> None:
+    def _reply(self, reply: bytes) -> None:
         if not self.drops:
             self._segments.append(NAK if self.refuses else reply)
 
     # The reader's thread.
 
-    def _read(self, line: bytes) -> None:
+    def _read(self, command: str) -> None:
         """Obey a line.
 
         Raises:
             InputError: The line kills the reader.
         """
         self._waiting = ""
-        command = line.decode("latin-1")
-        if answer := _entry(TARGETS, command):
-            try:
-                for i, field in enumerate(tokens(command)[1 : len(self._target) + 1]):
-                    self._target[i] = java_double(field)
-            finally:  # the servo follows the numbers read before the reader died
-                if self._runs:
-                    self._body.target(tuple(self._target))
-            self._say(answer(self._body))
-        elif command.startswith("end"):
+        if command.startswith("end"):
             self._requested, self.ended, self._reads = False, True, False
-        elif answer := _entry(READER, command):
-            if command.startswith("stopDirectServoJoints"):
+        elif command.startswith(READER):
+            if command.startswith("jp"):
+                self._read_target(command)
+            elif command.startswith(STOP_SERVO):
                 self._requested = False
-            self._say(answer(self._body))
+            self._reply(answer(command, self._body))
         else:
             self._waiting = command
+
+    def _read_target(self, command: str) -> None:
+        try:
+            for i, field in enumerate(tokens(command)[1 : len(self._target) + 1]):
+                self._target[i] = java_double(field)
+        finally:  # the servo follows the numbers read before the reader died
+            if self._runs:
+                self._body.target(tuple(self._target))
 
     # The main thread; each `yield` waits for the next `advance`.
 
     def _run_main(self) -> Iterator[None]:
         while not self.ended:
             command, self._waiting = self._waiting, ""
-            if answer := _entry(MAIN, command):
-                self._say(answer(self._body))
-            elif task := _entry(self._tasks, command):
-                self.busy = True
-                try:
-                    yield from task(command)
-                except InputError:
-                    self._say(NAK)
-                self.busy = False
+            self.busy = command.startswith((START_SERVO, "doPTPinJS"))
+            try:
+                if command.startswith(MAIN):
+                    self._reply(answer(command, self._body))
+                elif command.startswith(START_SERVO):
+                    yield from self._serve()
+                elif command.startswith("doPTPinJS"):
+                    yield from self._move()
+                elif command.startswith("jRelVel"):  # fraction of the speed limits, for motions
+                    self._speed = java_double("".join(tokens(command)[1:2]))
+                    self._reply(DONE)
+            except InputError:
+                self._reply(NAK)
+            self.busy = False
             yield
 
     def _sleep(self, duration: float) -> Iterator[None]:
-        until = self._now + duration - EPSILON
+        until = self._now + duration - 1e-9  # [s]: rounding
         while self._now < until:
             yield
 
-    def _serve(self, _command: str) -> Iterator[None]:
+    def _serve(self) -> Iterator[None]:
         """Run a servo; it runs on without a client."""
         self._requested = True
-        self._say(DONE)
+        self._reply(DONE)
         yield from self._sleep(SERVO_START)
         self._runs = True
         self._body.servo(True)
-        self._target[:] = self._own_reading()
+        self._target[:] = self._measure()
         self._body.target(tuple(self._target))
         while self._requested:
             yield
@@ -249,10 +234,10 @@ class KstServer:
         self._body.servo(False)
         self._runs = False
 
-    def _move(self, _command: str) -> Iterator[None]:
+    def _move(self) -> Iterator[None]:
         """Move to the target along a minimum-jerk path, at the set speed."""
         body, joints, goal = self._body, self._body.arm.joints, tuple(self._target)
-        self._say(DONE)
+        self._reply(DONE)
         yield from self._sleep(PLANNING_TIME)
         within = all(a.lower <= q <= a.upper for a, q in zip(joints, goal, strict=True))
         if body.stopped or not within or not 0.0 < self._speed <= 1.0:
@@ -265,19 +250,8 @@ class KstServer:
             body.target(path.at(self._now - start).q)
             yield
         body.servo(False)
-        self._say(NAK if body.stopped else DONE)
+        self._reply(NAK if body.stopped else DONE)
         self._waiting = ""
-
-    def _set_speed(self, command: str) -> Iterable[None]:
-        """Set the fraction of the joints' speed limits at which motions run."""
-        self._speed = java_double("".join(tokens(command)[1:2]))
-        self._say(DONE)
-        return ()
-
-
-def _entry(table: dict[str, T], command: str) -> T | None:
-    """Return the entry of the first key with which a command starts."""
-    return next((entry for key, entry in table.items() if command.startswith(key)), None)
 
 
 class KstHardware:
@@ -313,9 +287,8 @@ class KstHardware:
         """Address of the robot."""
         self.bench = SimulatedRig(bodies)
         """Bench with the arm."""
-        body = self.bench.body
+        body, self._say = self.bench.body, say
         self._warm_up()
-        self._say = say
         self.acts: dict[str, Callable[[], object]] = {
             "estop": lambda: body.stop("emergency stop"),
             "free": body.set_free,

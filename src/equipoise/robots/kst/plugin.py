@@ -52,8 +52,8 @@ def open_robot(address: str, session: Session) -> KstRobot:
     """Return the driver for an address; nothing is opened before it is connected."""
     if session.load is not None:
         raise InputError("a KST server takes no load_kg; enter it as a tool in Sunrise.Workbench")
-    stream = dial(*host_and_port(address))
-    return KstRobot(stream, session.clock, notify=session.notify, attend=session.attend)
+    open_link = partial(dial, *host_and_port(address))
+    return KstRobot(open_link, session.clock, notify=session.notify, attend=session.attend)
 
 
 def emulate(rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: int) -> Emulated:

@@ -20,7 +20,7 @@ import socket
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
-from typing import Final, NoReturn
+from typing import Final
 
 import numpy as np
 
@@ -64,26 +64,25 @@ POLL_PERIOD: Final = 0.001
 """Time between two reads of the link while waiting [s]."""
 
 
-def dial(host: str, port: int) -> Callable[[], Transport]:
-    """Return a function that opens a TCP connection to a KST server, for `KstRobot`.
+def dial(host: str, port: int) -> Transport:
+    """Open a TCP connection to a KST server.
 
     Args:
         host: Name or number of the cabinet.
         port: Port of the server.
+
+    Raises:
+        LinkError: Nothing listens there yet.
+        OutsideError: The name is unknown: starting the application does not help, so do not wait.
     """
-
-    def opened() -> Transport:
-        try:
-            return SocketTransport(socket.create_connection((host, port), timeout=2.0))
-        except OSError as error:
-            # Starting the application does not help against an unknown name: do not wait.
-            kind = OutsideError if isinstance(error, socket.gaierror) else LinkError
-            raise kind(
-                f"no connection to {host}, port {port} ({error}); check cable, address and that "
-                "the server has been started"
-            ) from None
-
-    return opened
+    try:
+        return SocketTransport(socket.create_connection((host, port), timeout=2.0))
+    except OSError as error:
+        kind = OutsideError if isinstance(error, socket.gaierror) else LinkError
+        raise kind(
+            f"no connection to {host}, port {port} ({error}); check cable, address and that "
+            "the server has been started"
+        ) from None
 
 
 class KstRobot:
@@ -115,7 +114,7 @@ class KstRobot:
         self._failure = ""
         self._streams, self._sent = False, 0
         self._may_move = True  # until the first reply, a servo of a lost client may run
-        self._lines = codec.KstLineSplitter()
+        self._rest = b""  # of the received bytes: the begin of the next line
         self._received: deque[bytes] = deque()
         self._pending: deque[tuple[float, bool]] = deque()
         self._ready: list[Reply] = []
@@ -140,8 +139,9 @@ class KstRobot:
         Raises:
             LinkError: The reply is late or invalid.
         """
-        self._at_rest("measure")
-        return np.array(self._numbers(codec.GET_JOINTS))
+        self._require_rest("measure")
+        with self._final_errors():
+            return np.array(self._request_joints())
 
     def start(self) -> Array:
         """Start the servo, which holds the arm at its position without a setpoint.
@@ -152,11 +152,12 @@ class KstRobot:
         Raises:
             LinkError: A reply is late or invalid.
         """
-        self._at_rest("start a servo")
+        self._require_rest("start a servo")
         self._may_move = True
-        self._done(codec.START_SERVO)
-        self._wait(AFTER_START)
-        measured = self._numbers(codec.GET_JOINTS)
+        with self._final_errors():
+            self._request_done(codec.START_SERVO)
+            self._wait(AFTER_START)
+            measured = self._request_joints()
         self._streams, self._sent = True, 0
         self._last = (self._clock.now(), measured)
         return np.array(measured)
@@ -173,13 +174,16 @@ class KstRobot:
         """
         torque = (self._sent + 1) % TORQUE_EVERY == 0
         line = codec.setpoint(q, "external" if torque else "joints", joints=self.joints)
+        transport = self._link()
         if not self._streams:
-            self._link()
             raise LinkError("the servo does not run, so that no setpoint is obeyed; start it first")
-        self._collect()
-        if len(self._pending) >= MAX_PENDING:
-            self._fail(f"{len(self._pending)} setpoints wait for their answer, expected fewer")
-        self._write(line)
+        with self._final_errors():
+            self._collect()
+            if len(self._pending) >= MAX_PENDING:
+                raise LinkError(
+                    f"{len(self._pending)} setpoints wait for their answer, expected fewer"
+                )
+            transport.write(line)
         self._sent += 1
         self._pending.append((self._clock.now(), torque))
 
@@ -189,7 +193,9 @@ class KstRobot:
         Raises:
             LinkError: The link is down, or a reply is overdue or invalid.
         """
-        self._collect()
+        self._link()
+        with self._final_errors():
+            self._collect()
         ready, self._ready = self._ready, []
         return ready
 
@@ -202,11 +208,12 @@ class KstRobot:
         self._link()
         if not self._streams:
             return
-        while self._pending:
-            self._wait(POLL_PERIOD)
-            self._collect()
-        self._wait(BEFORE_STOP)
-        self._done(codec.STOP_SERVO)
+        with self._final_errors():
+            while self._pending:
+                self._wait(POLL_PERIOD)
+                self._collect()
+            self._wait(BEFORE_STOP)
+            self._request_done(codec.STOP_SERVO)
         self._streams = False
         self._wait(AFTER_STOP)
         self._may_move = False
@@ -218,7 +225,7 @@ class KstRobot:
             return
         self._failure = self._failure or "the connection was closed"
         with suppress(LinkError):
-            transport.write(codec.END)
+            transport.write(_line(codec.END))
             # Until the server has closed it: unread bytes may discard the last command.
             deadline = self._clock.now() + AFTER_END
             while self._clock.now() < deadline:
@@ -227,6 +234,7 @@ class KstRobot:
         transport.close()
 
     def _reach(self) -> Transport:
+        """Open the connection, once the operator has started the server."""
         deadline, notified = self._clock.now() + SERVER_TIMEOUT, False
         while True:
             try:
@@ -243,77 +251,18 @@ class KstRobot:
             self._wait(1.0)
             self._attend()
 
-    def _at_rest(self, what: str) -> None:
-        self._link()
-        if self._streams:
-            raise LinkError(f"a servo runs; stop it before you {what}")
-
-    def _done(self, command: bytes) -> None:
-        with self._final_errors():
-            codec.expect_done(self._request(command), _name(command))
-
-    def _numbers(self, command: bytes) -> tuple[float, ...]:
-        with self._final_errors():
-            return codec.expect_numbers(self._request(command), self.joints, _name(command))
-
-    def _request(self, command: bytes) -> bytes:
-        """Send a command while no reply is pending, and return its reply."""
-        self._collect()
-        self._write(command)
-        deadline = self._clock.now() + REPLY_TIMEOUT
-        while not self._received:
-            if self._clock.now() >= deadline:
-                self._fail(f"no answer to {_name(command)} came within {REPLY_TIMEOUT:g} s")
-            self._wait(POLL_PERIOD)
-            self._drain()
-        return self._received.popleft()
-
-    def _collect(self) -> None:
-        """Match the received lines with the pending setpoints."""
-        self._drain()
-        now = self._clock.now()
-        while self._received:
-            line = self._received.popleft()
-            if not self._pending:
-                self._fail(f"expected nothing, got {line[:120].decode('latin-1')!r}")
-            sent, torque = self._pending.popleft()
-            with self._final_errors():
-                values = codec.expect_numbers(line, self.joints, "a setpoint")
-            if not torque:
-                self._check_step(sent, values)
-            q, torques = (None, values) if torque else (values, None)
-            self._ready.append(Reply(sent, now, q, torques))
-        if self._pending and now - self._pending[0][0] > TIMEOUT:
-            self._fail(f"expected the answer to a setpoint within {TIMEOUT:g} s")
-
-    def _check_step(self, sent: float, q: tuple[float, ...]) -> None:
-        """Check that the arm can have reached joints [rad] since the last reply."""
-        before, q_before = self._last
-        step = max(abs(a - b) for a, b in zip(q, q_before, strict=True))
-        most = MAX_JOINT_SPEED * (self._clock.now() - before) + JOINT_NOISE
-        if step > most:
-            self._fail(
-                f"expected joints less than {most:.2g} rad from those before, got "
-                f"{step:.2g} rad: an answer was lost, or these are torques"
-            )
-        self._last = (sent, q)
-
-    def _drain(self) -> None:
-        transport = self._link()
-        with self._final_errors():
-            self._received.extend(self._lines.feed(transport.read()))
-
-    def _write(self, line: bytes) -> None:
-        transport = self._link()
-        with self._final_errors():
-            transport.write(line)
-
     def _link(self) -> Transport:
+        """Return the open link, or raise the error that ended it."""
         if self._failure:
             raise LinkError(self._failure)
         if self._transport is None:
             raise LinkError("the robot is not connected; connect first")
         return self._transport
+
+    def _require_rest(self, purpose: str) -> None:
+        self._link()
+        if self._streams:
+            raise LinkError(f"a servo runs; stop it before you {purpose}")
 
     @contextmanager
     def _final_errors(self) -> Generator[None]:
@@ -321,25 +270,74 @@ class KstRobot:
         try:
             yield
         except LinkError as error:
-            if self._failure:
-                raise
-            self._fail(str(error))
-
-    def _fail(self, why: str) -> NoReturn:
-        """Give up the link for good."""
-        consequence = "No servo runs;"
-        if self._may_move:
-            consequence = (
-                "A servo that runs goes on to the last setpoint, and software cannot stop it: be "
-                "ready at the E-stop, and"
+            consequence = "No servo runs;"
+            if self._may_move:
+                consequence = (
+                    "A servo that runs goes on to the last setpoint, and software cannot stop it: "
+                    "be ready at the E-stop, and"
+                )
+            self._failure = (
+                f"robot: {error}; the link is given up. {consequence} start the server again"
             )
-        self._failure = f"robot: {why}; the link is given up. {consequence} start the server again"
-        raise LinkError(self._failure)
+            raise LinkError(self._failure) from error
+
+    # Errors below are final: each caller encloses them in `_final_errors`.
+
+    def _request_done(self, command: str) -> None:
+        codec.expect_done(self._request(command), command)
+
+    def _request_joints(self) -> tuple[float, ...]:
+        reply = self._request(codec.GET_JOINTS)
+        return codec.expect_numbers(reply, self.joints, codec.GET_JOINTS)
+
+    def _request(self, command: str) -> bytes:
+        """Send a command while no reply is pending, and return its reply."""
+        self._collect()
+        self._link().write(_line(command))
+        deadline = self._clock.now() + REPLY_TIMEOUT
+        while not self._received:
+            if self._clock.now() >= deadline:
+                raise LinkError(f"no answer to {command} came within {REPLY_TIMEOUT:g} s")
+            self._wait(POLL_PERIOD)
+            self._receive()
+        return self._received.popleft()
+
+    def _receive(self) -> None:
+        lines, self._rest = codec.split_lines(self._rest + self._link().read())
+        self._received.extend(lines)
+
+    def _collect(self) -> None:
+        """Match the received lines with the pending setpoints."""
+        self._receive()
+        now = self._clock.now()
+        while self._received:
+            line = self._received.popleft()
+            if not self._pending:
+                raise LinkError(f"expected nothing, got {line[:120].decode('latin-1')!r}")
+            sent, torque = self._pending.popleft()
+            values = codec.expect_numbers(line, self.joints, "a setpoint")
+            if not torque:
+                self._check_step(sent, values)
+            q, torques = (None, values) if torque else (values, None)
+            self._ready.append(Reply(sent, now, q, torques))
+        if self._pending and now - self._pending[0][0] > TIMEOUT:
+            raise LinkError(f"expected the answer to a setpoint within {TIMEOUT:g} s")
+
+    def _check_step(self, sent: float, q: tuple[float, ...]) -> None:
+        """Check that the arm can have reached joints [rad] since the last reply."""
+        before, q_before = self._last
+        step = max(abs(a - b) for a, b in zip(q, q_before, strict=True))
+        most = MAX_JOINT_SPEED * (self._clock.now() - before) + JOINT_NOISE
+        if step > most:
+            raise LinkError(
+                f"expected joints less than {most:.2g} rad from those before, got "
+                f"{step:.2g} rad: an answer was lost, or these are torques"
+            )
+        self._last = (sent, q)
 
     def _wait(self, duration: float) -> None:
         self._clock.wait_until(self._clock.now() + duration)
 
 
-def _name(command: bytes) -> str:
-    """Return the name of a command, for messages."""
-    return command.decode().rstrip("\n").split("_")[0]
+def _line(command: str) -> bytes:
+    return f"{command}\n".encode()
