@@ -49,12 +49,16 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
             measurement.seconds,
             paced=plugin is not None and plugin.paced,
         )
-    fit = all(one.status != "bad" for one in findings)
+    fit = all(finding.status != "bad" for finding in findings)
     output.result(
         verdict="fit" if fit else "not fit",
         findings={
-            one.name: {"status": one.status, "found": one.found, "remedy": one.remedy}
-            for one in findings
+            finding.name: {
+                "status": finding.status,
+                "found": finding.evidence,
+                "remedy": finding.remedy,
+            }
+            for finding in findings
         },
         restart=plugin and plugin.restart,
         code=int(not fit),

@@ -24,7 +24,6 @@ from equipoise.rig.readings import (
     setpoint_in_force,
     unanswered_time,
 )
-from equipoise.rig.request import RunRequest
 from equipoise.rig.script import PhaseError, Run, Setpoints, Steps, Tick, come_to_rest, script
 from equipoise.safety import rules
 from equipoise.safety.monitors import MAX_REPEATS, REPEAT_WINDOW, RepeatMonitor
@@ -44,35 +43,23 @@ OFF_TRACK: Final = {Phase.HOMING, Phase.EXCITING}
 class RunController:
     """Controller of a run: measurements, safety rules, script, stop."""
 
-    def __init__(
-        self,
-        request: RunRequest,
-        q: Sequence[float],
-        *,
-        counts_per_rev: int,
-        max_speed: float = inf,
-        clock: Callable[[], float] = lambda: 0.0,
-    ) -> None:
+    def __init__(self, run: Run, clock: Callable[[], float] = lambda: 0.0) -> None:
         """Begin the way home from the posture that the servo holds.
 
         Args:
-            request: The run.
-            q: Measured joints, all of them [rad].
-            counts_per_rev: Counts per revolution that the rig's encoder reports.
-            max_speed: Flange speed limit from the pre-flight [m/s].
+            run: State of the run, at its begin.
             clock: Clock for the computing time of a policy in Python [s]; the default gives zero.
 
         Raises:
-            ArmError: Home is a singular posture, or too close to a limit for the excitation.
-            SettingsError: The delay exceeds the controller's history.
+            ArmError: Home is too close to a limit for the excitation.
         """
-        self.run = Run(request, q, counts_per_rev=counts_per_rev, max_speed=max_speed)
+        self.run = run
         """State of the run."""
-        self.h = self.run.h
+        self.h = run.h
         """Time between ticks [s]."""
         # A kernel takes the computer's time, which virtual time does not show.
-        compiled = request.policy.kernel is not None
-        self._script: Steps[End | None] = script(self.run, (lambda: 0.0) if compiled else clock)
+        compiled = run.request.policy.kernel is not None
+        self._script: Steps[End | None] = script(run, (lambda: 0.0) if compiled else clock)
         next(self._script)
         self._tick = Tick()
         self.end: End | None = None
@@ -81,7 +68,7 @@ class RunController:
         """Whether any cause so far shows that the arm is not at its setpoint."""
         self._stopped = Phase.STOPPING  # the phase before the stop
         self._key_after_stop = False
-        self._sent, self._monitor = setpoint_history(q), rules.MonitorState()
+        self._sent, self._monitor = setpoint_history(run.q), rules.MonitorState()
         self._pose: FlangePose | None = None
         self._stalls, self._overdue, self._link_stalled = RepeatMonitor(), 0.0, False
         self._warnings = set[str]()

@@ -411,11 +411,11 @@ def excite(run: Run, motion: Array, identify: Callable[[Array, Array], Actuator]
     run.notify("notice", "The arm is identified; this takes some seconds.")
     try:
         job = partial(identify, _free_joints(run, sent), _free_joints(run, measured))
-        run.identified = found = yield from run.work(job, run.still)
-        text = describe_fit(run.request.policy, found)
-        if not actuator_fits(run.request.policy, found):
+        run.identified = actuator = yield from run.work(job, run.still)
+        text = describe_fit(run.request.policy, actuator)
+        if not actuator_fits(run.request.policy, actuator):
             raise InputError(text)
-        run.assume(found)
+        run.assume(actuator)
     except Exception as error:  # the arm comes to rest, whatever failed
         raise PhaseError(Outcome.UNIDENTIFIED, text=printable(str(error))) from error
     run.notify("identified", text)
