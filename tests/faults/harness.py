@@ -10,6 +10,7 @@ from functools import partial
 from math import inf
 from pathlib import Path
 from typing import NamedTuple
+from unittest.mock import patch
 
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.policy import TabularPolicy, shipped_policy
@@ -17,11 +18,12 @@ from equipoise.errors import EquipoiseError
 from equipoise.identification.actuator import identify_actuator
 from equipoise.log.conditions import RunEnd
 from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.rig import run
 from equipoise.rig.clocks import DrainingClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig
 from equipoise.rig.request import RunRequest
-from equipoise.rig.run import run_virtually
+from equipoise.rig.run_controller import RunController
 
 WORLD = "twin:nominal"
 START = "start"
@@ -154,8 +156,8 @@ class FaultHarness:
             identify=identify_actuator if scenario.identify else None,
         )
         try:
-            wrap = partial(FaultyTickHandler, self)
-            outcome = run_virtually(request, scenario.out, self, rig=rig, wrap=wrap)
+            with patch.object(run, "RunController", partial(FaultyController, self)):
+                outcome = run.run_virtually(request, scenario.out, self, rig=rig)
         except EquipoiseError as error:
             self.messages.append(ReceivedMessage(self.clock.now(), "error", str(error)))
             outcome = RunEnd(evidence={"text": str(error)})
@@ -214,15 +216,16 @@ class FaultHarness:
             self.typed.append("stop")
 
 
-class FaultyTickHandler:
-    """Tick handler with faulty inputs and setpoints."""
+class FaultyController(RunController):
+    """Controller of a run with faulty inputs and setpoints."""
 
-    def __init__(self, harness, handler):
-        self._harness, self._handler, self.h = harness, handler, handler.h
+    def __init__(self, harness, *args, **options):
+        super().__init__(*args, **options)
+        self._harness = harness
 
     def tick(self, now, inputs):
         harness = self._harness
-        output = self._handler.tick(now, harness.change_inputs(inputs))
+        output = super().tick(now, harness.change_inputs(inputs))
         if harness.injected_at is None:
             return output
         step = self.h / SETPOINTS_PER_TICK

@@ -18,6 +18,7 @@ from equipoise.rig.config import RigSettings
 from equipoise.rig.interfaces import Reply, Sample
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
+from equipoise.rig.script import Run
 
 JOBS = {"self-test", "actuator", "identified"}
 """Names of events in ticks that receive the result of a job."""
@@ -52,14 +53,13 @@ def replay(run, policy):
     )
     limit = None if run.end is None else run.end.max_speed
     clock = PolicyClock()
-    controller = RunController(
+    state = Run(
         request,
         reply[np.isnan(reply["sent"])]["q"][0].tolist(),
         counts_per_rev=conditions.counts_per_rev,
         max_speed=inf if limit is None else limit,
-        clock=clock,
     )
-    return compared(run, controller, clock)
+    return compared(run, RunController(state, clock), clock)
 
 
 def compared(run, controller, clock):

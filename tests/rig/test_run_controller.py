@@ -24,6 +24,7 @@ from equipoise.outcomes import (
 from equipoise.rig.config import RigSettings
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import MOVING, UNCERTAIN_TORQUE_FACTOR, RunController
+from equipoise.rig.script import Run
 
 pytestmark = pytest.mark.compiled_only
 
@@ -61,7 +62,7 @@ class Course:
 
     def __init__(self, q=ARM.home, identify=None, request=REQUEST):
         request = replace(request, identify=identify)
-        self.pilot = RunController(request, q, counts_per_rev=COUNTS)
+        self.pilot = RunController(Run(request, q, counts_per_rev=COUNTS))
         self.guard = self.pilot.run.safety
         self.tick_number, self.now = 0, 0.0
         self.theta = lambda time: 0.0

@@ -12,9 +12,9 @@ from equipoise.errors import InputError
 from equipoise.safety.rules import STOP_DECELERATION, check_setpoint, limits_of
 from equipoise.safety.stop import (
     RETURN_FRACTION,
-    StopMotion,
     ramp,
     stoppable_speeds,
+    way_back,
 )
 
 ARM = iiwa(14)
@@ -153,90 +153,47 @@ def test_it_starts_from_numbers():
 
 # The way back.
 
-H = 2.0 * DT
 SLIDING = tuple(0.2 * limit for limit in LIMITS.velocity)
 """Velocities of a stop that covers 0.02 to 0.05 rad in each joint [rad/s]."""
 
 
-def stopped(dq=SLIDING, speed=0.5, q=HOME):
-    """Return a stop at the end of its ramp, and the setpoints of the ramp."""
-    motion, sent = StopMotion(q, dq, speed, LIMITS), [q]
-    while motion.rested < 0.0:
-        sent += motion.advance(H)
-    return motion, np.array(sent)
-
-
-def sent_until_rest(motion, ticks=1000):
-    """Return the setpoints from now until rest."""
-    sent = [motion.q]
-    for _ in range(ticks):
-        sent += motion.advance(H)
-        if motion.rested >= 0.0:
-            return np.array(sent)
-    raise AssertionError("it does not come to rest")
-
-
 def test_the_way_back_ends_where_the_arm_is():
-    motion, ramped = stopped()
-    end = tuple(0.4 * a + 0.6 * b for a, b in zip(HOME, motion.q, strict=True))
-    moved = motion.go_back(end)
-    assert moved == pytest.approx(0.4 * np.abs(ramped[-1] - HOME).max())
-    assert motion.goes_back
-    assert motion.rested < 0.0
-    sent = sent_until_rest(motion)
-    assert sent[-1] == pytest.approx(end)
-    assert not motion.goes_back
-    dq, ddq = np.diff(sent, axis=0) / DT, np.diff(sent, n=2, axis=0) / DT**2
+    stop = ramp(HOME, SLIDING, 0.5, LIMITS)
+    rest = stop.at(inf).q
+    measured = tuple(0.4 * a + 0.6 * b for a, b in zip(HOME, rest, strict=True))
+    q = stream(way_back(stop, rest, measured, LIMITS))
+    assert q[0] == pytest.approx(rest)
+    assert q[-1] == pytest.approx(measured)
+    dq, ddq = np.diff(q, axis=0) / DT, np.diff(q, n=2, axis=0) / DT**2
     used = np.abs(dq / LIMITS.velocity).max(), np.abs(ddq / LIMITS.acceleration).max()
     assert max(used) == pytest.approx(RETURN_FRACTION, rel=0.05)
-    assert RETURN_FRACTION == 0.1  # as on the way home
 
 
 @given(
-    fractions,
-    st.lists(st.floats(-10.0, 10.0), min_size=7, max_size=7),
-    st.integers(1, 200),
-    st.sampled_from(["hold", "rest", ""]),
-)
-def test_no_setpoint_leaves_the_reach_of_the_ramp_whatever_is_measured(fraction, away, ticks, then):
+    fractions, st.lists(st.floats(-10.0, 10.0), min_size=7, max_size=7), st.integers(1, 400)
+)  # fmt: skip
+def test_no_setpoint_leaves_the_reach_of_the_ramp_whatever_is_measured(fraction, away, held_after):
     dq = [0.3 * s * limit for s, limit in zip(fraction, LIMITS.velocity, strict=True)]
-    motion, sent = stopped(dq)
-    reach = np.abs(sent[-1] - HOME)
-    motion.go_back(tuple(np.add(HOME, away).tolist()))
-    back = [motion.q]
-    for _ in range(ticks):
-        back += motion.advance(H)
-    if then == "hold":
-        motion.hold()
-    elif then == "rest":
-        motion.rest(back[-1])
-    back += sent_until_rest(motion)[1:].tolist()
+    stop = ramp(HOME, dq, 0.5, LIMITS)
+    rest = stop.at(inf).q
+    way = way_back(stop, rest, np.add(HOME, away).tolist(), LIMITS)
+    # A way back that is held brakes its joints at once.
+    held = ramp(*way.at(held_after * DT), 0.0, LIMITS)
+    back = [*stream(way, held_after + 1), *stream(held)[1:]]
+    reach = np.abs(np.subtract(rest, HOME))
     assert (np.abs(np.array(back) - HOME) <= reach + 1e-12).all()
+    assert np.array_equal(back[-1], back[-2])
     limits = LIMITS._replace(acceleration=tuple(1.001 * a for a in LIMITS.acceleration))
     for before, last, q in zip([back[0], *back], back, back[1:], strict=False):
-        assert check_setpoint(limits, q, last, before, DT, to_rest=True) is None or then == "rest"
-
-
-def test_a_way_back_that_is_held_ends_at_once():
-    motion, _ = stopped()
-    motion.go_back(HOME)
-    sent = [motion.q]
-    for _ in range(20):
-        sent += motion.advance(H)
-    assert max(map(abs, motion.dq)) > 0.01
-    motion.hold()
-    assert not motion.goes_back
-    held = sent_until_rest(motion)
-    assert len(held) < 8
-    hardest = np.abs(np.diff([*sent, *held[1:]], n=2, axis=0)).max(axis=0) / DT**2
-    assert (hardest <= np.array(LIMITS.acceleration) * (1.0 + 1e-6)).all()
+        assert check_setpoint(limits, q, last, before, DT, to_rest=True) is None
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_the_way_back_stays_inside_the_limits(side):
     ends = np.array(LIMITS.upper if side > 0 else LIMITS.lower)
     q = tuple((ends - side * 0.01).tolist())
-    motion, sent = stopped(tuple(-side * v for v in SLIDING), q=q)
-    assert (np.abs(sent[-1] - q) > 0.011).all()
-    motion.go_back(tuple((ends + side * 0.01).tolist()))
-    assert sent_until_rest(motion)[-1] == pytest.approx(ends, abs=1e-12)
+    stop = ramp(q, tuple(-side * v for v in SLIDING), 0.5, LIMITS)
+    rest = stop.at(inf).q
+    assert (np.abs(np.subtract(rest, q)) > 0.011).all()
+    way = way_back(stop, rest, (ends + side * 0.01).tolist(), LIMITS)
+    assert way.end == pytest.approx(ends, abs=1e-12)

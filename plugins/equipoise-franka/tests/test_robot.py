@@ -21,6 +21,7 @@ from equipoise.rig.explanation import explain
 from equipoise.rig.plugins import Session
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
+from equipoise.rig.run_controller import RunController
 from equipoise.rig.simulated_rig import Bodies
 from equipoise.testing import MISREAD, RobotConformance, RobotUnderTest
 from equipoise_franka import robot as driver
@@ -147,26 +148,22 @@ def test_a_fault_ends_the_stream_and_names_its_remedy(rig, robot, fault, words):
     ],
 )
 def test_a_fault_ends_a_balance_with_the_arm_at_rest_and_its_cause_in_the_log(
-    tmp_path, fault, words
+    tmp_path, monkeypatch, fault, words
 ):
     request = requested()
     rig = connect(request)
     before = []
 
-    def wrap(controller):
-        tick = controller.tick
-
-        def faulty(now, inputs):
-            if controller.run.balanced == 100 and controller.run.phase is Phase.BALANCING:
+    class FaultyController(RunController):
+        def tick(self, now, inputs):
+            if self.run.balanced == 100 and self.run.phase is Phase.BALANCING:
                 before.append(rig.bench.q)
                 fault(rig.bench, now)
-            return tick(now, inputs)
+            return super().tick(now, inputs)
 
-        controller.tick = faulty
-        return controller
-
+    monkeypatch.setattr("equipoise.rig.run.RunController", FaultyController)
     log = tmp_path / "run.mcap"
-    end = run_virtually(request, log, rig=rig, wrap=wrap)
+    end = run_virtually(request, log, rig=rig)
     assert end.outcome is Outcome.LINK_LOST
     assert re.search(words, end.reason)
     assert 1.0 <= end.survival < 1.2

@@ -59,7 +59,7 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
         findings={
             finding.name: {
                 "status": finding.status,
-                "found": finding.found,
+                "evidence": finding.evidence,
                 "remedy": finding.remedy,
             }
             for finding in findings

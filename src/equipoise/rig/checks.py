@@ -49,27 +49,27 @@ class Finding(NamedTuple):
     """Subject of the check."""
     status: Literal["good", "warning", "bad"]
     """Good; a warning, which goes into the log; or bad, which forbids a run."""
-    found: str
+    evidence: str
     """Measured values, and the limit where it is not met."""
     remedy: str = ""
     """Action that helps; empty for a good result."""
 
 
 def find(
-    name: str, found: str, remedy: str, *, warning: bool = False, bad: bool = False
+    name: str, evidence: str, remedy: str, *, warning: bool = False, bad: bool = False
 ) -> Finding:
     """Return a finding, without the remedy where it is good.
 
     Args:
         name: Subject of the check.
-        found: Measured values.
+        evidence: Measured values.
         remedy: Action that helps.
         warning: Whether a warning is due.
         bad: Whether a run is forbidden.
     """
     if bad or warning:
-        return Finding(name, "bad" if bad else "warning", found, remedy)
-    return Finding(name, "good", found)
+        return Finding(name, "bad" if bad else "warning", evidence, remedy)
+    return Finding(name, "good", evidence)
 
 
 def require(findings: Sequence[Finding], error: type[EquipoiseError] = InputError) -> None:
@@ -82,9 +82,10 @@ def require(findings: Sequence[Finding], error: type[EquipoiseError] = InputErro
     Raises:
         EquipoiseError: A finding is bad.
     """
-    bad = [one for one in findings if one.status == "bad"]
+    bad = [finding for finding in findings if finding.status == "bad"]
     if bad:
-        raise error("; ".join(f"{one.name}: {one.found}; {one.remedy}" for one in bad))
+        sentences = (f"{finding.name}: {finding.evidence}; {finding.remedy}" for finding in bad)
+        raise error("; ".join(sentences))
 
 
 def check_machine(granted: dict[str, str], paced: bool) -> list[Finding]:
@@ -99,15 +100,15 @@ def check_machine(granted: dict[str, str], paced: bool) -> list[Finding]:
         "rtprio 99` and `@realtime - memlock unlimited` into /etc/security/limits.conf; log in "
         "again"
     )
-    found = [find(name, how, remedy, warning=how != "granted") for name, how in granted.items()]
+    findings = [find(name, how, remedy, warning=how != "granted") for name, how in granted.items()]
     if paced and granted:
         realtime = Path("/sys/kernel/realtime").exists()
         kernel = f"{'with' if realtime else 'without'} PREEMPT_RT"
         remedy = (
             "install a kernel with PREEMPT_RT, see docs/how-to/real-time.md; expect lost packets"
         )
-        found.append(find("kernel", kernel, remedy, warning=not realtime))
-    return found
+        findings.append(find("kernel", kernel, remedy, warning=not realtime))
+    return findings
 
 
 def check_deadlines(late: Array, *, paced: bool = False) -> Finding:
@@ -212,18 +213,20 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> list[
         rig: Contents of `rig.toml`.
     """
     arm, trained, plant = rig.described_arm, policy.arm, policy.settings.plant
-    found, same = f"{arm.name}, the policy is for {trained.name}", trained.digest == arm.digest
+    evidence, same = f"{arm.name}, the policy is for {trained.name}", trained.digest == arm.digest
     if not same:
-        found += ", whose joints differ in geometry or limits"
+        evidence += ", whose joints differ in geometry or limits"
     elif not np.allclose(arm.home, trained.home, rtol=1e-5, atol=1e-6):  # six digits suffice
         same = False
-        home, other = ([float(f"{degrees(q):g}") for q in one.home] for one in (arm, trained))
-        found = f"home_deg = {home}, the policy is for {other}"
-    joint, room = _nearest_limit(arm, arm.home)
+        home, other = (
+            [float(f"{degrees(q):g}") for q in described.home] for described in (arm, trained)
+        )
+        evidence = f"home_deg = {home}, the policy is for {other}"
+    joint, margin = _nearest_limit(arm, arm.home)
     return [
         find(
             "policy and arm",
-            found,
+            evidence,
             "train a policy for this arm and home, or correct rig.toml",
             bad=not same,
         ),
@@ -241,9 +244,9 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> list[
         ),
         find(
             "home",
-            f"{joint} is {room:.1f} deg inside its limits",
+            f"{joint} is {margin:.1f} deg inside its limits",
             "choose a home further inside all limits",
-            bad=room < rig.position_margin_deg + 5.0,
+            bad=margin < rig.position_margin_deg + 5.0,
         ),
     ]
 
@@ -270,17 +273,17 @@ def check_speed(policy: TaskPolicy, limit: float) -> list[Finding]:
     if limit == inf:
         return []
     trained = policy.settings.plant.max_speed
-    found = f"stops at {limit:.3g} m/s, trained for {trained or 'any speed'}"
+    evidence = f"stops at {limit:.3g} m/s, trained for {trained or 'any speed'}"
     remedy = f"train --set plant.max_speed={limit:.3g} makes a policy that keeps the limit"
-    return [find("flange speed", found, remedy, warning=trained is None or trained > limit)]
+    return [find("flange speed", evidence, remedy, warning=trained is None or trained > limit)]
 
 
 def check_posture(q: Array, rig: RigSettings) -> Finding:
     """Judge the distance of measured joints [rad], shape (joints,), from their limits."""
-    joint, room = _nearest_limit(rig.described_arm, q.tolist())
+    joint, margin = _nearest_limit(rig.described_arm, q.tolist())
     remedy = f"move {joint} by hand to {rig.position_margin_deg:g} deg or more inside its limits"
-    found = f"{joint} is {room:.1f} deg inside its limits"
-    return find("posture", found, remedy, bad=room < rig.position_margin_deg)
+    evidence = f"{joint} is {margin:.1f} deg inside its limits"
+    return find("posture", evidence, remedy, bad=margin < rig.position_margin_deg)
 
 
 def _spread(durations: Array) -> str:
@@ -292,9 +295,9 @@ def _spread(durations: Array) -> str:
 def _nearest_limit(arm: Arm, q: Sequence[float]) -> tuple[str, float]:
     """Return the joint nearest to one of its limits, and the distance [deg]."""
     pairs = zip(arm.joints, q, strict=True)
-    room = [degrees(min(angle - joint.lower, joint.upper - angle)) for joint, angle in pairs]
-    nearest = int(np.argmin(room))
-    return arm.joints[nearest].name, room[nearest]
+    margins = [degrees(min(angle - joint.lower, joint.upper - angle)) for joint, angle in pairs]
+    nearest = int(np.argmin(margins))
+    return arm.joints[nearest].name, margins[nearest]
 
 
 def _response(actuator: Actuator) -> str:

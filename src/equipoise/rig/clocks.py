@@ -104,19 +104,21 @@ def ended_stalls(clock: Clock, *devices: object) -> Generator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    seen, calls = clock.now(), {id(device) for device in devices}
+    seen, watched = clock.now(), {id(device) for device in devices}
 
     def look(_: int, frame: FrameType | None) -> None:
         nonlocal seen
         before, seen = seen, clock.now()
-        stack = [one for one, _ in traceback.walk_stack(frame)]
-        if seen != before or any("numba" in one.f_globals.get("__name__", "") for one in stack):
+        stack = [caller for caller, _ in traceback.walk_stack(frame)]
+        if seen != before or any(
+            "numba" in caller.f_globals.get("__name__", "") for caller in stack
+        ):
             return
         for call in reversed(stack):
-            if id(caller := call.f_locals.get("self")) in calls:
+            if id(device := call.f_locals.get("self")) in watched:
                 where, line = stack[0].f_code.co_filename, stack[0].f_lineno
                 raise LinkError(
-                    f"{type(caller).__name__}.{call.f_code.co_name} has waited for {STALL:g} s, "
+                    f"{type(device).__name__}.{call.f_code.co_name} has waited for {STALL:g} s, "
                     f"in which virtual time stalled at {seen:.3f} s ({where}, line {line}); "
                     "a driver waits with the clock that it receives, never with time.sleep"
                 )

@@ -116,14 +116,14 @@ def explain(run: RunLog) -> list[Cause]:
 
 def root_causes(run: RunLog) -> list[Cause]:
     """Return the root causes that the measurements of a balancing show."""
-    found = [_outside(run), _pause(run)]
+    causes = [_outside(run), _pause(run)]
     # A run that is too short, or of an unknown arm, has no unexplained rate.
     with suppress(ArtefactError, RecordingError, ValueError):
         moved = read_motion(run, run.conditions.arm)
-        found.append(_delay(run, moved))
+        causes.append(_delay(run, moved))
         time, rate = unexplained_rate(run, moved)
-        found += [_push(run, time, rate), _zero(run, time, rate)]
-    return [cause for cause in found if cause is not None]
+        causes += [_push(run, time, rate), _zero(run, time, rate)]
+    return [cause for cause in causes if cause is not None]
 
 
 def unexplained_rate(run: RunLog, moved: ModelMotion) -> tuple[Array, Array]:

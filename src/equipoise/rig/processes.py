@@ -90,8 +90,8 @@ def run_in_processes(request: RunRequest, out: Path, person: Operator, live: Liv
         drains = threading.Thread(target=_drain, args=(writer, recorder, over), daemon=True)
         drains.start()
         context = multiprocessing.get_context("spawn")
-        results, theirs = context.Pipe()
-        loop = context.Process(target=_loop, args=(data, memory, len(arm.joints), theirs))
+        results, loop_end = context.Pipe()
+        loop = context.Process(target=_loop, args=(data, memory, len(arm.joints), loop_end))
         end = RunEnd()
         try:
             blocked = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # until it is ready
@@ -99,7 +99,7 @@ def run_in_processes(request: RunRequest, out: Path, person: Operator, live: Liv
                 loop.start()
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
-            theirs.close()
+            loop_end.close()
             end = _attend(loop, results, recorder, writer, person, live, signalled)
             return end
         except EquipoiseError as error:

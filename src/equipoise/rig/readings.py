@@ -74,20 +74,22 @@ class EncoderReadings:
             self.bridged = self.bridged or not serious
         self._illegal = self._illegal or sample.illegal
         if len(samples) > 2:
-            last = [samples[i] for i in (-3, -2, -1)]
-            times, counts = [one.time for one in last], [one.counts for one in last]
+            newest = [samples[i] for i in (-3, -2, -1)]
+            times, counts = [last.time for last in newest], [last.counts for last in newest]
             jump = rules.unexplained_turn(times, counts, self._resolution)
             self._jump = max(self._jump, jump)
 
     def take_checks(self, now: float) -> dict[str, Any]:
         """Return the encoder's part of the safety inputs, and forget its faults."""
-        found = self._missing, self._illegal, self._jump
+        checks = {
+            "encoder_missing": self._missing,
+            "encoder_illegal": self._illegal,
+            "encoder_jump": self._jump,
+        }
         self._missing, self._illegal, self._jump = 0, False, 0.0
         if isnan(self.zero) or not self.samples:
             return {}
-        names = "encoder_missing", "encoder_illegal", "encoder_jump"
-        age = now - self.samples[-1].time
-        return {"encoder_age": age, **dict(zip(names, found, strict=True))}
+        return {"encoder_age": now - self.samples[-1].time, **checks}
 
     def phi(self) -> float:
         """Return the newest angle from upright, in [-pi, pi) [rad]; NaN without a zero."""
@@ -109,9 +111,9 @@ class EncoderReadings:
         A free fall near upright is a cosh(w t) + b sinh(w t) / w; a and b by least squares.
         """
         w, since = sqrt(w2), self.samples[-1].time - 0.04  # [s]; samples may come late
-        falls = [one for one in self.samples if one.time >= since]
-        t = w * (np.array([one.time for one in falls]) - now)
-        phi = [self.angle(one.counts) for one in falls]
+        falls = [sample for sample in self.samples if sample.time >= since]
+        t = w * (np.array([sample.time for sample in falls]) - now)
+        phi = [self.angle(sample.counts) for sample in falls]
         (a, b), *_ = np.linalg.lstsq(np.column_stack((np.cosh(t), np.sinh(t) / w)), phi)
         return float(a), float(b)
 

@@ -135,12 +135,12 @@ def actuator_fits(policy: TaskPolicy, actuator: Actuator) -> bool:
     trained, plant = policy.actuator, policy.settings.plant
     if plant.ideal or trained.kind == "ideal" or actuator.kind != trained.kind:
         return False
-    pairs = zip(actuator.lags, trained.lags, strict=True)
-    ratios = [one.value / other.value for one, other in pairs if other.value > 0.0]
-    late = [actuator.delay.value - trained.delay.value]
+    lags = zip(actuator.lags, trained.lags, strict=True)
+    ratios = [lag.value / expected.value for lag, expected in lags if expected.value > 0.0]
+    differences = [actuator.delay.value - trained.delay.value]
     for joint in range(len(trained.lags)):
-        late.append(actuator.response_time(joint) - trained.response_time(joint))
-    slow = max(map(abs, late)) > plant.delay_spread
+        differences.append(actuator.response_time(joint) - trained.response_time(joint))
+    slow = max(map(abs, differences)) > plant.delay_spread
     return not slow and all(abs(ratio - 1.0) <= plant.lag_spread for ratio in ratios)
 
 
@@ -154,7 +154,7 @@ def describe_fit(policy: TaskPolicy, actuator: Actuator) -> str:
     text = f"The arm: {actuator.summary}."
     if actuator_fits(policy, actuator):
         return f"{text} It fits the actuator of {policy.name}."
-    cure = "train one with equipoise train --actuator and the actuator of this run"
+    remedy = "train one with equipoise train --actuator and the actuator of this run"
     if actuator_fits(shipped_policy(), actuator):
-        cure = "the shipped policy fits"
-    return f"{text} It does not fit the actuator of {policy.name}; {cure}."
+        remedy = "the shipped policy fits"
+    return f"{text} It does not fit the actuator of {policy.name}; {remedy}."

@@ -26,6 +26,7 @@ from equipoise.rig.interfaces import Clock, Operator
 from equipoise.rig.loop import run_inline, run_loop
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
+from equipoise.rig.script import Run
 
 CHECKLIST: Final = (
     ("estop", "Is the E-stop in an operator's hand, and was it tested today?"),
@@ -109,7 +110,6 @@ def run_on_rig(
     measures: Callable[[], dict[str, str]] = dict,
     submit: Callable[[Job], "Future[Any]"] = run_inline,
     idle: Callable[[], None] = lambda: None,
-    wrap: Callable[[RunController], RunController] = lambda controller: controller,
 ) -> RunEnd:
     """Connect a rig, run a policy on it, bring the arm to rest, and disconnect the rig.
 
@@ -121,7 +121,6 @@ def run_on_rig(
         measures: Applies the real-time settings of this process, and returns their results.
         submit: Starts a long job (default: inline).
         idle: Called in each tick, e.g. to drain the rings.
-        wrap: Wraps the controller; tests inject faults there.
 
     Raises:
         InputError: The policy does not fit the rig.
@@ -145,7 +144,7 @@ def run_on_rig(
         results, max_speed = preflight(request, rig, measures())
         fit = check_fit(request.policy, request.actuator, request.settings)
         for result in (*fit, *results):
-            text = f"{result.name}: {result.status}, {result.found}"
+            text = f"{result.name}: {result.status}, {result.evidence}"
             text += f"; {result.remedy}" if result.remedy else ""
             tell(OperatorMessage(f"finding {result.status}", printable(text)))
         require(fit)
@@ -155,31 +154,27 @@ def run_on_rig(
             tell(OperatorMessage("notice", text))
         tell(OperatorMessage("notice", rig.plugin.failure))
         for word, question in CHECKLIST + rig.plugin.checklist:
-            said = operator.ask(OperatorMessage("checklist", f"{question} Type {word}.", (word,)))
-            if said != word:
-                return _unmoved(Outcome.OPERATOR, typed=printable(said))
+            answer = operator.ask(OperatorMessage("checklist", f"{question} Type {word}.", (word,)))
+            if answer != word:
+                return _unmoved(Outcome.OPERATOR, typed=printable(answer))
         if request.dry_run:
             check_links()  # the answers may have been typed ahead
             return _unmoved(Outcome.DRY_RUN)
         question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
-        if (said := operator.ask(OperatorMessage("move", question, ("y", "n")))) != "y":
-            return _unmoved(Outcome.OPERATOR, typed=printable(said))
+        if (answer := operator.ask(OperatorMessage("move", question, ("y", "n")))) != "y":
+            return _unmoved(Outcome.OPERATOR, typed=printable(answer))
         rig.sensor.samples()
         robot.start()
-        began = rig.clock.now()
-        recorder.reply.push(time=began, q=robot.started_at, taken=began)
-        controller = RunController(
-            request,
-            robot.started_at,
-            counts_per_rev=rig.sensor.counts_per_rev,
-            max_speed=max_speed,
-            clock=rig.clock.now,
-        )
+        started = rig.clock.now()
+        recorder.reply.push(time=started, q=robot.started_at, taken=started)
+        counts = rig.sensor.counts_per_rev
+        run = Run(request, robot.started_at, counts_per_rev=counts, max_speed=max_speed)
+        controller = RunController(run, rig.clock.now)
         ending = run_loop(
             robot,
             rig.sensor,
             rig.clock,
-            wrap(controller),
+            controller,
             recorder,
             operator,
             submit=submit,
@@ -191,7 +186,7 @@ def run_on_rig(
             except LinkError as error:
                 fault = End(Outcome.LINK_LOST, {"text": str(error)})
                 ending = ending._replace(fault=fault, stoppable=False)
-        zero = controller.run.encoder.zero
+        zero = run.encoder.zero
         end = ending.fault or controller.end
         end = end or End(Outcome.FAULT, {"text": "the run ended without a cause"})
         return RunEnd(
@@ -201,7 +196,7 @@ def run_on_rig(
             stoppable=ending.stoppable,
             zero=None if isnan(zero) else zero,
             max_speed=max_speed if max_speed < inf else None,
-            identified=controller.run.identified,
+            identified=run.identified,
             missed=ending.missed,
         )
     finally:
@@ -224,7 +219,6 @@ def run_virtually(
     operator: Operator | None = None,
     *,
     rig: Rig | None = None,
-    wrap: Callable[[RunController], RunController] = lambda controller: controller,
 ) -> RunEnd:
     """Run on an emulated rig in this process, in virtual time.
 
@@ -233,7 +227,6 @@ def run_virtually(
         out: Path of the log; None writes no log.
         operator: Operator besides the emulated one.
         rig: The rig, such as one with faults (default: that of the robot's address).
-        wrap: Wraps the controller, see `run_on_rig`.
 
     Raises:
         InputError: The policy does not fit the rig.
@@ -249,11 +242,11 @@ def run_virtually(
         if writer is not None and next(ticks) % 25 == 0:
             writer.drain(recorder)
 
-    operators = [one for one in (rig.operator, operator) if one is not None]
+    operators = [person for person in (rig.operator, operator) if person is not None]
     end = RunEnd()
     try:
         with ended_stalls(rig.clock, rig.clock, rig.robot, rig.sensor):
-            end = run_on_rig(request, rig, operators, recorder, idle=idle, wrap=wrap)
+            end = run_on_rig(request, rig, operators, recorder, idle=idle)
         return end
     except EquipoiseError as error:
         end = RunEnd(evidence={"text": str(error)})
@@ -263,5 +256,5 @@ def run_virtually(
             writer.drain(recorder)
             writer.finish(rig.clock.now(), end)
             if writer.problem is not None:
-                for one in operators:
-                    one.notify(log_warning(writer.problem))
+                for person in operators:
+                    person.notify(log_warning(writer.problem))

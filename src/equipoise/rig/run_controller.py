@@ -2,7 +2,7 @@
 
 In each tick it takes samples, replies and typed lines, checks the safety rules, and lets the script
 of the run (`equipoise.rig.script`) make the setpoints. Any failure latches a stop, whose ramp
-begins in the tick that detects it; the script is closed, and nothing but the ramp moves the arm.
+begins in the tick that detects it: the script is closed, and `come_to_rest` takes its place.
 
 The controller uses no clock, link or file. Equal inputs give equal outputs: the replay of a log
 gives the same setpoints.
@@ -15,9 +15,6 @@ from collections.abc import Callable, Sequence
 from math import inf
 from typing import Final
 
-import numpy as np
-
-from equipoise.arrays import Array
 from equipoise.control.controller import FlangePose
 from equipoise.control.ticks import OK, TickInputs, TickOutput, TickRecord, missed_ticks
 from equipoise.outcomes import End, Outcome, Phase, describe
@@ -27,18 +24,14 @@ from equipoise.rig.readings import (
     setpoint_in_force,
     unanswered_time,
 )
-from equipoise.rig.request import RunRequest
-from equipoise.rig.script import PhaseError, Run, Setpoints, Tick, script
+from equipoise.rig.script import PhaseError, Run, Setpoints, Steps, Tick, come_to_rest, script
 from equipoise.safety import rules
 from equipoise.safety.monitors import MAX_REPEATS, REPEAT_WINDOW, RepeatMonitor
 from equipoise.safety.rules import SafetyInputs
-from equipoise.safety.stop import StopMotion, stoppable_speeds
 
 UNCERTAIN_TORQUE_FACTOR: Final = 2.0
 """Factor on the torque limits until the torques at home are known [-]: the reference is then that
 at the start of the servo, where the load on the flange pulls differently."""
-SETTLING_TIME: Final = 0.5
-"""Hold after a ramp before the servo ends [s]."""
 PHASES: Final = tuple(Phase)
 """Phases by the index that logs use."""
 MOVING: Final = {Phase.HOMING, Phase.SELF_TEST, Phase.EXCITING, Phase.BALANCING}
@@ -50,35 +43,23 @@ OFF_TRACK: Final = {Phase.HOMING, Phase.EXCITING}
 class RunController:
     """Controller of a run: measurements, safety rules, script, stop."""
 
-    def __init__(
-        self,
-        request: RunRequest,
-        q: Sequence[float],
-        *,
-        counts_per_rev: int,
-        max_speed: float = inf,
-        clock: Callable[[], float] = lambda: 0.0,
-    ) -> None:
+    def __init__(self, run: Run, clock: Callable[[], float] = lambda: 0.0) -> None:
         """Begin the way home from the posture that the servo holds.
 
         Args:
-            request: The run.
-            q: Measured joints, all of them [rad].
-            counts_per_rev: Counts per revolution that the rig's encoder reports.
-            max_speed: Flange speed limit from the pre-flight [m/s].
+            run: State of the run, at its begin.
             clock: Clock for the computing time of a policy in Python [s]; the default gives zero.
 
         Raises:
-            ArmError: Home is a singular posture, or too close to a limit for the excitation.
-            SettingsError: The delay exceeds the controller's history.
+            ArmError: Home is too close to a limit for the excitation.
         """
-        self.run = Run(request, q, counts_per_rev=counts_per_rev, max_speed=max_speed)
+        self.run = run
         """State of the run."""
-        self.h = self.run.h
+        self.h = run.h
         """Time between ticks [s]."""
         # A kernel takes the computer's time, which virtual time does not show.
-        compiled = request.policy.kernel is not None
-        self._script = script(self.run, (lambda: 0.0) if compiled else clock)
+        compiled = run.request.policy.kernel is not None
+        self._script: Steps[End | None] = script(run, (lambda: 0.0) if compiled else clock)
         next(self._script)
         self._tick = Tick()
         self.end: End | None = None
@@ -86,12 +67,8 @@ class RunController:
         self.from_measured = False
         """Whether any cause so far shows that the arm is not at its setpoint."""
         self._stopped = Phase.STOPPING  # the phase before the stop
-        self._motion: StopMotion | None = None  # after the stop
-        self._before_stop: Array = np.zeros((0, len(q)))  # the last setpoints before it
-        self._goes_back = True  # whether a way back may begin
         self._key_after_stop = False
-        self._forbidden = ""  # why the target must not go back in this tick
-        self._sent, self._monitor = setpoint_history(q), rules.MonitorState()
+        self._sent, self._monitor = setpoint_history(run.q), rules.MonitorState()
         self._pose: FlangePose | None = None
         self._stalls, self._overdue, self._link_stalled = RepeatMonitor(), 0.0, False
         self._warnings = set[str]()
@@ -148,7 +125,7 @@ class RunController:
             messages,
             run.job,
             to_rest=run.phase is Phase.STOPPING,
-            done=self._motion is not None and self._motion.rested > SETTLING_TIME,
+            done=run.done,
         )
 
     def stop(self, end: End) -> None:
@@ -157,6 +134,9 @@ class RunController:
         if self.end is None:
             self.end, self._stopped = end, self.run.phase
             self._script.close()
+            on_track = self._stopped not in OFF_TRACK
+            self._script = come_to_rest(self.run, self._sent, on_track=on_track)
+            next(self._script)
             self.run.enter(Phase.STOPPING, "stopping", describe(end))
 
     # Inputs.
@@ -187,17 +167,16 @@ class RunController:
     # Motion.
 
     def _step(self, now: float) -> Setpoints:
-        """Return the next setpoints of the script, or those of the way to rest after a stop."""
+        """Return the next setpoints of the script, which a stop replaces."""
         tick, self._tick = self._tick, Tick()
-        if self.end is None:
-            tick.now = now
-            try:
-                return self._script.send(tick)
-            except StopIteration as finished:
-                self.stop(finished.value)
-            except PhaseError as error:
-                self.stop(error.end)
-        return self._come_to_rest(tick.stalled)
+        tick.now, tick.away = now, self.from_measured
+        try:
+            return self._script.send(tick)
+        except StopIteration as finished:
+            self.stop(finished.value)
+        except PhaseError as error:
+            self.stop(error.end)
+        return self._script.send(tick)
 
     def _rest(self, missed: int, unsent: bool, part: str) -> None:
         """Begin the motion anew from the last setpoint sent, where the arm rests.
@@ -224,48 +203,6 @@ class RunController:
         if run.phase is Phase.BALANCING:
             run.record_decision(0.0)
 
-    def _come_to_rest(self, stalled: bool) -> Setpoints:
-        """Return the next setpoints after a stop: the ramp, at most one way back, a hold."""
-        run, motion = self.run, self._motion
-        if motion is None:
-            (_, before), (_, last) = self._sent[-2], self._sent[-1]
-            dq = stoppable_speeds(run.dq, last, before, 0.5 * run.h)
-            speed = 0.0 if self._stopped in OFF_TRACK else abs(run.controller.x_dot)
-            self._before_stop = np.array([q for _, q in self._sent])
-            motion = StopMotion(run.q, dq, speed, run.safety.limits)
-            self._motion = motion
-        else:
-            if stalled and motion.rested < 0.0:
-                motion.rest(run.q)
-            if motion.goes_back and (reason := self._hold_reason()):
-                motion.hold()
-                run.notify("warning", f"The target holds: {reason}.")
-            elif motion.rested >= 0.0 and self.from_measured and self._goes_back:
-                self._goes_back = False
-                self._go_back(motion)
-        setpoints = motion.advance(run.h)
-        run.q, run.dq = motion.q, motion.dq
-        return setpoints
-
-    def _hold_reason(self) -> str:
-        """Return why the target holds after a stop, though the arm is elsewhere; empty for none."""
-        return "a key was pressed" if self._key_after_stop else self._forbidden
-
-    def _go_back(self, motion: StopMotion) -> None:
-        """Begin the way back towards the measured posture, or say why the target holds."""
-        measured = self.run.joints.q
-        away, joint = rules.largest_difference(measured, motion.q)
-        place = f"Joint {joint} is measured {away:.3g} rad from its target"
-        reason = self._hold_reason()
-        if doubt := self.run.joints.plausibility.doubt(measured, self._before_stop):
-            reason = f"the measurement is not plausible ({doubt})"
-        if reason:
-            text = f"{place}, which holds: {reason}. Look at the arm."
-        else:
-            moved = motion.go_back(measured)
-            text = f"{place}, which goes back by {moved:.3f} rad. Any key ends this."
-        self.run.notify("warning", text)
-
     # Safety.
 
     def _check_rules(self, now: float, lateness: float) -> None:
@@ -287,7 +224,8 @@ class RunController:
         for violation in broken:
             self.stop(violation)
         others = (end for end in broken if end.outcome not in rules.FROM_MEASURED)
-        self._forbidden = next(map(describe, others), "")
+        forbidden = next(map(describe, others), "")
+        self._tick.hold_reason = "a key was pressed" if self._key_after_stop else forbidden
         if not broken and run.encoder.bridged:
             self._warn_once("An encoder sample was lost on its way. Look at its cable later.")
 
@@ -318,7 +256,8 @@ class RunController:
         phase = run.phase if self.end is None else self._stopped
         if phase not in OFF_TRACK and self._pose is not None:
             x_dot = controller.estimate.v if balancing else controller.x_dot
-            if self._motion is not None:  # the controller does not know the way to rest
+            if run.phase is Phase.STOPPING and run.ticks > 0:
+                # The controller does not know the way to rest, which has begun.
                 before = [q - run.h * dq for q, dq in zip(run.q, run.dq, strict=True)]
                 x_dot = (run.flange.pose(run.q).x - run.flange.pose(before).x) / run.h
             inputs = inputs._replace(on_track=True, x_dot=x_dot, **self._pose._asdict())

@@ -4,7 +4,7 @@ A phase yields the setpoints of a tick, and receives what has come until the nex
 first setpoints belong to the tick in which the phase before has ended. Motions continue from rest
 after a stall of the loop or of the robot's link (`Run.rest`); while the link is silent, nothing is
 sent and the script waits. A phase that cannot continue raises `PhaseError`. After a stop, from here
-or from a safety rule, no phase is resumed (`equipoise.rig.run_controller`).
+or from a safety rule, no phase is resumed: `come_to_rest` takes the place of the script.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -36,7 +36,8 @@ from equipoise.printable import printable
 from equipoise.rig.readings import ArmReadings, EncoderReadings, TimedJoints
 from equipoise.rig.release import ReleaseDetector, ReleaseState
 from equipoise.rig.request import RunRequest, actuator_fits, describe_fit
-from equipoise.safety.rules import STOP_DECELERATION
+from equipoise.safety.rules import STOP_DECELERATION, largest_difference
+from equipoise.safety.stop import Ramp, ramp, stoppable_speeds, way_back
 
 T = TypeVar("T")
 Setpoints: TypeAlias = tuple[tuple[float, ...], ...]
@@ -59,6 +60,8 @@ MAX_SWINGS: Final = 4
 POLICY_TIME_FRACTION: Final = 0.5
 """Maximum computing time of the policy, as a fraction of a tick [-]: later, the second setpoint,
 due after half a tick, would be late too."""
+SETTLING_TIME: Final = 0.5
+"""Hold after a stop before the servo ends [s]."""
 RESTART_ACCELERATION: Final = 0.5 * STOP_DECELERATION
 """Additional acceleration of the flange after a pause of the setpoints, until it has the speed of
 before [m/s^2]: with the policy's largest acceleration that of a stop."""
@@ -82,6 +85,10 @@ class Tick:
     """Result of the job, once; an exception where it failed."""
     stalled: bool = False
     """Whether the arm has come to rest at the last setpoint, because loop or link stood still."""
+    away: bool = False
+    """Whether a cause of the stop shows that the arm is not at its setpoint."""
+    hold_reason: str = ""
+    """Reason why the setpoint holds after a stop though the arm is away; empty without one."""
 
 
 Steps: TypeAlias = Generator[Setpoints, Tick, T]
@@ -146,6 +153,8 @@ class Run:
         """Job that begins with this tick."""
         self.identified: Actuator | None = None
         """Actuator that the excitation has identified."""
+        self.done = False
+        """Whether the arm rests after a stop, and the run is over."""
 
     @property
     def time(self) -> float:
@@ -402,11 +411,11 @@ def excite(run: Run, motion: Array, identify: Callable[[Array, Array], Actuator]
     run.notify("notice", "The arm is identified; this takes some seconds.")
     try:
         job = partial(identify, _free_joints(run, sent), _free_joints(run, measured))
-        run.identified = found = yield from run.work(job, run.still)
-        text = describe_fit(run.request.policy, found)
-        if not actuator_fits(run.request.policy, found):
+        run.identified = actuator = yield from run.work(job, run.still)
+        text = describe_fit(run.request.policy, actuator)
+        if not actuator_fits(run.request.policy, actuator):
             raise InputError(text)
-        run.assume(found)
+        run.assume(actuator)
     except Exception as error:  # the arm comes to rest, whatever failed
         raise PhaseError(Outcome.UNIDENTIFIED, text=printable(str(error))) from error
     run.notify("identified", text)
@@ -481,3 +490,50 @@ def _decide(run: Run, policy: Policy, clock: Callable[[], float], *, first: bool
     if failure:
         raise PhaseError(Outcome.POLICY, text=failure, **evidence)
     return u
+
+
+def come_to_rest(run: Run, sent: Sequence[TimedJoints], *, on_track: bool) -> Steps[None]:
+    """Bring the arm to rest after a stop: the ramp, at most one way back, a hold.
+
+    As of `script`, the first setpoints are those before the first tick.
+
+    Args:
+        run: The run.
+        sent: The last setpoints sent; the ramp begins at the newest.
+        on_track: Whether the flange moves along its track, and limits the deceleration.
+    """
+    yield ()
+    before_stop = np.array([q for _, q in sent])
+    (_, before), (_, last) = sent[-2], sent[-1]
+    speed = abs(run.controller.x_dot) if on_track else 0.0
+    q, dq = run.q, stoppable_speeds(run.dq, last, before, 0.5 * run.h)
+    stop = ramp(q, dq, speed, run.safety.limits)
+    motion: Ramp | MinimumJerk = stop
+    t, went_back = 0.0, False
+    while True:
+        first = motion.at(t + 0.5 * run.h)
+        t += run.h
+        q, dq = run.q, run.dq = motion.at(t)
+        run.done = t - motion.duration > SETTLING_TIME
+        tick = yield first.q, q
+        if tick.stalled and t < motion.duration:  # the arm rests at the last setpoint sent
+            q, dq = run.q, run.dq
+            motion, t = ramp(q, dq, 0.0, run.safety.limits), 0.0
+        if t < motion.duration:
+            if isinstance(motion, MinimumJerk) and tick.hold_reason:
+                motion, t = ramp(q, dq, 0.0, run.safety.limits), 0.0
+                run.notify("warning", f"The target holds: {tick.hold_reason}.")
+        elif tick.away and not went_back:
+            went_back = True
+            reason = tick.hold_reason
+            if doubt := run.joints.plausibility.doubt(run.joints.q, before_stop):
+                reason = f"the measurement is not plausible ({doubt})"
+            distance, joint = largest_difference(run.joints.q, q)
+            place = f"Joint {joint} is measured {distance:.3g} rad from its target"
+            if reason:
+                text = f"{place}, which holds: {reason}. Look at the arm."
+            else:
+                motion, t = way_back(stop, q, run.joints.q, run.safety.limits), 0.0
+                moved, _ = largest_difference(motion.start, motion.end)
+                text = f"{place}, which goes back by {moved:.3f} rad. Any key ends this."
+            run.notify("warning", text)

@@ -236,8 +236,8 @@ class EmulatedOperator:
     def read_input(self) -> list[str]:
         """Carry out the acts that are due, and return the words typed by now."""
         now = self._clock.now()
-        due = [one for one in self._due if one[0] <= now]
-        self._due = [one for one in self._due if one[0] > now]
+        due = [act for act in self._due if act[0] <= now]
+        self._due = [act for act in self._due if act[0] > now]
         for _, _, name in due:
             if name in self.acts:
                 self.acts[name]()

@@ -37,12 +37,12 @@ class MemoryPipe:
 
     def read(self) -> bytes:
         """Return the received bytes."""
-        came = bytearray()
+        received = bytearray()
         while self._coming and self._coming[0][0] <= self._clock.now() + 1e-9:
-            came += self._coming.popleft()[1]
-        if not came and not self._coming and not self.other._open:
+            received += self._coming.popleft()[1]
+        if not received and not self._coming and not self.other._open:
             raise LinkError("the other end has closed the link")
-        return bytes(came)
+        return bytes(received)
 
     def close(self) -> None:
         """Close this end."""
@@ -56,9 +56,9 @@ def memory_pipe(clock: Clock, delay: float = 0.0) -> tuple[MemoryPipe, MemoryPip
         clock: Clock of the delay.
         delay: Delay each way [s].
     """
-    one, other = MemoryPipe(clock, delay), MemoryPipe(clock, delay)
-    one.other, other.other = other, one
-    return one, other
+    first, second = MemoryPipe(clock, delay), MemoryPipe(clock, delay)
+    first.other, second.other = second, first
+    return first, second
 
 
 class SocketTransport:

@@ -110,66 +110,24 @@ def ramp(q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: L
     return Ramp(tuple(q), tuple(dq), tuple(rates))
 
 
-class StopMotion:
-    """Motion after a latched stop: the ramp, rest, and at most one way back."""
+def way_back(
+    stop: Ramp, q: Sequence[float], measured: Sequence[float], limits: Limits
+) -> MinimumJerk:
+    """Return the path from rest towards the measured joints, within the reach of a stop's ramp.
 
-    def __init__(
-        self, q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: Limits
-    ) -> None:
-        """Begin the ramp; arguments as of `ramp`."""
-        self._limits, self._ramp = limits, ramp(q, dq, flange_speed, limits)
-        self._motion: Ramp | MinimumJerk = self._ramp
-        self._time = 0.0  # since the begin of the present motion
-        self.q: tuple[float, ...] = tuple(q)
-        """Commanded joints [rad]."""
-        self.dq: tuple[float, ...] = tuple(dq)
-        """Their velocities [rad/s]."""
-
-    @property
-    def rested(self) -> float:
-        """Time at rest [s]; negative while the arm moves."""
-        return self._time - self._motion.duration
-
-    @property
-    def goes_back(self) -> bool:
-        """Whether the arm is on its way back."""
-        return isinstance(self._motion, MinimumJerk) and self.rested < 0.0
-
-    def advance(self, h: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return the setpoints in the middle and at the end of the next tick [rad].
-
-        Args:
-            h: Time between ticks [s].
-        """
-        first = self._motion.at(self._time + 0.5 * h)
-        self._time += h
-        self.q, self.dq = self._motion.at(self._time)
-        return first.q, self.q
-
-    def go_back(self, measured: Sequence[float]) -> float:
-        """Begin the way back from rest; return the largest motion of a joint on it [rad].
-
-        Args:
-            measured: The measured joints [rad], shape (n,).
-        """
-        limits, end = self._limits, list[float]()
-        begin, rest = self._ramp.q0, self._ramp.at(inf).q
-        for i, place in enumerate(measured):
-            reach = abs(rest[i] - begin[i])
-            # A measured joint may be beyond a limit by its noise; a setpoint may not.
-            low = max(begin[i] - reach, limits.lower[i])
-            end.append(min(max(place, low), begin[i] + reach, limits.upper[i]))
-        velocity = [RETURN_FRACTION * limit for limit in limits.velocity]
-        acceleration = [RETURN_FRACTION * limit for limit in limits.acceleration]
-        self._motion = path_within(self.q, end, velocity, acceleration)
-        self._time = 0.0
-        return max(abs(b - a) for a, b in zip(self.q, end, strict=True))
-
-    def hold(self) -> None:
-        """End the way back: brake the joints at their acceleration limits."""
-        self._motion, self._time = ramp(self.q, self.dq, 0.0, self._limits), 0.0
-
-    def rest(self, q: Sequence[float]) -> None:
-        """Continue from rest at a setpoint [rad], where the arm is after a stall of the stream."""
-        self.q, self.dq = tuple(q), (0.0,) * len(q)
-        self.hold()
+    Args:
+        stop: The ramp.
+        q: The joints at rest after it [rad], shape (n,).
+        measured: The measured joints [rad], shape (n,).
+        limits: Limits of the joints.
+    """
+    end: list[float] = []
+    begin, rest = stop.q0, stop.at(inf).q
+    for i, place in enumerate(measured):
+        reach = abs(rest[i] - begin[i])
+        # A measured joint may be beyond a limit by its noise; a setpoint may not.
+        low = max(begin[i] - reach, limits.lower[i])
+        end.append(min(max(place, low), begin[i] + reach, limits.upper[i]))
+    velocity = [RETURN_FRACTION * limit for limit in limits.velocity]
+    acceleration = [RETURN_FRACTION * limit for limit in limits.acceleration]
+    return path_within(q, end, velocity, acceleration)
