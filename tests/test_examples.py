@@ -16,7 +16,7 @@ SAY = {
     "own_policy.py": "5 of 5 trials survived 10 s",
     "policy_table.py": "    -10     10     50    inf",
     "foxglove.py": "open it in Foxglove",
-    "deploy_on_the_twin.py": "twin:nominal: stood 20 of 20 s",
+    "deploy_on_the_twin.py": "twin:nominal: survived 20 of 20 s",
 }
 
 
