@@ -60,6 +60,7 @@ def session(folder, factor="2.0", **environment):
 
 
 @pytest.mark.skipif(not JIT, reason="nothing is compiled")
+@pytest.mark.full
 def test_machine_code_is_found_again_unless_its_file_changed(tmp_path):
     assert session(tmp_path) == (["4.0", "6.0", "0"], "")
     if os.name == "posix":  # loading cached code runs it
@@ -73,6 +74,7 @@ def test_machine_code_is_found_again_unless_its_file_changed(tmp_path):
     ("environment", "reason"),
     [({"EQUIPOISE_CACHE_DIR": __file__}, "File exists"), ({"ROOM": "1000000"}, "1 MB are free")],
 )
+@pytest.mark.full
 def test_a_cache_that_takes_no_code_gives_one_warning_and_right_results(
     tmp_path, environment, reason
 ):

@@ -37,6 +37,7 @@ def test_without_ends_of_track_and_angle_the_limit_is_that_of_the_closed_form(w2
 
 @pytest.mark.parametrize(("w2", "c"), PENDULUMS)
 @pytest.mark.parametrize("coulomb", [0.0, 1.0])
+@pytest.mark.full
 def test_no_bang_bang_command_recovers_a_start_outside_the_set_and_one_does_inside(w2, c, coulomb):
     """All commands with three switches, on a grid of 20 ms, on the nonlinear pendulum."""
     given, direction = params(w2, c, coulomb=coulomb), np.array([0.0, 0.0, 0.04, 0.31])

@@ -41,6 +41,7 @@ def expressions(tape, leaves):
 @pytest.mark.compiled_only
 @settings(deadline=None, max_examples=300)
 @given(data=st.data())
+@pytest.mark.full
 def test_what_is_printed_computes_what_was_written(data):
     tape = compiler.Tape()
     leaves = [(tape.input(name, f"inputs['{name}']"), value) for name, value in INPUTS.items()]
@@ -73,6 +74,7 @@ print(round(height, 12))
 
 
 @pytest.mark.compiled_only
+@pytest.mark.full
 def test_the_machine_code_of_an_arm_outside_the_package_is_found_again(tmp_path):
     # No module of an iiwa 7 with another hand is part of the package.
     def run():

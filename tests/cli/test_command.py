@@ -161,7 +161,7 @@ def test_a_full_disk_is_told_in_one_sentence_and_a_closed_pipe_silently(argument
 
 @pytest.mark.compiled_only
 @pytest.mark.skipif(os.name != "posix", reason="the shell closes streams")
-@pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("closed", [pytest.param(">&-", marks=pytest.mark.full), "<&- >&- 2>&-"])
 def test_a_verb_works_with_closed_streams(tmp_path, closed):
     words = "evaluate --trials=2 --duration=0.5 --no-baselines --out=found.json"
     ran = subprocess.run(

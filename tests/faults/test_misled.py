@@ -108,6 +108,7 @@ def test_nothing_is_sent_at_a_start_that_two_agreeing_readings_do_not_confirm(se
 
 
 @pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.full
 def test_at_most_three_stalls_a_second_are_bridged(seed):
     random = np.random.default_rng([seed, 443])
     kind, begun = str(random.choice(("loop", "link", "both"))), []

@@ -60,7 +60,9 @@ ARM_WINDOWS = [
     ("viscous", {"start": 0.0, "end": 9.166}, 64.073, 0.007, 0.0572, 0.0001, 0.0, 0.098),
     ("viscous", {"start": 18.334, "end": 27.5}, 64.041, 0.0005, 0.05445, 0.00004, 0.0, 0.018),
     ("viscous", {"start": 45.835, "end": 55.0}, 64.141, 0.005, 0.1092, 0.0014, 0.0, 0.072),
-    ("viscous", {}, 64.074, 0.015, 0.0549, 0.0002, 0.0, 1.60),
+    pytest.param(
+        *("viscous", {}, 64.074, 0.015, 0.0549, 0.0002, 0.0, 1.60), marks=pytest.mark.full
+    ),
     ("coulomb", {"start": 18.334, "end": 27.5}, 64.042, 0.0, 0.0516, 0.0, 0.014, 0.017),
     ("coulomb", {"start": 45.835, "end": 55.0}, 64.146, 0.0, 0.053, 0.0, 0.112, 0.037),
 ]
@@ -116,7 +118,7 @@ RECORDED = [
     # largest relative difference (a short window at small amplitude)
     ("free_swing_furuta_01.csv", 0.544, 3.4, 5.0, 120.0, 8e-3),
     ("free_swing_furuta_03.csv", 0.286, 3.4, 5.0, 120.0, 8e-3),
-    ("gyro_wheel.csv", 0.0, 1.1, 5.0, 19.38, 3e-3),
+    pytest.param("gyro_wheel.csv", 0.0, 1.1, 5.0, 19.38, 3e-3, marks=pytest.mark.full),
     ("free_swing_arm_55s.csv", 0.0, 51.0, 4.0, 64.07, 3e-3),
 ]
 
@@ -290,6 +292,7 @@ def spring(amplitude=0.55):
     return Trajectory(time=time, theta=theta, resolution=radians(0.001))
 
 
+@pytest.mark.full
 def test_a_richer_friction_is_never_worse_for_any_oscillator():
     rng, swings = np.random.default_rng(44), [spring(), spring(1.5)]
     for seed in range(8):
@@ -319,6 +322,7 @@ WRONG_UNITS = {
 
 @pytest.mark.parametrize(("factor", "said"), WRONG_UNITS.values(), ids=WRONG_UNITS)
 @pytest.mark.parametrize("amplitude", [0.6, 1.5])
+@pytest.mark.full
 def test_counts_per_revolution_that_are_off_are_suspected_by_the_period(factor, said, amplitude):
     swing = simulated(theta0=amplitude, noise=1e-4, duration=8.0)
     wrong = replace(swing, theta=factor * swing.theta, sha256="")
@@ -326,6 +330,7 @@ def test_counts_per_revolution_that_are_off_are_suspected_by_the_period(factor, 
 
 
 @pytest.mark.parametrize("amplitude", [0.5, 1.0, 2.4])
+@pytest.mark.full
 def test_deg_per_s_taken_for_rad_per_s_are_suspected_by_the_period(amplitude):
     rng, time = np.random.default_rng(2), np.arange(0.0, 8.0, 0.005)
     _, rate = reference.swing(time, amplitude, 0.0, w2=70.2, c=0.15)

@@ -68,10 +68,10 @@ def same(progress, other):
 @pytest.mark.parametrize(
     ("recipe", "overrides"),
     [
-        ("robust", ["learning.episode_duration=0.4"]),
+        pytest.param("robust", ["learning.episode_duration=0.4"], marks=pytest.mark.full),
         ("robust", ["learning.epsilon_initial=0.5", "learning.mirrored=false"]),
         ("paper", ["learning.episode_duration=0.6"]),
-        ("paper", ["learning.reward=alive"]),
+        pytest.param("paper", ["learning.reward=alive"], marks=pytest.mark.full),
         (
             "paper",
             ["learning.mirrored=true", "plant.inertia_sigma=0.1", "learning.episode_duration=1"],

@@ -59,7 +59,12 @@ def learned(algorithm, updates, seed=0):
 
 @pytest.mark.compiled_only
 @pytest.mark.parametrize(
-    ("name", "updates"), [("q_learning", 60_000), ("watkins", 10_000), ("double_q", 60_000)]
+    ("name", "updates"),
+    [
+        ("q_learning", 60_000),
+        pytest.param("watkins", 10_000, marks=pytest.mark.full),
+        pytest.param("double_q", 60_000, marks=pytest.mark.full),
+    ],
 )
 def test_algorithms_of_the_best_policy_find_its_values(example, name, updates):
     # The best policy never falls: Q* is 0 but for the step into the fall, -1, and each way is seen.
@@ -74,6 +79,7 @@ def test_algorithms_of_the_best_policy_find_its_values(example, name, updates):
 
 
 @pytest.mark.compiled_only
+@pytest.mark.full
 def test_expected_sarsa_finds_the_values_of_the_policy_that_explores(example):
     # Against the closed form of its own last policy: Q = (1 - gamma P)^-1 r, with P by its greedy
     # action and epsilon. Exploration falls off the edge in 6 % of the steps beside it.
@@ -198,6 +204,7 @@ def trained(policy, settings, **changes):
 
 
 @pytest.mark.compiled_only
+@pytest.mark.full
 def test_a_guest_that_does_what_ours_does_gives_our_bits(guest, small_policy, quick_settings):
     made = trained(
         small_policy,
@@ -252,7 +259,10 @@ def test_a_function_that_cannot_be_compiled_is_named_with_its_line(guest, name, 
 
 
 @pytest.mark.compiled_only
-@pytest.mark.parametrize(("name", "error"), [("late", "ValueError"), ("wild", "IndexError")])
+@pytest.mark.parametrize(
+    ("name", "error"),
+    [("late", "ValueError"), pytest.param("wild", "IndexError", marks=pytest.mark.full)],
+)
 def test_an_error_of_compiled_code_ends_the_training(
     guest, small_policy, quick_settings, capfd, name, error
 ):

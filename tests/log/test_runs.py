@@ -21,6 +21,7 @@ def table(path):
     return header, rows
 
 
+@pytest.mark.full
 def test_the_balancing_of_a_rig_is_a_run_log(rig_log):
     log, whole = load_run(rig_log), RunLog.load(rig_log, damaged=True)
     assert log.survival == pytest.approx(1.5)

@@ -108,6 +108,7 @@ DELAY = {"value": 0.083, "limit": 0.070}
 
 
 @pytest.mark.parametrize("outcome", [Outcome.ENCODER_STALE, Outcome.LINK, Outcome.LINK_LOST])
+@pytest.mark.full
 def test_a_late_loop_explains_a_late_device_and_a_punctual_one_does_not(rig_log, outcome):
     whole = RunLog.load(rig_log)
     end = RunEnd(outcome=outcome, evidence=DELAY | {"text": "no reply"})

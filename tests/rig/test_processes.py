@@ -276,7 +276,7 @@ def lives(pid):
 @pytest.mark.parametrize(
     ("loop", "kind", "saying"),
     [
-        (waiting, LinkError, "the encoder is gone"),
+        pytest.param(waiting, LinkError, "the encoder is gone", marks=pytest.mark.full),
         pytest.param(
             breaking,
             OutsideError,

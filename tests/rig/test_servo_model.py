@@ -47,6 +47,7 @@ def steady_lag(settings, speed, settled=0.5):
 
 @pytest.mark.compiled_only
 @pytest.mark.parametrize(("cycle", "lag"), [(0.001, 0.004), (0.002, 0.016), (0.004, 0.008)])
+@pytest.mark.full
 def test_the_lag_on_a_ramp_is_that_of_the_server(cycle, lag):
     settings = AT_ONCE.model_copy(update={"cycle": cycle, "lag": lag})
     for speed, expected in TABLE.items():
