@@ -131,7 +131,7 @@ def test_the_comparison_states_the_paper_and_both_recipes(plain):
     [
         ({"quick": True}, "Quick run"),
         ({"missing": "no OpenGL"}, "no OpenGL"),
-        ({"survival": 20.0, "cause": Outcome.TRACK}, "survived 20 s of at most 60 s"),
+        ({"survival": 20.0, "cause": Outcome.TRACK}, "survived 20 s of 60 s"),
         ({"warnings": ["friction is odd"]}, "friction is odd"),
     ],
 )
