@@ -19,6 +19,7 @@ from equipoise.robots.kst.codec import (
     expect_numbers,
     java_double,
     java_number,
+    numbers_reply,
     setpoint,
     split_lines,
     tokens,
@@ -118,6 +119,7 @@ def test_what_the_server_may_not_say_is_a_link_error(line):
 @pytest.mark.parametrize(("value", "text"), JAVA.items())
 def test_numbers_are_written_as_java_writes_them(value, text):
     assert java_number(value) == text
+    assert numbers_reply((value, 1.5)) == f"{text}_1.5_\n".encode()
 
 
 @given(st.lists(FLOATS, min_size=50, max_size=50))
