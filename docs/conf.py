@@ -71,7 +71,6 @@ CONTENTS = {
         "/docs/how-to/bring-a-robot",
         "/docs/how-to/bring-an-arm",
         "/docs/how-to/bring-a-world",
-        "/docs/how-to/sweep",
         "/docs/how-to/coppeliasim",
         "/firmware/README",
     ],
