@@ -21,7 +21,7 @@ from equipoise.executors import available_cores, completed
 from equipoise.model.grid import TRUNCATED
 from equipoise.model.random import TEST
 from equipoise.settings import changed
-from equipoise.simulation import Recorder, run_trial, setup_of, simulate
+from equipoise.simulation import TrialRecorder, run_trial, setup_of, simulate
 from equipoise.simulation.evaluation import Summary, exact_interval
 
 PUSH = radians(60.0)
@@ -75,7 +75,7 @@ def tested(summaries: list[Summary]) -> dict[str, Any]:
     }
 
 
-class Push(Recorder):
+class Push(TrialRecorder):
     """Push of the pendulum at a time of a trial, in place of a recording."""
 
     def __init__(self, rate: float) -> None:

@@ -13,7 +13,7 @@ from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, OutsideError
 from equipoise.model.random import TEST
 from equipoise.settings import resolve
-from equipoise.simulation import Recorder, run_trial, setup_of, simulate
+from equipoise.simulation import TrialRecorder, run_trial, setup_of, simulate
 from equipoise.simulation.evaluation import evaluate
 
 WORLDS = ("ideal", "model", "twin:nominal")
@@ -65,7 +65,7 @@ def test_a_table_in_the_environment_gives_the_trial_of_evaluate_bit_for_bit(worl
     simulation = simulate(world, setup, seed=SEED, stream=TEST)
     env = make(world, max_episode_steps=150, **of(policy) | {"settings": settings})
     for i in range(3):
-        recorder = Recorder()
+        recorder = TrialRecorder()
         run_trial(simulation.loop(), policy, simulation.draw(3).trial(i), 1.5, recorder)
         rows = recorder.rows
         observation, info = env.reset(options={"trial": i, "seed": SEED})

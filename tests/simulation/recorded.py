@@ -5,7 +5,7 @@ from equipoise.model.actuator import IDEAL_ACTUATOR
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.random import TEST
 from equipoise.settings import Settings
-from equipoise.simulation import Recorder, Setup, run_trial
+from equipoise.simulation import Setup, TrialRecorder, run_trial
 from equipoise.simulation.ideal import PlantSimulation
 
 
@@ -26,6 +26,6 @@ def run_all(simulation, kernel, trials, duration, workers=1, done=lambda rows: N
 
 def record(simulation, policy, trial, duration):
     """Run a trial from Python; return steps, cause and sum of x^2, and the record."""
-    recorder = Recorder()
+    recorder = TrialRecorder()
     result = run_trial(simulation.loop(), policy, trial, duration, recorder)
     return result, recorder.rows

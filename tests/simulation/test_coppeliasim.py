@@ -20,7 +20,7 @@ from equipoise.control.policy import KernelPolicy, TabularPolicy, shipped_policy
 from equipoise.coppeliasim.rig import FORGOTTEN, Connection, CoppeliaRig
 from equipoise.errors import InputError, LinkError, MissingExtraError, OutsideError, SettingsError
 from equipoise.model.grid import TRUNCATED
-from equipoise.simulation import Recorder, run_trial, setup_of, simulate
+from equipoise.simulation import TrialRecorder, run_trial, setup_of, simulate
 from equipoise.testing import WorldConformance
 from tests.arm.witnesses import ELBOW, ELBOW_HOME
 from tests.coppeliasim_server import RUNNING, CoppeliaSimServer, Scene
@@ -49,7 +49,7 @@ def rig_at(server, arm=POLICY.arm):
 
 def record(world, seconds):
     simulation, _ = world_of(world)
-    loop, recorder = simulation.loop(), Recorder()
+    loop, recorder = simulation.loop(), TrialRecorder()
     policy, trial = KernelPolicy(POLICY.kernel), simulation.draw(1).trial(0)
     return run_trial(loop, policy, trial, seconds, recorder), recorder.rows
 

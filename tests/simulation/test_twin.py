@@ -28,7 +28,7 @@ from equipoise.rig.simulate import simulate_run
 from equipoise.safety.rules import TRACK_LIMIT
 from equipoise.safety.stop import ramp
 from equipoise.settings import Settings
-from equipoise.simulation import Recorder, Setup, Trial, run_trial
+from equipoise.simulation import Setup, Trial, TrialRecorder, run_trial
 from equipoise.simulation.plant import DomainRandomization
 from equipoise.simulation.trials import draw_trials
 from equipoise.simulation.twin.twin import Twin
@@ -148,7 +148,7 @@ def test_a_recorded_trial_is_the_loop_as_python_writes_it():
 
 def run_until_the_guard(policy, simulation, number=0):
     """Return the closed loop after a trial, its cause and its record."""
-    loop, recorder = simulation.loop(), Recorder()
+    loop, recorder = simulation.loop(), TrialRecorder()
     _, cause, _ = run_trial(loop, KernelPolicy(policy), TRIALS[number], 5.0, recorder)
     return loop, cause, recorder.rows
 

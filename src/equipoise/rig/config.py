@@ -62,7 +62,7 @@ class RigSettings(Value):
     """Pivot of the pendulum in the flange frame [mm]; by default the arm's own. On an iiwa, x is
     minus the distance from the axis of A7, and z the height of a media flange: 0, 35 or 61."""
     load_kg: float | None = Field(default=None, ge=0.01, le=20.0)
-    """Mass of pendulum and holder [kg], for a robot that is told it before a motion; by default its
+    """Mass of pendulum and holder [kg], for a robot that needs it before a motion; by default its
     own number stays in force. On a KUKA it is a tool in Sunrise.Workbench."""
     load_mm: tuple[Millimetres, Millimetres, Millimetres] | None = None
     """Their centre of mass in the flange frame [mm]; by default half way to the pivot."""

@@ -48,7 +48,7 @@ class Session(NamedTuple):
     """To be called about once a second while `connect` waits for the operator. An exception that
     it raises ends the wait."""
     load: Load | None = None
-    """Load on the flange, for a robot that is told it by this computer; None if it is unknown."""
+    """Load on the flange, for a robot that needs it from this computer; None if it is unknown."""
 
 
 class Emulated(NamedTuple):

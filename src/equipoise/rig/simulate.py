@@ -38,7 +38,7 @@ from equipoise.model.worlds import (
 )
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import Settings
-from equipoise.simulation import Recorder, run_trial, setup_of, simulate
+from equipoise.simulation import TrialRecorder, run_trial, setup_of, simulate
 
 
 @checked
@@ -74,7 +74,7 @@ def simulate_run(
     duration = settings.evaluation.duration if duration is None else duration
     simulation = simulate(world, setup, seed=seed, stream=DEPLOYMENT)
     trial, loop = simulation.draw(1).trial(0), simulation.loop()
-    recorder, twin = Recorder(), simulation.twin
+    recorder, twin = TrialRecorder(), simulation.twin
     _, cause, _ = run_trial(loop, policy, trial, duration, recorder)
     rows = recorder.rows
     time = np.arange(len(rows.u), dtype=np.float64) * h

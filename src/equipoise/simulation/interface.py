@@ -198,7 +198,7 @@ def run_trial(
     policy: Policy,
     trial: Trial,
     duration: float,
-    record: "Recorder | None" = None,
+    record: "TrialRecorder | None" = None,
     done: Done = lambda _: None,
 ) -> tuple[int, int, float]:
     """Run one trial of a policy from Python.
@@ -260,7 +260,7 @@ class TrialRecord(NamedTuple):
     """Tracked acceleration u' over the tick [m/s^2], shape (n,)."""
 
 
-class Recorder:
+class TrialRecorder:
     """Recorder of a `TrialRecord`."""
 
     def __init__(self) -> None:
