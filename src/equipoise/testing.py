@@ -15,6 +15,7 @@ hold for hardware as well: the first joint moves by 0.05 rad, at up to 0.16 rad/
 
 from collections.abc import Callable, Container, Iterable
 from contextlib import ExitStack, suppress
+from functools import partial
 from itertools import count
 from math import nan, pi
 from typing import Any, Final, NamedTuple
@@ -321,6 +322,9 @@ class RobotConformance:
             assert_raises(LinkError, call)
 
 
+_assert_near = partial(assert_allclose, rtol=0.0, equal_nan=False)
+
+
 def _measured_on_the_way(reply: Reply, track: list[tuple[float, Array]]) -> None:
     """Fail a test unless the arm was at the joints of a reply when it was measured."""
     recent = [q for time, q in track if reply.sent - MAX_AGE <= time <= reply.received]
@@ -379,9 +383,9 @@ class WorldConformance:
     def test_a_release_leaves_the_arm_at_rest_at_home_and_the_pendulum_as_drawn(self) -> None:
         loop, simulation, setup = self.released()
         start, state = simulation.draw(1, first=3).start[0], loop.state()
-        assert_allclose(state[:3], start[:3], rtol=0.0, atol=2e-3)
-        assert_allclose(state[3], start[3], rtol=0.0, atol=0.05)
-        assert_allclose(loop.joints(), setup.arm.home, rtol=0.0, atol=2e-3)
+        _assert_near(state[:3], start[:3], atol=2e-3)
+        _assert_near(state[3], start[3], atol=0.05)
+        _assert_near(loop.joints(), setup.arm.home, atol=2e-3)
         assert loop.now == 0.0
 
     def test_the_controller_observes_what_is_true(self) -> None:
@@ -389,14 +393,12 @@ class WorldConformance:
         for _ in range(5):
             loop.step(0.0)
         measured = loop.measurement()
-        assert_allclose(predicted(loop), loop.state(), rtol=0.0, atol=0.2)
+        _assert_near(predicted(loop), loop.state(), atol=0.2)
         assert (measured is not None) == self.ENCODER
         if measured is not None:
-            assert_allclose(
-                measured.q, np.array(loop.joints())[list(setup.arm.free)], rtol=0.0, atol=2e-3
-            )
+            _assert_near(measured.q, np.array(loop.joints())[list(setup.arm.free)], atol=2e-3)
             shown = pi - measured.counts * loop.params.resolution - (loop.zero or 0.0)
-            assert_allclose(shown, loop.state()[2], rtol=0.0, atol=0.02)
+            _assert_near(shown, loop.state()[2], atol=0.02)
             assert measured.counted_at <= loop.now + 1e-3, "a count comes from the future"
             assert measured.measured_at <= loop.now, "a measurement comes from the future"
 

@@ -353,8 +353,8 @@ def _choose(log: Log, fits: Mapping[Kind, JointFit]) -> JointFit:
     """Return the fit of the kind that explains a log.
 
     Drives have inertia, so a servo is chosen where it leaves less than `ideal`, beyond chance: by
-    2.5 standard errors over blocks of time. The log cannot
-    distinguish a lag that leaves as little as the servo: only the servo's intervals hold both.
+    2.5 standard errors over blocks of time. The log cannot distinguish a lag that leaves as little
+    as the servo: only the servo's intervals hold both.
     """
     best, block = next(iter(fits.values())), blocks_of_time(log.time, BLOCKS)
     for richer in (fits[kind] for kind in (*LAWS, "lag") if kind in fits):

@@ -1,11 +1,11 @@
 """Counter-based random numbers for kernels: equal key and counter give equal bits.
 
 Philox 4x32-10 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", 2011). The generator
-has no state: every episode of every algorithm can be replayed alone, and results do not depend on
-the number of workers. Key and counter identify each draw::
+has no state: every episode can be replayed alone, and results do not depend on the number of
+workers. Key and counter identify each draw::
 
     key      seed (64 bits)
-    counter  step, index (episode or trial), algorithm, stream
+    counter  step, index (episode or trial), part (such as a joint), stream
 """
 
 from math import pi, sqrt
@@ -37,11 +37,11 @@ TWIN: Final = 20
 
 
 @inlined
-def philox(seed: int, step: int, index: int, algorithm: int, stream: int) -> Words:
+def philox(seed: int, step: int, index: int, part: int, stream: int) -> Words:
     """Return four random words of 32 bits."""
     # Compiled code with 64-bit wrap-around and Python's long integers give the same result.
     c0, c1 = int(step) & MASK, int(index) & MASK
-    c2, c3 = int(algorithm) & MASK, int(stream) & MASK
+    c2, c3 = int(part) & MASK, int(stream) & MASK
     k0, k1 = int(seed) & MASK, (int(seed) >> 32) & MASK
     for _ in range(10):
         product0 = 0xD2511F53 * c0
