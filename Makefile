@@ -44,11 +44,11 @@ test:  ## the tests of every day, in three minutes
 	$(PYTHON) -m pytest -n 2
 
 full:  ## the rest of them: peers, notebooks, long runs, the package of the FR3
-	$(PYTHON) -m pytest -n 2 -m 'full and not slow'
+	$(PYTHON) -m pytest -n 2 -m 'full and not slow and not real_time'
 	$(PYTHON) -m pytest -n 2 -m 'not slow' $(PLUGINS)
+	$(PYTHON) -m pytest -m real_time tests/faults
 
 test-all: test full  ## every test but the full statistics
-
 
 slow:  ## the full statistics
 	$(PYTHON) -m pytest -m slow

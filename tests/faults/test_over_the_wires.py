@@ -17,14 +17,28 @@ HAND = (("button", "press"), ("Lift the pendulum", "lift"), ("Armed", "release")
 
 
 @pytest.mark.full
+@pytest.mark.real_time
 @pytest.mark.compiled_only
 def test_a_policy_balances_over_the_wires_of_the_emulated_rig(tmp_path):
     balances(tmp_path, "iiwa7", "--port", "0")
 
 
 def balances(tmp_path, arm, *words):
-    """Balance with the shipped policy on an arm over the wires of an emulated rig."""
-    policy, log = tmp_path / "policy.json", tmp_path / "run.mcap"
+    """Balance with the shipped policy on an arm over the wires of an emulated rig.
+
+    A shared machine may take the processor away for longer than a run tolerates: such a run is
+    tried again, twice.
+    """
+    for attempt in range(3):
+        run, lines = balance(tmp_path / f"run{attempt}.mcap", arm, *words)
+        if run.end.outcome is not Outcome.STALLS:
+            break
+    assert run.end.outcome is Outcome.SURVIVED, "\n".join(lines)
+
+
+def balance(log, arm, *words):
+    """Return the log of a run of 3 s, and the lines that it prints."""
+    policy = log.with_suffix(".json")
     described = RigSettings(arm=arm).described_arm
     shipped_policy().model_copy(update={"arm": described}).save(policy)
     with program("rig", "emulate", "--arm", arm, *words, "--seed", "3") as rig:
@@ -45,4 +59,4 @@ def balances(tmp_path, arm, *words):
                 return run.process.poll() is not None
 
             wait_until(over, "end of the run", 2.0 * LONGEST)
-    assert RunLog.load(log).end.outcome is Outcome.SURVIVED, "\n".join(run.lines)
+    return RunLog.load(log), run.lines

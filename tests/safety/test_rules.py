@@ -178,7 +178,7 @@ BOUNDS = [
     (Outcome.TRACK, {"x": 0.217}, {"x": 0.219}),
     (Outcome.TRACK, {"x": 0.215, "x_dot": -0.5}, {"x": 0.22, "x_dot": -0.5}),
     (Outcome.TRACK, {"x": -0.215, "x_dot": 0.5}, {"x": -0.22, "x_dot": 0.5}),
-    (Outcome.TRACK, {"x": 0.16, "x_dot": 0.5}, {"x": 0.17, "x_dot": 0.5}),
+    (Outcome.TRACK, {"x": 0.155, "x_dot": 0.5}, {"x": 0.157, "x_dot": 0.5}),
     (Outcome.DRIFT, {"drift": 0.0149}, {"drift": 0.0151}),
     (Outcome.TILT, {"tilt": radians(1.99)}, {"tilt": radians(2.01)}),
     (Outcome.TILT, {"tilt": -radians(1.99)}, {"tilt": -radians(2.01)}),
@@ -341,10 +341,10 @@ def test_a_following_error_needs_measured_joints_to_be_named():
 @settings(max_examples=50)
 @given(st.floats(-0.22, 0.22), st.floats(-1.0, 1.0), st.floats(0.0, 0.08))
 def test_the_reach_is_where_a_simulated_stop_ends(u_max, x, x_dot, reaction):
-    # Outwards at full command until the stop takes effect, then at 4 m/s^2 to rest; by steps.
+    # Outwards at full command for a tick and until the stop takes effect, then at 4 m/s^2 to rest.
     s = 1.0 if x_dot > 0.0 or (x_dot == 0.0 and x >= 0.0) else -1.0
     place, v, h = s * x, abs(x_dot), 1e-3
-    left = reaction
+    left = H + reaction
     while left > 1e-12:
         dt = min(h, left)
         place += v * dt + 0.5 * u_max * dt**2
@@ -354,7 +354,8 @@ def test_the_reach_is_where_a_simulated_stop_ends(u_max, x, x_dot, reaction):
         dt = min(h, v / 4.0)
         place += v * dt - 2.0 * dt**2
         v -= 4.0 * dt
-    assert stopping_reach(x, x_dot, reaction, u_max) == pytest.approx(place, abs=1e-9)
+    limits = GUARD._replace(reaction=reaction, u_max=u_max)
+    assert stopping_reach(limits, x, x_dot) == pytest.approx(place, abs=1e-9)
 
 
 def test_the_setpoint_in_force_is_the_newest_that_was_sent_by_then():

@@ -155,7 +155,7 @@ class SafetyParams(NamedTuple):
     torque: Numbers
     """Maximum change of the external torque from that at rest [N m], per joint."""
     reaction: float
-    """Reaction time T of the track rule: transport delay and response time of the arm [s]."""
+    """Reaction time of the arm: transport delay and response time [s]."""
     u_max: float
     """Largest acceleration that the policy commands [m/s^2]."""
     min_manipulability: float
@@ -392,7 +392,7 @@ def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs
             params, x, x_dot, inputs.drift, inputs.tilt, inputs.manipulability
         )
         if code != NO_VIOLATION:
-            reach = stopping_reach(x, x_dot, params.reaction, params.u_max)
+            reach = stopping_reach(params, x, x_dot)
             evidence = {"x": x, "x_dot": x_dot, "reach": reach}
             broken.append(_violation(SAFETY_RULES[code], value, limit, **evidence))
     if inputs.balancing and has_fallen(inputs.phi):
@@ -458,7 +458,7 @@ def broken_flange(
     """
     if manipulability < params.min_manipulability:
         return SINGULAR_CODE, manipulability, params.min_manipulability
-    reach = stopping_reach(x, x_dot, params.reaction, params.u_max)
+    reach = stopping_reach(params, x, x_dot)
     # Written so that NaN breaks the rule.
     if not (reach < TRACK_LIMIT and abs(x) < TRACK_LIMIT):
         return TRACK_CODE, max(reach, abs(x)), TRACK_LIMIT
@@ -472,23 +472,23 @@ def broken_flange(
 
 
 @compilable
-def stopping_reach(x: float, x_dot: float, reaction: float, u_max: float) -> float:
-    r"""Return the distance from home at which the flange comes to rest after a stop now [m].
+def stopping_reach(params: SafetyParams, x: float, x_dot: float) -> float:
+    r"""Return the distance from home at which the flange rests after a stop at the next tick [m].
 
     .. math:: s x + |\dot x| T + \tfrac12 u_{max} T^2 + \frac{(|\dot x| + u_{max} T)^2}{2 \cdot 4},
               \qquad s = \mathrm{sign}\,\dot x
 
     Until the stop takes effect, T from now, the command in flight may accelerate the flange
-    outwards; then it slows down at 4 m/s^2. Negative where it moves inwards from the other end.
+    outwards; then it slows down at 4 m/s^2. T is a tick, since the next check comes after one, and
+    the reaction time of the arm. Negative where it moves inwards from the other end.
 
     Args:
+        params: Safety limits of the rig.
         x: Displacement from home along base x [m].
         x_dot: Its velocity [m/s]; at rest the outward side counts.
-        reaction: T, transport delay and lag of the arm [s].
-        u_max: Largest acceleration commanded [m/s^2].
     """
     s = copysign(1.0, x_dot if x_dot != 0.0 else x)
-    speed, T = abs(x_dot), reaction
+    speed, T, u_max = abs(x_dot), params.h + params.reaction, params.u_max
     gained = speed * T + 0.5 * u_max * T**2
     return s * x + gained + (speed + u_max * T) ** 2 / (2.0 * STOP_DECELERATION)
 
