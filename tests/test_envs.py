@@ -102,6 +102,24 @@ def test_a_time_limit_truncates_and_a_failure_terminates():
         env.step(np.array([0.0]))
 
 
+def test_an_agent_swings_a_hanging_pendulum_up():
+    env = make("model", settings=resolve(overrides=["evaluation.start=hanging"]))
+    observation, info = env.reset(seed=3)
+    assert abs(info["state"][2]) > 3.0
+    loop = env.unwrapped._loop
+    agent = env.unwrapped.simulation.acting(shipped_policy(), loop)
+    agent.reset()
+    for _ in range(1500):
+        observation, _, terminated, _, info = env.step(np.array([agent.act(observation)]))
+        assert not terminated, info
+        if loop.balancing:
+            break
+    assert agent.balancing
+    while not terminated:
+        _, _, terminated, _, info = env.step(np.array([2.0]))
+    assert info["outcome"] == "angle"
+
+
 def test_a_reward_of_ones_own_sees_the_step():
     seen = []
 

@@ -112,6 +112,7 @@ RUN = (
     "docs/index.md",
     "docs/tutorial.md",
     "docs/how-to/digital-twin.md",
+    "docs/how-to/swing-up.md",
     "docs/how-to/encoder.md",
     "docs/how-to/first-run.md",
     "docs/how-to/franka.md",

@@ -37,6 +37,8 @@ from equipoise.user_code import user_code
 Reward = Callable[[Observation, float, Observation, bool], float]
 """Reward of a step: `reward(state, u, next_state, failed)`; the states are predicted ones."""
 
+UPRIGHT_TIME: Final = 1.0
+"""Time within the failure angle after which a pendulum that was swung up may fail [s]."""
 ID: Final = "equipoise/Balance-v0"
 """Name of the environment for `gymnasium.make`."""
 
@@ -83,10 +85,14 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
     `reset(seed=s)` begins with episode 0 of seed s, each further `reset()` is the next episode.
     `reset(options={"trial": i, "seed": s})` replays trial i of `evaluate(..., seed=s)`.
 
+    With `evaluation.start = "hanging"` in `settings` the pendulum hangs, and swings by so much; the
+    agent swings it up. `equipoise.control.swing_up.SwingUpPolicy` is a policy that can.
+
     ## Episode End
 
     1. Termination: abs(phi) reaches 11 degrees, abs(x) reaches 0.22 m, a command exceeds a limit of
-       a joint, or in a world with guards a rule of the rig stops the run.
+       a joint, or in a world with guards a rule of the rig stops the run. After a hanging start
+       the limit of phi applies once the pendulum has stayed within it for 1 s.
     2. Truncation: `gymnasium.make` limits an episode to 6000 steps, 60 s, or to its
        `max_episode_steps`.
 
@@ -161,7 +167,7 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
         self.action_space: gym.Space[Any] = spaces.Box(-paper.U_MAX, paper.U_MAX, (1,), np.float64)
         if discrete:
             self.action_space = spaces.Discrete(len(paper.ACTIONS))
-        self._seed, self._number, self._u = -1, 0, 0.0
+        self._seed, self._number, self._u, self._within = -1, 0, 0.0, 0
         self._state: Observation | None = None
         self.simulation = simulate(world, self.task, seed=0, stream=ENVIRONMENT)
         self._loop = self.simulation.loop()
@@ -182,6 +188,7 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
             self._number = -1
         self._number += 1
         self._loop.reset(self._trial(options or {}))
+        self._within = 0
         self._u, self._state = 0.0, Observation(*predicted(self._loop).tolist())
         return predicted(self._loop), self._info("")
 
@@ -205,6 +212,10 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
             raise InputError(f"the action is {quoted(action)}; expected one of {self.action_space}")
         u = min(max(u, -paper.U_MAX), paper.U_MAX)
         cause, self._u = self._loop.step(u), u
+        if not self._loop.balancing:
+            within = abs(float(self._loop.state()[2])) < paper.PHI_LIMIT
+            self._within = self._within + 1 if within else 0
+            self._loop.balancing = self._within * self._loop.params.h >= UPRIGHT_TIME
         failed, after = cause != TRUNCATED, Observation(*predicted(self._loop).tolist())
         with user_code("the reward"):
             reward = float(self.reward(self._state, u, after, failed))

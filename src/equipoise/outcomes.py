@@ -147,6 +147,11 @@ class Outcome(EndCause):
 
     SURVIVED = "survived", CONTINUE, "the pendulum stayed up for {duration:g} s: catch it"
     JOINT_LIMIT = "joint limit", RELAX, "the policy asks for more than a joint can do"
+    NOT_UPRIGHT = (
+        "not upright",
+        "evaluate with --start hanging; identify pendulum and arm again",
+        "the swing-up did not bring the pendulum upright within {value:g} s",
+    )
 
     NUMBER = "not a number", REPORT, "{name} is {got}, expected a finite number"
     COUNT = (
@@ -335,7 +340,7 @@ SYMPTOMS: Final = frozenset(
 )
 """Ends that name a symptom: causes that the measurements show explain them better."""
 TRIAL_OUTCOMES: Final = (
-    *(Outcome.SURVIVED, Outcome.ANGLE, Outcome.TRACK, Outcome.JOINT_LIMIT),
+    *(Outcome.SURVIVED, Outcome.ANGLE, Outcome.TRACK, Outcome.JOINT_LIMIT, Outcome.NOT_UPRIGHT),
     *SAFETY_RULES,
 )
 """Outcomes of a trial by the code that kernels return (`equipoise.model.grid`)."""

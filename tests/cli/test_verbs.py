@@ -59,6 +59,17 @@ def test_train_writes_a_policy_and_marks_one_that_misses_the_target(
     assert equipoise("train", *SHORT, "--target=0", "--force").code == 0
 
 
+def test_a_hanging_pendulum_is_swung_up(equipoise, tmp_path):
+    few = ("--start=hanging", "--world=model", "--duration=1", "--json")
+    ran = equipoise("evaluate", "--trials=2", "--no-baselines", *few).json
+    assert (ran["survived"], ran["upright_max_s"] > 2.0) == (2, True)
+    ran = equipoise("deploy", *few, "--out=run.mcap").json
+    assert (ran["outcome"], ran["survival_s"]) == ("survived", 1.0)
+    found = equipoise("log", "explain", "run.mcap", "--json").json
+    assert found["survival_s"] == 1.0
+    assert found["phi_deg"]["largest"] < 11.0
+
+
 def test_evaluate_compares_with_baselines(equipoise, policy_file, tmp_path):
     ran = equipoise("evaluate", policy_file, *FEW, "--json", "--out=evaluation.json")
     evaluation = Evaluation.load(tmp_path / "evaluation.json")

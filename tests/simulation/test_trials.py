@@ -11,7 +11,7 @@ from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import RANDOM, PolicyKernel
 from equipoise.elementary import BATCH_SIZE
 from equipoise.model.actuator import Actuator
-from equipoise.model.grid import TRACK, TRUNCATED
+from equipoise.model.grid import ANGLE, TRACK, TRUNCATED
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
@@ -164,8 +164,10 @@ def test_a_limit_is_a_failure_and_what_is_just_within_is_not(plant, sign):
     for max_speed, expected in ((x_dot, Outcome.SPEED), (nextafter(x_dot, inf), "survived")):
         strict = plant._replace(max_speed=max_speed)
         assert placed(strict, x=sign * 0.1, x_dot=sign * 0.2)[2] == expected
-    assert failure(sign * 0.22, 0.0, 0.0, False, inf) == TRACK
-    assert failure(nextafter(sign * 0.22, 0.0), 0.0, 0.0, False, inf) == TRUNCATED
+    assert failure(sign * 0.22, 0.0, 0.0, False, inf, 0.1) == TRACK
+    assert failure(nextafter(sign * 0.22, 0.0), 0.0, 0.0, False, inf, 0.1) == TRUNCATED
+    assert failure(0.0, 0.0, sign * 0.1, False, inf, 0.1) == ANGLE
+    assert failure(0.0, 0.0, sign * 3.0, False, inf, inf) == TRUNCATED
 
 
 def test_an_angle_is_told_before_the_track_the_track_before_a_joint_and_that_before_a_speed(plant):

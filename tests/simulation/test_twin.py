@@ -149,7 +149,7 @@ def test_a_recorded_trial_is_the_loop_as_python_writes_it():
 def run_until_the_guard(policy, simulation, number=0):
     """Return the closed loop after a trial, its cause and its record."""
     loop, recorder = simulation.loop(), TrialRecorder()
-    _, cause, _ = run_trial(loop, KernelPolicy(policy), TRIALS[number], 5.0, recorder)
+    cause = run_trial(loop, KernelPolicy(policy), TRIALS[number], 5.0, recorder).cause
     return loop, cause, recorder.rows
 
 

@@ -6,7 +6,7 @@ run, an emulated rig and a real rig.
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -15,6 +15,7 @@ from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
 from equipoise.errors import InputError
+from equipoise.settings import changed
 from equipoise.user_code import user_code
 
 
@@ -27,6 +28,8 @@ class Run(Options):
     """Duration [s]; by default 60, or 10 with --excite."""
     seed: opt.Seed = 0
     """Seed of the simulation."""
+    start: Literal["hand", "hanging"] = "hand"
+    """hand: released by a hand; hanging: the simulated arm swings it up."""
     excite: bool = False
     """Move every joint about home instead, the pendulum hanging."""
 
@@ -84,6 +87,7 @@ def deploy(
         with output.busy("moving the arm"):
             log = eq.excite(arm, pendulum=task.pendulum, duration=length, world=world, seed=seed)
         code, then, inputs = 0, command("identify", out), dict[str, str]()
+        survival = log.survival
     else:
         loaded, actuator = task.read(policy), task.actuator
         setup_of(loaded, world, actuator=actuator)
@@ -91,14 +95,20 @@ def deploy(
         output.warn(loaded.shortfall)
         with output.busy("running"):
             log = eq.simulate_run(
-                loaded, world=world, actuator=actuator, duration=run.duration, seed=seed
+                loaded,
+                world=world,
+                actuator=actuator,
+                duration=run.duration,
+                seed=seed,
+                settings=changed(loaded.settings, {"evaluation.start": run.start}),
             )
         code, then = int(log.outcome != Outcome.SURVIVED), command("log explain", out)
         inputs = {"policy": log.conditions.policy}
+        survival = log.end.survival if log.end is not None else log.survival
     log.save(out, command="deploy", inputs=inputs)
     output.result(
         outcome=log.outcome,
-        survival_s=log.survival,
+        survival_s=survival,
         run=out,
         world=log.conditions.world,
         code=code,
@@ -128,8 +138,10 @@ def _run_on_rig(
     from equipoise.rig.request import RunRequest
     from equipoise.rig.run import run_virtually
 
-    if run.world != Run().world:
-        raise InputError("--world is for a simulated run; leave it out, or leave out the rig")
+    if run.world != Run().world or run.start != Run().start:
+        raise InputError(
+            "--world and --start are for a simulated run; leave them out, or leave out the rig"
+        )
     settings = read_rig(rig.rig)
     if task.arm is not None:
         of_the_arm: dict[str, object] = {"arm": task.arm}

@@ -2,7 +2,7 @@
 
 from math import ceil, log
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -23,6 +23,8 @@ class Trials(Options):
     world: str = "model"
     """ideal: the paper's plant; model: with the actuator; twin:NAME ({worlds}); twin:FILE; or
     coppeliasim://HOST:PORT."""
+    start: Literal["hand", "hanging"] = "hand"
+    """hand: released by a hand; hanging: the arm swings it up, then the trial begins."""
     trials: Annotated[int | None, Field(ge=1)] = None
     """Number of trials; by default 200, or as --claim needs."""
     duration: float | None = None
@@ -63,7 +65,11 @@ def evaluate(
     count = trials.trials
     if count is None and claim is not None:
         count = eq.trials_for(claim)
-    changes = {"evaluation.trials": count, "evaluation.duration": trials.duration}
+    changes = {
+        "evaluation.trials": count,
+        "evaluation.duration": trials.duration,
+        "evaluation.start": trials.start,
+    }
     known = {name: value for name, value in changes.items() if value is not None}
     settings = changed(chosen.settings, known)
     count = settings.evaluation.trials
@@ -101,6 +107,7 @@ def evaluate(
         verdict: dict[str, Any] = {"granted": granted, "claim": claim, "bound_95": bound}
         fields = verdict | {"allowed_failures": allowed} | fields
         code = int(not granted)
+    start = None if trials.start == Trials().start else trials.start
     twin = trials.world if trials.world.startswith("twin:") else None
     output.result(
         **fields,
@@ -111,7 +118,7 @@ def evaluate(
         baselines={row.name: _trial_fields(row) for row in evaluation.baselines},
         file=out,
         code=code,
-        then=command("deploy", policy, task, world=twin),
+        then=command("deploy", policy, task, world=twin, start=start),
     )
 
 
@@ -119,7 +126,10 @@ def _trial_fields(results: "TrialResults") -> dict[str, Any]:
     """Return the summary of trials as fields of a result."""
     summary = results.summary()
     counts = {name: getattr(summary, name) for name in ("survived", "trials", "rate", "outcomes")}
-    return counts | {"interval_95": summary.interval, "median_s": summary.median}
+    fields = counts | {"interval_95": summary.interval, "median_s": summary.median}
+    if summary.upright is not None:
+        fields |= dict(zip(("upright_median_s", "upright_max_s"), summary.upright, strict=True))
+    return fields
 
 
 @verb

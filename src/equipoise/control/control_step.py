@@ -25,7 +25,7 @@ Training, evaluation and deployment run these kernels, on blocks of lanes
 """
 
 from collections.abc import Sequence
-from math import floor, pi
+from math import cos, floor, pi
 from typing import Annotated, Final, NamedTuple, Protocol
 
 import numba
@@ -227,6 +227,8 @@ class ControllerState(Protocol):
     """Joints to send at the tick and h / 2 later [rad]."""
     limit_exceeded: Annotated[IntArray, LANES]
     """Whether the last command left the limits of a joint."""
+    balancing: Annotated[IntArray, LANES]
+    """Whether the policy balances, so that the failure angle applies; not in a swing-up."""
     counts: Annotated[Array, LANES]
     """Measurement: encoder counts."""
     measured: Annotated[Array, ROWS]
@@ -438,6 +440,7 @@ def start_controller(
     """
     place_command(controller, state, x, x_dot, n)
     state.limit_exceeded[n] = 0
+    state.balancing[n] = 1 if cos(phi) > 0.0 else 0
     h, model = controller.h, state.model
     for i in range(FREE_JOINTS):
         dq = state.dq[i, n]
@@ -465,7 +468,7 @@ def tick_before(state: ControllerState, j: int) -> Motion:
 
 
 @inlined
-def _wrapped(angle: float) -> float:
+def wrapped(angle: float) -> float:
     """Return an angle in [-pi, pi)."""
     return angle - 2.0 * pi * floor((angle + pi) / (2.0 * pi))
 
@@ -521,10 +524,11 @@ def observe(
         pivot_v = motion.pivot_v[n]
         u = (pivot_v - estimate.pivot_v[n]) / h
         phi, phi_dot = runge_kutta(estimate.phi[n], estimate.phi_dot[n], u, h, 0.0, pendulum)
-        innovation = _wrapped(shown[n] - estimate.bias[n] - phi + encoder_age * phi_dot)
-        estimate.phi[n] = phi + on_phi * innovation
+        innovation = wrapped(shown[n] - estimate.bias[n] - phi + encoder_age * phi_dot)
+        estimate.phi[n] = wrapped(phi + on_phi * innovation)
         estimate.phi_dot[n] = phi_dot + on_phi_dot * innovation
-        estimate.bias[n] += on_bias * innovation
+        # On average only a balanced pendulum is upright.
+        estimate.bias[n] += on_bias * state.balancing[n] * innovation
         estimate.pivot_v[n] = pivot_v
     for n in range(BATCH_SIZE):
         observation.x[n], observation.x_dot[n] = estimate.x[n], estimate.pivot_v[n]

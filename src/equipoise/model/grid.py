@@ -23,7 +23,7 @@ Box = TypeVar("Box", int, IntArray)
 """Index of a box, or an array of them."""
 ACTIONS: Final = len(paper.ACTIONS)
 
-TRUNCATED, ANGLE, TRACK, JOINT_LIMIT, SAFETY_STOP = range(5)
+TRUNCATED, ANGLE, TRACK, JOINT_LIMIT, NOT_UPRIGHT, SAFETY_STOP = range(6)
 """Codes of the ends of a trial, the places in `equipoise.outcomes.TRIAL_OUTCOMES`; `SAFETY_STOP` is
 the lowest one of a safety rule."""
 

@@ -75,14 +75,14 @@ def simulate_run(
     simulation = simulate(world, setup, seed=seed, stream=DEPLOYMENT)
     trial, loop = simulation.draw(1).trial(0), simulation.loop()
     recorder, twin = TrialRecorder(), simulation.twin
-    _, cause, _ = run_trial(loop, policy, trial, duration, recorder)
+    end = run_trial(loop, simulation.acting(policy, loop), trial, duration, recorder)
     rows = recorder.rows
     time = np.arange(len(rows.u), dtype=np.float64) * h
     sent = (time[:, None] + np.arange(SETPOINTS_PER_TICK) * h / SETPOINTS_PER_TICK).ravel()
     setpoints = rows.setpoints.reshape(-1, FREE_JOINTS)
     state = ("x", "x_dot", "phi", "phi_dot")
     evidence: dict[str, float | str] = {}
-    if cause != TRUNCATED and len(rows.state):
+    if end.cause != TRUNCATED and len(rows.state):
         evidence = dict(zip(state, rows.state[-1].tolist(), strict=True))
     measured: dict[str, Any] = {}
     if twin is not None:
@@ -109,7 +109,9 @@ def simulate_run(
             pendulum=loop.pendulum,
             **_twin_conditions(twin),
         ),
-        RunEnd(outcome=TRIAL_OUTCOMES[cause], evidence=evidence, survival=round(len(time) * h, 9)),
+        RunEnd(
+            outcome=TRIAL_OUTCOMES[end.cause], evidence=evidence, survival=round(end.steps * h, 9)
+        ),
         {
             "time": time,
             **dict(zip(state, rows.observation.T, strict=True)),

@@ -164,6 +164,7 @@ def trial_violation(
     x, drift, tilt, w = flange_pose(state.frame, controller.home_reference)
     x_dot, phi = measurements.estimate.pivot_v[0], measurements.estimate.phi[0]
     code, _, _ = rules.broken_flange(params, x, x_dot, drift, tilt, w)
-    if code == NO_VIOLATION and rules.has_fallen(phi):
+    balancing = measurements.balancing[0] != 0
+    if code == NO_VIOLATION and balancing and rules.has_fallen(phi):
         return rules.ANGLE_CODE
     return code

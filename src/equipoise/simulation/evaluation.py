@@ -1,8 +1,9 @@
 """Evaluation of a policy: survival with its confidence interval, and causes of failure.
 
-Trials start as after a release by hand and run on plants that vary around the policy's pendulum:
-on the paper's plant (world `ideal`), on the plant of the training with the identified actuator
-(`model`), on a digital twin (`twin:...`), or in another world. Any policy runs in any world. Test
+Trials start as after a release by hand, or with a hanging pendulum that the arm swings up
+(`evaluation.start`). They run on plants that vary around the policy's pendulum: on the paper's
+plant (world `ideal`), on the plant of the training with the identified actuator (`model`), on a
+digital twin (`twin:...`), or in another world. Any policy runs in any world. Test
 seeds serve no other purpose, trial i is the same for every policy, and the baselines run the same
 trials.
 """
@@ -48,6 +49,8 @@ class Summary(NamedTuple):
     """Survival at 5, 25, 75 and 95 % of the trials [s]."""
     outcomes: dict[Outcome, int]
     """Number of trials by their outcome."""
+    upright: tuple[float, float] | None
+    """Median and maximum of the time to upright [s], of trials that began hanging and came up."""
 
 
 def lower_bound(successes: int, trials: int, confidence: float) -> float:
@@ -125,12 +128,14 @@ class TrialResults(Value):
     """Duration of each trial [s]."""
     outcomes: Annotated[tuple[Outcome, ...], Field(max_length=MAX_TRIALS)]
     """Outcome of each trial."""
+    upright: Annotated[tuple[Survival, ...], Field(max_length=MAX_TRIALS)] = ()
+    """Duration of the swing-up before each trial [s]; empty after starts by hand."""
 
     @model_validator(mode="after")
     def _is_whole(self) -> Self:
         trials = len(self.survival)
-        if len(self.outcomes) != trials:
-            raise ValueError(f"{trials} trials need as many outcomes")
+        if len(self.outcomes) != trials or len(self.upright) not in (0, trials):
+            raise ValueError(f"{trials} trials need as many outcomes and swing-ups")
         return self
 
     def summary(self) -> Summary:
@@ -139,7 +144,9 @@ class TrialResults(Value):
         rate, interval = survived / trials, exact_interval(survived, trials)
         q05, q25, q50, q75, q95 = np.quantile(self.survival, [0.05, 0.25, 0.5, 0.75, 0.95]).tolist()
         quantiles, outcomes = (q05, q25, q75, q95), dict(Counter(self.outcomes))
-        return Summary(trials, survived, rate, interval, q50, quantiles, outcomes)
+        times = [time for time, s in zip(self.upright, self.survival, strict=False) if s > 0.0]
+        upright = (float(np.median(times)), max(times)) if times else None
+        return Summary(trials, survived, rate, interval, q50, quantiles, outcomes, upright)
 
 
 def trial_results(name: str, trials: Trials, h: float) -> TrialResults:
@@ -152,7 +159,10 @@ def trial_results(name: str, trials: Trials, h: float) -> TrialResults:
     """
     survival = tuple(round(steps * h, 6) for steps in trials.steps.tolist())
     outcomes = tuple(TRIAL_OUTCOMES[code] for code in trials.cause.tolist())
-    return TrialResults(name=name, survival=survival, outcomes=outcomes)
+    upright = tuple(
+        round(steps * h, 6) for steps in trials.upright.tolist() if trials.upright.any()
+    )
+    return TrialResults(name=name, survival=survival, outcomes=outcomes, upright=upright)
 
 
 class Evaluation(Artefact):

@@ -10,8 +10,9 @@ from math import floor, inf, pi
 
 import numpy as np
 
+from equipoise import paper
 from equipoise.arrays import Array, fields, new_records
-from equipoise.control.control_step import ControllerState, make_controller_params
+from equipoise.control.control_step import ControllerState, make_controller_params, wrapped
 from equipoise.control.controller import command_tick, observe_tick, start
 from equipoise.simulation.interface import ClosedLoop, Simulation
 from equipoise.simulation.plant import draw_noise, failure, scaled
@@ -107,11 +108,13 @@ class ExternalLoop(ClosedLoop):
         x, x_dot, phi, _ = self._state.tolist()
         self.tracked = (x_dot - before) / self.params.h
         exceeded = bool(controller.limit_exceeded[0])
-        return failure(x, x_dot, phi, exceeded, self._max_speed)
+        limit = paper.PHI_LIMIT if controller.balancing[0] else inf
+        return failure(x, x_dot, phi, exceeded, self._max_speed, limit)
 
     def _observe(self) -> None:
         """Read the state and the measurements; without an encoder the state is the observation."""
         self._state[:] = self.read()
+        self._state[2] = wrapped(self._state[2])
         controller = self.controller
         if not self.params.has_sensor:
             seen = controller.observation

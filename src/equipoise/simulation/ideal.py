@@ -11,6 +11,7 @@ import numpy as np
 
 from equipoise.arrays import Array, IntArray, Records, fields, new_records, rows_of
 from equipoise.control.policy import PolicyKernel
+from equipoise.control.swing_up import SwingUp, make_swing_up
 from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import SettingsError
 from equipoise.jit import call, inlined, kernel
@@ -43,6 +44,8 @@ class PlantWorld(NamedTuple):
     """Seed of the noise."""
     stream: int
     """Stream of the noise: selection or test."""
+    swing_up: SwingUp
+    """Swing-up of trials that begin with a hanging pendulum."""
 
 
 @inlined
@@ -109,13 +112,16 @@ class PlantSimulation(Simulation):
     ) -> None:
         """Run trials of a compiled policy in this thread; see `Simulation.run`."""
         max_steps = round(duration / self.params.controller.h)
-        run_trials(self.world_of(BATCH_SIZE), policy, trials, np.array(rows, np.int64), max_steps)
+        world = self.world_of(BATCH_SIZE)
+        world = world._replace(swing_up=self.law_for(world.swing_up, policy))
+        run_trials(world, policy, trials, np.array(rows, np.int64), max_steps)
 
     def world_of(self, batch_size: int) -> PlantWorld:
         """Return the world of some trials that run side by side."""
         states = new_records(BatchState)
         rows = rows_of(states, BATCH_SIZE)
-        return PlantWorld(self.params, states, rows, batch_size, self.seed, self.stream)
+        law = make_swing_up(self.params.controller, self.max_speed)
+        return PlantWorld(self.params, states, rows, batch_size, self.seed, self.stream, law)
 
 
 class IdealSimulation(PlantSimulation):

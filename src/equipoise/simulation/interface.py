@@ -9,7 +9,7 @@ by (seed, trial, tick): a trial has the same bits either way.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import partial
-from math import nan
+from math import inf, nan
 from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
@@ -19,12 +19,20 @@ from equipoise.arrays import Array
 from equipoise.control.control_step import ControllerParams, ControllerState
 from equipoise.control.controller import estimate_of, observation_of
 from equipoise.control.policy import KernelPolicy, Policy, PolicyKernel, TaskPolicy
+from equipoise.control.swing_up import (
+    SwingUp,
+    SwingUpPolicy,
+    compiled_for,
+    make_swing_up,
+    time_limit,
+)
+from equipoise.errors import InputError, SettingsError
 from equipoise.executors import completed
 from equipoise.model.actuator import Actuator
-from equipoise.model.grid import TRUNCATED
+from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import TwinSettings, World
-from equipoise.settings import Settings
+from equipoise.settings import HANGING, Settings
 from equipoise.simulation.trials import Trial, Trials, draw_trials
 
 Done = Callable[[float], None]
@@ -61,6 +69,15 @@ class ClosedLoop(ABC):
     """Time since the release [s]."""
     tracked: float = 0.0
     """Tracked acceleration u' over the last step [m/s^2]."""
+
+    @property
+    def balancing(self) -> bool:
+        """Whether the policy balances, and the failure angle applies; not in a swing-up."""
+        return bool(self.controller.balancing[0])
+
+    @balancing.setter
+    def balancing(self, value: bool) -> None:
+        self.controller.balancing[0] = value
 
     @abstractmethod
     def reset(self, trial: Trial) -> None:
@@ -136,6 +153,8 @@ class Simulation(ABC):
         linearised = setup.settings.plant.linearised
         self.pendulum = setup.pendulum.parameters(linearised=linearised)
         """Nominal parameters, which the trials vary."""
+        self.max_speed = setup.settings.plant.max_speed or inf
+        """Limit of the flange's speed [m/s]; inf without a limit."""
 
     @abstractmethod
     def loop(self) -> ClosedLoop:
@@ -171,14 +190,15 @@ class Simulation(ABC):
             workers: Number of threads for compiled trials; the results do not depend on it.
             done: Called with the number of trials that have just finished.
         """
+        self._check_start(policy)
         kernel = policy if isinstance(policy, PolicyKernel) else policy.kernel
         if kernel is None or not self.PIECE:
-            acting: Any = policy if kernel is None else KernelPolicy(kernel)
             loop = self.loop()
+            acting = self.acting(policy, loop)
             for row in rows:
-                ended = run_trial(loop, acting, trials.trial(row), duration, done=done)
-                trials.steps[row], trials.cause[row], trials.sum_x2[row] = ended
-                trials.end[row] = loop.state()
+                end = run_trial(loop, acting, trials.trial(row), duration, done=done)
+                trials.steps[row], trials.cause[row], trials.sum_x2[row] = end[:3]
+                trials.upright[row], trials.end[row] = end.upright, loop.state()
             return
         fraction = -(-len(rows) // (self.BATCH * workers)) * self.BATCH
         size = min(self.PIECE, max(fraction, 1))
@@ -187,10 +207,64 @@ class Simulation(ABC):
         for i, _ in completed(run, pieces, workers):
             done(len(pieces[i]))
 
+    def acting(self, policy: TaskPolicy | PolicyKernel, loop: ClosedLoop) -> Policy:
+        """Return a policy for `run_trial`, after a swing-up where trials begin hanging.
+
+        Args:
+            policy: The policy, or its kernel alone.
+            loop: The closed loop in which it acts.
+
+        Raises:
+            InputError: A swing-up cannot end with this policy.
+            SettingsError: The pendulum is linearised.
+        """
+        self._check_start(policy)
+        if isinstance(policy, PolicyKernel):
+            kernel = policy
+        elif policy.kernel is None:
+            return policy
+        else:
+            kernel = policy.kernel
+        if self.setup.settings.evaluation.start == HANGING:
+            return SwingUpPolicy(kernel, make_swing_up(loop.params, self.max_speed))
+        return KernelPolicy(kernel)
+
+    def law_for(self, law: SwingUp, policy: PolicyKernel) -> SwingUp:
+        """Return the swing-up of trials of a policy, compiled where they begin hanging."""
+        hanging = self.setup.settings.evaluation.start == HANGING
+        return compiled_for(law, policy) if hanging else law
+
+    def _check_start(self, policy: TaskPolicy | PolicyKernel) -> None:
+        """Refuse a swing-up that cannot be, or cannot end."""
+        if self.setup.settings.evaluation.start != HANGING:
+            return
+        if not isinstance(policy, PolicyKernel) and policy.kernel is None:
+            raise InputError(
+                f"no swing-up can end with {policy.name}: it simulates the policy in each tick, "
+                "expected a table, lqr or lqr-snapped; take one of those, or start by hand"
+            )
+        if self.setup.settings.plant.linearised:
+            raise SettingsError(
+                "plant.linearised is true, and a linearised pendulum does not hang; start by hand"
+            )
+
 
 def predicted(loop: ClosedLoop) -> Array:
     """Return x, x_dot, phi, phi_dot at which u takes effect: the observation, shape (4,)."""
     return observation_of(loop.controller)
+
+
+class TrialEnd(NamedTuple):
+    """End of a trial."""
+
+    steps: int
+    """Number of steps of the policy."""
+    cause: int
+    """Cause of the end."""
+    sum_x2: float
+    """Sum of x^2 over these steps [m^2]."""
+    upright: int
+    """Number of steps of the swing-up before."""
 
 
 def run_trial(
@@ -200,37 +274,42 @@ def run_trial(
     duration: float,
     record: "TrialRecorder | None" = None,
     done: Done = lambda _: None,
-) -> tuple[int, int, float]:
+) -> TrialEnd:
     """Run one trial of a policy from Python.
 
     Args:
         loop: The closed loop.
-        policy: The policy.
+        policy: The policy, one of `Simulation.acting`.
         trial: Conditions.
-        duration: Length of the trial [s].
+        duration: Length of the trial [s], a swing-up not included.
         record: Recorder of each tick; an exception from it ends the trial.
         done: Called with the fraction of the trial that has passed since its last call.
-
-    Returns:
-        Number of steps, cause of the end, and the sum of x^2 over the steps [m^2].
     """
-    steps, cause, sum_x2 = 0, TRUNCATED, 0.0
-    max_steps = round(duration / loop.params.h)
+    steps, cause, sum_x2, upright = 0, TRUNCATED, 0.0, 0
+    h = loop.params.h
+    max_steps, swing_steps = round(duration / h), round(time_limit(loop.params.pendulum) / h)
     loop.reset(trial)
     policy.reset()
     while steps < max_steps and cause == TRUNCATED:
         u = float(policy.act(predicted(loop)))
+        if isinstance(policy, SwingUpPolicy):
+            loop.balancing = policy.balancing
         if record is not None:
             record.before(loop, u)
         cause = loop.step(u)
         if record is not None:
             record.after(loop)
+        if not loop.balancing:
+            upright += 1
+            if cause == TRUNCATED and upright >= swing_steps:
+                cause = NOT_UPRIGHT
+            continue
         steps += 1
         sum_x2 += float(loop.state()[0]) ** 2
         if steps % PROGRESS == 0:
-            done(PROGRESS * loop.params.h / duration)
-    done(1.0 - (steps - steps % PROGRESS) * loop.params.h / duration)
-    return steps, cause, sum_x2
+            done(PROGRESS * h / duration)
+    done(1.0 - (steps - steps % PROGRESS) * h / duration)
+    return TrialEnd(steps, cause, sum_x2, upright)
 
 
 class TrialRecord(NamedTuple):

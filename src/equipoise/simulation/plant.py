@@ -35,7 +35,9 @@ from equipoise.control.control_step import (
     kinematics,
     make_controller_params,
     pivot_velocity,
+    wrapped,
 )
+from equipoise.control.swing_up import SwingUpState
 from equipoise.elementary import BATCH_SIZE, sincos
 from equipoise.jit import call, compilable, inlined, pointer
 from equipoise.model.actuator import (
@@ -115,6 +117,8 @@ class BatchState(Protocol):
 
     controller: ControllerState
     """States of the controllers."""
+    swing_up: SwingUpState
+    """States of the swing-ups."""
     pendula: Pendula
     """Parameters of the pendulums."""
     state: Observed
@@ -278,7 +282,11 @@ def step(plant: LoopParams, batch: BatchState, lanes: int) -> None:
         advance_pendula(batch, batch.u_tracked, h, plant.linearised, dry, lanes)
     for n in range(BATCH_SIZE):
         exceeded = memory.limit_exceeded[n] != 0
-        cause[n] = failure(state.x[n], state.x_dot[n], state.phi[n], exceeded, plant.max_speed)
+        state.phi[n] = wrapped(state.phi[n])
+        limit = paper.PHI_LIMIT if memory.balancing[n] != 0 else inf
+        cause[n] = failure(
+            state.x[n], state.x_dot[n], state.phi[n], exceeded, plant.max_speed, limit
+        )
     if controller.has_sensor:
         measure(controller, batch)
         call(controller.code.observe, (controller, memory, 0.0, 0.0, lanes))
@@ -290,7 +298,9 @@ def step(plant: LoopParams, batch: BatchState, lanes: int) -> None:
 
 
 @inlined
-def failure(x: float, x_dot: float, phi: float, limit_exceeded: bool, max_speed: float) -> int:
+def failure(
+    x: float, x_dot: float, phi: float, limit_exceeded: bool, max_speed: float, phi_limit: float
+) -> int:
     """Return the cause of the failure of a state, `TRUNCATED` without one; NaN is a failure.
 
     Args:
@@ -299,11 +309,12 @@ def failure(x: float, x_dot: float, phi: float, limit_exceeded: bool, max_speed:
         phi: Angle of the pendulum from upright [rad].
         limit_exceeded: Whether the last command exceeded a limit of a joint.
         max_speed: Limit of the flange's speed [m/s].
+        phi_limit: Limit of the pendulum's angle [rad]; inf during a swing-up.
     """
     within = TRUNCATED if abs(x_dot) < max_speed else SPEED_LIMIT_CAUSE
     within = JOINT_LIMIT if limit_exceeded else within
     on_track = within if abs(x) < paper.X_LIMIT else TRACK
-    return on_track if abs(phi) < paper.PHI_LIMIT else ANGLE
+    return on_track if abs(phi) < phi_limit else ANGLE
 
 
 @inlined

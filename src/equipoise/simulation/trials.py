@@ -5,6 +5,7 @@ or on the policy, so that policies are compared on the same trials.
 """
 
 from collections.abc import Callable
+from math import pi
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,9 +13,11 @@ from scipy.special import ndtri
 
 from equipoise.arrays import Array, IntArray
 from equipoise.control.policy import RANDOM, PolicyKernel, act
-from equipoise.model.grid import TRUNCATED
+from equipoise.control.swing_up import begin_swing_up
+from equipoise.jit import call
+from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED
 from equipoise.model.random import philox, uniform
-from equipoise.settings import Settings
+from equipoise.settings import HANGING, Settings
 from equipoise.simulation.plant import DomainRandomization, copy_lane
 
 
@@ -44,6 +47,8 @@ class Trials(NamedTuple):
     """Result: cause of the end, shape (n,)."""
     sum_x2: Array
     """Result: sum of x^2 over the steps [m^2], shape (n,)."""
+    upright: IntArray
+    """Result: number of steps of the swing-up, which are none of `steps`, shape (n,)."""
     end: Array
     """Result: true x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the end, shape (n, 4)."""
 
@@ -76,6 +81,8 @@ def draw_trials(count: int, settings: Settings, seed: int, stream: int, first: i
     start = np.zeros((count, 4))
     start[:, 2] = sign * (e.phi_low + (e.phi_high - e.phi_low) * draws[:, 1])
     start[:, 3] = sign * (e.phi_dot_low + (e.phi_dot_high - e.phi_dot_low) * draws[:, 2])
+    if e.start == HANGING:
+        start[:, 2] = sign * pi - start[:, 2]
     variation = [  # the fields of `DomainRandomization`
         1.0 + plant.inertia_sigma * ndtri(draws[:, 3]),
         1.0 + plant.friction_sigma * ndtri(draws[:, 4]),
@@ -90,6 +97,7 @@ def draw_trials(count: int, settings: Settings, seed: int, stream: int, first: i
         steps=np.zeros(count, np.int64),
         cause=np.zeros(count, np.int64),
         sum_x2=np.zeros(count),
+        upright=np.zeros(count, np.int64),
         end=np.zeros((count, 4)),
     )
 
@@ -108,27 +116,32 @@ def trial_loop(place: Callable[..., None], advance: Callable[..., None]) -> Call
         """Run trials side by side, and write their results.
 
         Args:
-            world: Its `states` hold a record with `controller`, `state` and `cause`.
+            world: Its `states` hold a record with `controller`, `state` and `cause`; its `swing_up`
+                brings up the pendulums that hang at the start.
             policy: The policy.
             trials: Conditions; receives the results.
             rows: Rows of the trials to run.
             max_steps: Number of steps after which a trial is truncated.
         """
-        batch = world.states[0]
+        batch, law = world.states[0], world.swing_up
         state, seen, u = batch.state, batch.controller.observation, batch.controller.u
+        swings = batch.swing_up
+        balancing, swing_steps = batch.controller.balancing, round(law.time_limit / law.h)
         row = np.zeros(world.batch_size, np.int64)
         number = np.zeros(world.batch_size, np.int64)
         tick = np.zeros(world.batch_size, np.int64)
+        upright = np.zeros(world.batch_size, np.int64)
         sum_x2 = np.zeros(world.batch_size)
         placed, lanes = 0, 0
 
         def begin(n: int) -> None:
             i = rows[placed]
-            row[n], number[n], tick[n], sum_x2[n] = i, trials.number[i], 0, 0.0
+            row[n], number[n], tick[n], upright[n], sum_x2[n] = i, trials.number[i], 0, 0, 0.0
             x, x_dot, phi, phi_dot = trials.start[i]
             inertia, friction, delay, lag, zero = trials.variation[i]
             variation = DomainRandomization(inertia, friction, delay, lag, zero)
             place(world, variation, (x, x_dot, phi, phi_dot), n)
+            begin_swing_up(law, swings, n)
 
         while lanes < world.batch_size and placed < len(rows):
             begin(lanes)
@@ -141,19 +154,31 @@ def trial_loop(place: Callable[..., None], advance: Callable[..., None]) -> Call
                     words = philox(world.seed, tick[n], number[n], 1, world.stream)
                     chance = uniform(words[0], 0.0, 1.0)
                 x, x_dot, phi, phi_dot = seen.x[n], seen.x_dot[n], seen.phi[n], seen.phi_dot[n]
-                u[n] = act(policy, x, x_dot, phi, phi_dot, chance)
+                if balancing[n] == 0:
+                    call(law.swing_up, (law, swings, policy, x, x_dot, phi, phi_dot, n))
+                    balancing[n], upright[n] = swings.ended[n], tick[n]
+                u[n] = swings.u[n]
+                if balancing[n] != 0:
+                    u[n] = act(policy, x, x_dot, phi, phi_dot, chance)
             advance(world, tick, number, lanes)
             for n in range(lanes - 1, -1, -1):
                 tick[n] += 1
-                sum_x2[n] += state.x[n] ** 2
-                if batch.cause[n] == TRUNCATED and tick[n] < max_steps:
+                if balancing[n] == 0:
+                    upright[n] = tick[n]
+                    if batch.cause[n] == TRUNCATED and tick[n] >= swing_steps:
+                        batch.cause[n] = NOT_UPRIGHT
+                else:
+                    sum_x2[n] += state.x[n] ** 2
+                steps = tick[n] - upright[n]
+                if batch.cause[n] == TRUNCATED and steps < max_steps:
                     continue
                 i = row[n]
                 trials.steps[i], trials.cause[i], trials.sum_x2[i] = (
-                    tick[n],
+                    steps,
                     batch.cause[n],
                     sum_x2[n],
                 )
+                trials.upright[i] = upright[n]
                 trials.end[i, 0], trials.end[i, 1] = state.x[n], state.x_dot[n]
                 trials.end[i, 2], trials.end[i, 3] = state.phi[n], state.phi_dot[n]
                 if placed < len(rows):
@@ -163,6 +188,6 @@ def trial_loop(place: Callable[..., None], advance: Callable[..., None]) -> Call
                 lanes -= 1
                 copy_lane(world.rows, lanes, n)
                 row[n], number[n] = row[lanes], number[lanes]
-                tick[n], sum_x2[n] = tick[lanes], sum_x2[lanes]
+                tick[n], upright[n], sum_x2[n] = tick[lanes], upright[lanes], sum_x2[lanes]
 
     return run_trials

@@ -12,6 +12,7 @@ from typing import Annotated, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
+from equipoise import paper
 from equipoise.arm.arm import FREE_JOINTS
 from equipoise.arrays import Array, IntArray, Records, fields, new_records, rows_of
 from equipoise.control.control_step import (
@@ -21,8 +22,10 @@ from equipoise.control.control_step import (
     ControllerState,
     Observed,
     make_controller_params,
+    wrapped,
 )
 from equipoise.control.policy import PolicyKernel
+from equipoise.control.swing_up import SwingUp, SwingUpState, make_swing_up
 from equipoise.elementary import BATCH_SIZE
 from equipoise.jit import call, inlined, kernel
 from equipoise.model.grid import SAFETY_STOP, TRUNCATED
@@ -48,6 +51,8 @@ class TwinState(Protocol):
 
     controller: ControllerState
     """State of the controller."""
+    swing_up: SwingUpState
+    """State of the swing-up."""
     state: Observed
     """True state."""
     cause: Annotated[IntArray, LANES]
@@ -71,6 +76,8 @@ class TwinWorld(NamedTuple):
     """Scratch array: free joints [rad], shape (6,)."""
     monitor: TrialSafetyMonitor
     """Rules of the world with their state."""
+    swing_up: SwingUp
+    """Swing-up of trials that begin with a hanging pendulum."""
     seed: int
     """Seed of a policy that acts at random."""
     stream: int
@@ -105,6 +112,7 @@ def release(
 def _read_truth(world: TwinWorld) -> None:
     real, state = truth(world.twins[0], world.arrays[0]), world.states[0].state
     state.x[0], state.x_dot[0], state.phi[0], state.phi_dot[0] = real
+    state.phi[0] = wrapped(state.phi[0])
 
 
 @inlined
@@ -146,7 +154,8 @@ def _cause_of_step(world: TwinWorld) -> int:
     call(controller.code.observe, (controller, state, ages[0], ages[1], 1))
     _read_truth(world)
     real, exceeded = world.states[0].state, state.limit_exceeded[0] != 0
-    cause = failure(real.x[0], real.x_dot[0], real.phi[0], exceeded, inf)
+    limit = paper.PHI_LIMIT if state.balancing[0] != 0 else inf
+    cause = failure(real.x[0], real.x_dot[0], real.phi[0], exceeded, inf, limit)
     if cause == TRUNCATED and monitor.active:
         broken = trial_violation(monitor, controller, state, q, measured)
         if broken != NO_VIOLATION:
@@ -182,6 +191,7 @@ class TwinSimulation(Simulation):
         """Constants of the controller."""
         self.safety = trial_safety(arm, numbers, actuator, h, settings.plant.max_speed)
         """Safety limits of a trial."""
+        self.max_speed = min(self.max_speed, numbers.max_speed or inf)
         self._idle: list[TwinLoop] = []
 
     def draw(self, count: int, first: int = 0) -> Trials:
@@ -210,6 +220,7 @@ class TwinSimulation(Simulation):
             loop = TwinLoop(self)
         for row in rows:
             world = loop.prepare(trials.trial(row))
+            world = world._replace(swing_up=self.law_for(world.swing_up, policy))
             run_trials(world, policy, trials, np.array([row]), max_steps)
         self._idle.append(loop)
 
@@ -228,7 +239,8 @@ class TwinLoop(ClosedLoop):
         monitor = new_trial_monitor(arm, simulation.safety)
         self._unused = np.zeros(1, np.int64)
         rows, q = rows_of(states, BATCH_SIZE), np.zeros(FREE_JOINTS)
-        self._world = TwinWorld(*self._twin.args, self.params, states, rows, q, monitor, 0, 0)
+        law = make_swing_up(self.params, simulation.max_speed)
+        self._world = TwinWorld(*self._twin.args, self.params, states, rows, q, monitor, law, 0, 0)
 
     def reset(self, trial: Trial) -> None:
         """Release the pendulum under the conditions of a trial."""
