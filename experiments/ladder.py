@@ -106,7 +106,7 @@ def withstood(policy: eq.TabularPolicy, actuator: eq.Actuator | None, pushes: in
         run_trial(loop, acting, trials.trial(i), PUSHED_UNTIL, Push(PUSH if i % 2 else -PUSH))
         for i in range(pushes)
     ]
-    return sum(cause == TRUNCATED for _, cause, _ in ends)
+    return sum(end.cause == TRUNCATED for end in ends)
 
 
 def main() -> None:

@@ -92,7 +92,7 @@ class TestRealCoppeliaSim(WorldConformance):
 
 @pytest.mark.slow
 def test_the_shipped_policy_balances_for_a_minute(server):
-    (steps, cause, _), rows = record(REAL or server.address, 60.0)
+    (steps, cause, *_), rows = record(REAL or server.address, 60.0)
     assert (steps, cause) == (6000, TRUNCATED)
     assert np.abs(rows.state[:, 2]).max() < 0.15
 
@@ -122,8 +122,8 @@ def test_an_arm_that_is_not_that_of_the_model_is_refused(monkeypatch):
 
 
 def test_the_world_is_the_papers_plant_but_for_the_curve_of_its_track(server):
-    (_, cause, _), ours = record(server.address, 1.0)
-    (_, same, _), ideal = record("ideal", 1.0)
+    (_, cause, *_), ours = record(server.address, 1.0)
+    (_, same, *_), ideal = record("ideal", 1.0)
     assert cause == same == TRUNCATED
     # Second differences of places are exact for the accelerated path, not for the pose error in it.
     np.testing.assert_allclose(ours.state[:20], ideal.state[:20], atol=5e-3)
