@@ -246,14 +246,16 @@ class SelectionSettings(Value):
     policy that survives 99.9 % meets it with a probability of 0.92."""
 
 
-HANGING: Final = "hanging"
-"""Start of a trial or run with a hanging pendulum, which the arm swings up."""
+Start = Literal["hand", "hanging"]
+"""Start of a trial: released by a hand, or hanging, from where the arm swings the pendulum up."""
+HANGING: Final[Start] = "hanging"
+"""The start with a hanging pendulum."""
 
 
 class EvaluationSettings(Value):
     """Trials that start as after a release: x = x_dot = 0, the pendulum already falling."""
 
-    start: Literal["hand", "hanging"] = "hand"
+    start: Start = "hand"
     """Start: released by a hand, or hanging, from where the arm swings the pendulum up; phi is then
     measured from hanging."""
     trials: int = Field(default=200, ge=1, le=MAX_TRIALS)

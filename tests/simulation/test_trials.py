@@ -164,10 +164,10 @@ def test_a_limit_is_a_failure_and_what_is_just_within_is_not(plant, sign):
     for max_speed, expected in ((x_dot, Outcome.SPEED), (nextafter(x_dot, inf), "survived")):
         strict = plant._replace(max_speed=max_speed)
         assert placed(strict, x=sign * 0.1, x_dot=sign * 0.2)[2] == expected
-    assert failure(sign * 0.22, 0.0, 0.0, False, inf, 0.1) == TRACK
-    assert failure(nextafter(sign * 0.22, 0.0), 0.0, 0.0, False, inf, 0.1) == TRUNCATED
-    assert failure(0.0, 0.0, sign * 0.1, False, inf, 0.1) == ANGLE
-    assert failure(0.0, 0.0, sign * 3.0, False, inf, inf) == TRUNCATED
+    assert failure(sign * 0.22, 0.0, 0.0, False, inf, True) == TRACK
+    assert failure(nextafter(sign * 0.22, 0.0), 0.0, 0.0, False, inf, True) == TRUNCATED
+    assert failure(0.0, 0.0, eleven, False, inf, True) == ANGLE
+    assert failure(0.0, 0.0, sign * 3.0, False, inf, False) == TRUNCATED
 
 
 def test_an_angle_is_told_before_the_track_the_track_before_a_joint_and_that_before_a_speed(plant):

@@ -6,7 +6,7 @@ run, an emulated rig and a real rig.
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
@@ -15,7 +15,7 @@ from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
 from equipoise.errors import InputError
-from equipoise.settings import changed
+from equipoise.settings import Start, changed
 from equipoise.user_code import user_code
 
 
@@ -28,8 +28,8 @@ class Run(Options):
     """Duration [s]; by default 60, or 10 with --excite."""
     seed: opt.Seed = 0
     """Seed of the simulation."""
-    start: Literal["hand", "hanging"] = "hand"
-    """hand: released by a hand; hanging: the simulated arm swings it up."""
+    start: Start | None = None
+    """hand: released by a hand (default); hanging: the simulated arm swings it up."""
     excite: bool = False
     """Move every joint about home instead, the pendulum hanging."""
 
@@ -100,7 +100,9 @@ def deploy(
                 actuator=actuator,
                 duration=run.duration,
                 seed=seed,
-                settings=changed(loaded.settings, {"evaluation.start": run.start}),
+                settings=changed(
+                    loaded.settings, {} if run.start is None else {"evaluation.start": run.start}
+                ),
             )
         code, then = int(log.outcome != Outcome.SURVIVED), command("log explain", out)
         inputs = {"policy": log.conditions.policy}
@@ -138,7 +140,7 @@ def _run_on_rig(
     from equipoise.rig.request import RunRequest
     from equipoise.rig.run import run_virtually
 
-    if run.world != Run().world or run.start != Run().start:
+    if run.world != Run().world or run.start is not None:
         raise InputError(
             "--world and --start are for a simulated run; leave them out, or leave out the rig"
         )

@@ -2,7 +2,7 @@
 
 from math import ceil, log
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
@@ -11,7 +11,7 @@ from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
 from equipoise.errors import InputError
-from equipoise.settings import changed
+from equipoise.settings import Start, changed
 
 if TYPE_CHECKING:
     from equipoise.simulation.evaluation import TrialResults
@@ -23,8 +23,8 @@ class Trials(Options):
     world: str = "model"
     """ideal: the paper's plant; model: with the actuator; twin:NAME ({worlds}); twin:FILE; or
     coppeliasim://HOST:PORT."""
-    start: Literal["hand", "hanging"] = "hand"
-    """hand: released by a hand; hanging: the arm swings it up, then the trial begins."""
+    start: Start | None = None
+    """hand: released by a hand (default); hanging: the arm swings it up, then the trial begins."""
     trials: Annotated[int | None, Field(ge=1)] = None
     """Number of trials; by default 200, or as --claim needs."""
     duration: float | None = None
@@ -107,7 +107,6 @@ def evaluate(
         verdict: dict[str, Any] = {"granted": granted, "claim": claim, "bound_95": bound}
         fields = verdict | {"allowed_failures": allowed} | fields
         code = int(not granted)
-    start = None if trials.start == Trials().start else trials.start
     twin = trials.world if trials.world.startswith("twin:") else None
     output.result(
         **fields,
@@ -118,7 +117,7 @@ def evaluate(
         baselines={row.name: _trial_fields(row) for row in evaluation.baselines},
         file=out,
         code=code,
-        then=command("deploy", policy, task, world=twin, start=start),
+        then=command("deploy", policy, task, world=twin, start=trials.start),
     )
 
 

@@ -90,8 +90,13 @@ def act(
     u = g[0] * x + g[1] * x_dot + g[2] * phi + g[3] * phi_dot
     if policy.kind == LINEAR:
         return min(max(u, actions[0]), actions[-1])
-    nearest = actions[0]
-    for i in range(1, len(actions)):
+    return nearest_action(u, actions[0], actions)
+
+
+@inlined
+def nearest_action(u: float, nearest: float, actions: tuple[float, ...]) -> float:
+    """Return the action nearest to u [m/s^2], or `nearest` where none is nearer."""
+    for i in range(len(actions)):
         if abs(actions[i] - u) < abs(nearest - u):
             nearest = actions[i]
     return nearest

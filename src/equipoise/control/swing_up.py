@@ -26,7 +26,7 @@ from numba import types
 from equipoise import paper
 from equipoise.arrays import Array, IntArray, Records, fields, new_records, record_type
 from equipoise.control.control_step import LANES, ControllerParams, wrapped
-from equipoise.control.policy import KernelPolicy, PolicyKernel, act
+from equipoise.control.policy import KernelPolicy, PolicyKernel, act, nearest_action
 from equipoise.jit import call, compilable, inlined, kernel, pointer
 from equipoise.model.pendulum import PendulumParameters, runge_kutta
 
@@ -205,11 +205,7 @@ def within_track(law: SwingUp, u: float, x: float, x_dot: float) -> float:
         return -outwards * paper.U_MAX
     if abs(x_dot) > USED_SPEED * law.max_speed and u * x_dot > 0.0:
         return 0.0
-    nearest = 0.0
-    for action in paper.ACTIONS:
-        if abs(action - u) < abs(nearest - u):
-            nearest = action
-    return nearest
+    return nearest_action(u, 0.0, paper.ACTIONS)
 
 
 @compilable
@@ -299,12 +295,6 @@ def swing_up(
 
 
 @kernel
-def start_tick(law: SwingUp, states: Records) -> None:
-    """Begin the first lane; see `begin_swing_up`."""
-    begin_swing_up(law, states[0], 0)
-
-
-@kernel
 def swing_up_tick(
     law: SwingUp,
     states: Records,
@@ -330,7 +320,7 @@ class SwingUpPolicy:
 
     def reset(self) -> None:
         """Begin with a hanging pendulum."""
-        start_tick(self._law, self._states)
+        begin_swing_up(self._law, self._state, 0)
         self._policy.reset()
 
     @property

@@ -10,7 +10,6 @@ from math import floor, inf, pi
 
 import numpy as np
 
-from equipoise import paper
 from equipoise.arrays import Array, fields, new_records
 from equipoise.control.control_step import ControllerState, make_controller_params, wrapped
 from equipoise.control.controller import command_tick, observe_tick, start
@@ -108,8 +107,7 @@ class ExternalLoop(ClosedLoop):
         x, x_dot, phi, _ = self._state.tolist()
         self.tracked = (x_dot - before) / self.params.h
         exceeded = bool(controller.limit_exceeded[0])
-        limit = paper.PHI_LIMIT if controller.balancing[0] else inf
-        return failure(x, x_dot, phi, exceeded, self._max_speed, limit)
+        return failure(x, x_dot, phi, exceeded, self._max_speed, self.balancing)
 
     def _observe(self) -> None:
         """Read the state and the measurements; without an encoder the state is the observation."""

@@ -219,24 +219,26 @@ class Simulation(ABC):
             SettingsError: The pendulum is linearised.
         """
         self._check_start(policy)
-        if isinstance(policy, PolicyKernel):
-            kernel = policy
-        elif policy.kernel is None:
-            return policy
-        else:
-            kernel = policy.kernel
-        if self.setup.settings.evaluation.start == HANGING:
-            return SwingUpPolicy(kernel, make_swing_up(loop.params, self.max_speed))
-        return KernelPolicy(kernel)
+        if not isinstance(policy, PolicyKernel):
+            if policy.kernel is None:
+                return policy
+            policy = policy.kernel
+        if self._hanging:
+            return SwingUpPolicy(policy, make_swing_up(loop.params, self.max_speed))
+        return KernelPolicy(policy)
 
     def law_for(self, law: SwingUp, policy: PolicyKernel) -> SwingUp:
         """Return the swing-up of trials of a policy, compiled where they begin hanging."""
-        hanging = self.setup.settings.evaluation.start == HANGING
-        return compiled_for(law, policy) if hanging else law
+        return compiled_for(law, policy) if self._hanging else law
+
+    @property
+    def _hanging(self) -> bool:
+        """Whether trials begin with a hanging pendulum."""
+        return self.setup.settings.evaluation.start == HANGING
 
     def _check_start(self, policy: TaskPolicy | PolicyKernel) -> None:
         """Refuse a swing-up that cannot be, or cannot end."""
-        if self.setup.settings.evaluation.start != HANGING:
+        if not self._hanging:
             return
         if not isinstance(policy, PolicyKernel) and policy.kernel is None:
             raise InputError(

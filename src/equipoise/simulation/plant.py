@@ -283,9 +283,9 @@ def step(plant: LoopParams, batch: BatchState, lanes: int) -> None:
     for n in range(BATCH_SIZE):
         exceeded = memory.limit_exceeded[n] != 0
         state.phi[n] = wrapped(state.phi[n])
-        limit = paper.PHI_LIMIT if memory.balancing[n] != 0 else inf
+        balancing = memory.balancing[n] != 0
         cause[n] = failure(
-            state.x[n], state.x_dot[n], state.phi[n], exceeded, plant.max_speed, limit
+            state.x[n], state.x_dot[n], state.phi[n], exceeded, plant.max_speed, balancing
         )
     if controller.has_sensor:
         measure(controller, batch)
@@ -299,7 +299,7 @@ def step(plant: LoopParams, batch: BatchState, lanes: int) -> None:
 
 @inlined
 def failure(
-    x: float, x_dot: float, phi: float, limit_exceeded: bool, max_speed: float, phi_limit: float
+    x: float, x_dot: float, phi: float, limit_exceeded: bool, max_speed: float, balancing: bool
 ) -> int:
     """Return the cause of the failure of a state, `TRUNCATED` without one; NaN is a failure.
 
@@ -309,8 +309,9 @@ def failure(
         phi: Angle of the pendulum from upright [rad].
         limit_exceeded: Whether the last command exceeded a limit of a joint.
         max_speed: Limit of the flange's speed [m/s].
-        phi_limit: Limit of the pendulum's angle [rad]; inf during a swing-up.
+        balancing: Whether the failure angle applies; not in a swing-up.
     """
+    phi_limit = paper.PHI_LIMIT if balancing else inf
     within = TRUNCATED if abs(x_dot) < max_speed else SPEED_LIMIT_CAUSE
     within = JOINT_LIMIT if limit_exceeded else within
     on_track = within if abs(x) < paper.X_LIMIT else TRACK

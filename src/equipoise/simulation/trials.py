@@ -156,10 +156,11 @@ def trial_loop(place: Callable[..., None], advance: Callable[..., None]) -> Call
                 x, x_dot, phi, phi_dot = seen.x[n], seen.x_dot[n], seen.phi[n], seen.phi_dot[n]
                 if balancing[n] == 0:
                     call(law.swing_up, (law, swings, policy, x, x_dot, phi, phi_dot, n))
-                    balancing[n], upright[n] = swings.ended[n], tick[n]
-                u[n] = swings.u[n]
+                    balancing[n] = swings.ended[n]
                 if balancing[n] != 0:
                     u[n] = act(policy, x, x_dot, phi, phi_dot, chance)
+                else:
+                    u[n] = swings.u[n]
             advance(world, tick, number, lanes)
             for n in range(lanes - 1, -1, -1):
                 tick[n] += 1

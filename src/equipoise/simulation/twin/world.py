@@ -12,7 +12,6 @@ from typing import Annotated, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from equipoise import paper
 from equipoise.arm.arm import FREE_JOINTS
 from equipoise.arrays import Array, IntArray, Records, fields, new_records, rows_of
 from equipoise.control.control_step import (
@@ -154,8 +153,8 @@ def _cause_of_step(world: TwinWorld) -> int:
     call(controller.code.observe, (controller, state, ages[0], ages[1], 1))
     _read_truth(world)
     real, exceeded = world.states[0].state, state.limit_exceeded[0] != 0
-    limit = paper.PHI_LIMIT if state.balancing[0] != 0 else inf
-    cause = failure(real.x[0], real.x_dot[0], real.phi[0], exceeded, inf, limit)
+    balancing = state.balancing[0] != 0
+    cause = failure(real.x[0], real.x_dot[0], real.phi[0], exceeded, inf, balancing)
     if cause == TRUNCATED and monitor.active:
         broken = trial_violation(monitor, controller, state, q, measured)
         if broken != NO_VIOLATION:
@@ -218,9 +217,9 @@ class TwinSimulation(Simulation):
             loop = self._idle.pop()  # of a thread that has finished
         except IndexError:
             loop = TwinLoop(self)
+        law = self.law_for(make_swing_up(self.params, self.max_speed), policy)
         for row in rows:
-            world = loop.prepare(trials.trial(row))
-            world = world._replace(swing_up=self.law_for(world.swing_up, policy))
+            world = loop.prepare(trials.trial(row))._replace(swing_up=law)
             run_trials(world, policy, trials, np.array([row]), max_steps)
         self._idle.append(loop)
 
