@@ -47,6 +47,10 @@ class Phase(Enum):
     """Held, the operator lifts the pendulum."""
     ARMED = "armed"
     """Held, the pendulum stands in a hand that may release it."""
+    DAMPING = "damping"
+    """The flange takes the swing from the pendulum."""
+    SWINGING_UP = "swinging up"
+    """The flange swings the hanging pendulum up."""
     BALANCING = "balancing"
     """The policy commands."""
     STOPPING = "stopping"
@@ -145,7 +149,7 @@ class Outcome(EndCause):
     of the balance.
     """
 
-    SURVIVED = "survived", CONTINUE, "the pendulum stayed up for {duration:g} s: catch it"
+    SURVIVED = "survived", CONTINUE, "the pendulum stayed up for {duration:g} s; it falls now"
     JOINT_LIMIT = "joint limit", RELAX, "the policy asks for more than a joint can do"
     NOT_UPRIGHT = (
         "not upright",

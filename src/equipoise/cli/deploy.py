@@ -6,7 +6,7 @@ run, an emulated rig and a real rig.
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 
@@ -15,7 +15,7 @@ from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
 from equipoise.errors import InputError
-from equipoise.settings import Start, changed
+from equipoise.settings import HANGING, Start, changed
 from equipoise.user_code import user_code
 
 
@@ -29,7 +29,7 @@ class Run(Options):
     seed: opt.Seed = 0
     """Seed of the simulation."""
     start: Start | None = None
-    """hand: released by a hand (default); hanging: the simulated arm swings it up."""
+    """hand: released by a hand (default); hanging: the arm swings it up."""
     excite: bool = False
     """Move every joint about home instead, the pendulum hanging."""
 
@@ -42,7 +42,9 @@ class OnRig(Options):
     max_speed: Annotated[float | None, Field(gt=0.0, le=2.0)] = None
     """Stop where the flange reaches this speed [m/s]."""
     identify: bool = False
-    """Identify the arm before the lift, and use its response."""
+    """Identify the arm before the balance, and use its response."""
+    runs: Annotated[int, Field(ge=1, le=10_000)] = 1
+    """Number of runs in a row, with --start hanging: after a fall the arm begins the next one."""
 
 
 @verb
@@ -61,8 +63,12 @@ def deploy(
     POLICY is from equipoise train, or another that evaluate takes; by default
     the shipped table. With --robot or --rig it runs on a rig: pre-flight
     checks, a checklist that is acknowledged by typing, the move to home, a
-    self-test, the release of the pendulum, balancing, rest. Press any key to
-    stop. Exit code 3: robot or encoder failed.
+    self-test, the release or swing-up of the pendulum, balancing, rest. Press
+    any key to stop. Exit code 3: robot or encoder failed.
+
+    With --runs a fall, or a run that survived, leads to the next run, without a
+    hand: run-001.mcap and so on, and run-series.json. Every other end is the
+    last.
 
     With --excite the arm moves by itself, and equipoise identify makes an
     actuator of the log. Exit code 1: the pendulum fell.
@@ -71,7 +77,7 @@ def deploy(
     if run.excite and (policy or on_a_rig or task.actuator or task.settings):
         raise InputError("--excite moves a simulated arm; give it --arm and --pendulum alone")
     if not on_a_rig and on_rig != OnRig():
-        raise InputError("--dry-run, --max-speed and --identify need --robot")
+        raise InputError("--dry-run, --max-speed, --identify and --runs need --robot")
     if on_a_rig:
         _run_on_rig(output, policy, run, task, rig, on_rig, files)
         return
@@ -131,19 +137,21 @@ def _run_on_rig(
     from equipoise.cli.terminal_operator import TerminalOperator, single_keys
     from equipoise.control.bound_policy import BoundPolicy
     from equipoise.identification.actuator import identify_actuator
+    from equipoise.log.conditions import RunEnd
     from equipoise.model.actuator import read_actuator
     from equipoise.outcomes import Outcome
-    from equipoise.rig.checks import check_fit, require
+    from equipoise.rig.checks import check_fit, check_swing_up, require
     from equipoise.rig.config import RigSettings, read_rig, world_of
     from equipoise.rig.connection import connect
     from equipoise.rig.processes import run_in_processes
     from equipoise.rig.request import RunRequest
     from equipoise.rig.run import run_virtually
+    from equipoise.rig.series import run_path, summarise
 
-    if run.world != Run().world or run.start is not None:
-        raise InputError(
-            "--world and --start are for a simulated run; leave them out, or leave out the rig"
-        )
+    if run.world != Run().world:
+        raise InputError("--world is for a simulated run; leave it out, or leave out the rig")
+    if on_rig.runs > 1 and run.start != HANGING:
+        raise InputError("--runs needs --start hanging: a start by hand needs a hand each time")
     settings = read_rig(rig.rig)
     if task.arm is not None:
         of_the_arm: dict[str, object] = {"arm": task.arm}
@@ -170,25 +178,41 @@ def _run_on_rig(
         dry_run=on_rig.dry_run,
         seed=run.seed,
         identify=identify_actuator if on_rig.identify else None,
+        start=run.start or "hand",
+        runs=on_rig.runs,
     )
+    swings = []
     with output.busy("checking policy and addresses"):
         require(check_fit(request.policy, request.actuator, request.settings))
+        if request.start == HANGING:
+            swings = [check_swing_up(request)]
+            require(swings)
         with user_code(f"the driver of {robot}"):
             devices = connect(request)  # nothing is opened before the run
-    identified = ("-actuator.json",) if on_rig.identify else ()
-    read = policy, task.pendulum, rig.rig
-    out = files.file(output, "run.mcap", *read, suffix=".mcap", beside=identified)
+    for swing in swings:
+        output.tell(swing.sentence)
+    beside = ["-actuator.json"] if on_rig.identify else []
+    beside += ["-series.json", "-001.mcap"] if request.runs > 1 else []
+    read, ends = (policy, task.pendulum, rig.rig), list[RunEnd]()
+    out = files.file(output, "run.mcap", *read, suffix=".mcap", beside=beside)
     if emulated:
         with signals() as stopped, user_code(f"the driver of {robot}"):
-            end = run_virtually(request, out, TerminalOperator(output, stopped), rig=devices)
+            operator = TerminalOperator(output, stopped)
+            end = run_virtually(request, out, operator, rig=devices, ended=ends.append)
     else:
         with single_keys():
             operator = TerminalOperator(output)
-            end = run_in_processes(request, out, operator, operator.live)
+            end = run_in_processes(request, out, operator, operator.live, ended=ends.append)
+    ends.append(end)
+    series: dict[str, Any] = {}
+    if request.runs > 1:
+        series = summarise(ends)
+        out = run_path(out, len(ends), request.runs)
     actuator, then = None, command("log explain", out)
-    if end.identified is not None:
+    found = ends[0].identified
+    if found is not None:
         actuator = out.with_name(f"{out.stem}-actuator.json")
-        end.identified.save(actuator, command="deploy", inputs={})
+        found.save(actuator, command="deploy", inputs={})
     if end.outcome is Outcome.DRY_RUN:
         moving = on_rig.model_copy(update={"dry_run": False})
         then = command("deploy", policy, run, rig, moving, task)
@@ -197,16 +221,18 @@ def _run_on_rig(
         arm = task.arm or rig.rig or opt.name_of(loaded.arm)
         then = command("train", task.pendulum or pendulum, arm=arm, actuator=actuator)
     output.result(
+        **series,
         outcome=end.outcome,
         reason=end.reason,
         survival_s=end.survival,
+        upright_s=end.upright,
         run=out,
-        identified=end.identified and end.identified.summary,
+        identified=found and found.summary,
         actuator=actuator,
         stoppable=end.stoppable,
         missed=end.missed,
         world=robot,
-        code=end.exit_code,
+        code=0 if len(ends) == request.runs > 1 else end.exit_code,
         then=then,
     )
 

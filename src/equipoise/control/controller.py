@@ -219,6 +219,15 @@ class Controller:
         """Estimate of the observer."""
         return StateEstimate(*estimate_of(self._state).tolist())
 
+    @property
+    def balancing(self) -> bool:
+        """Whether the encoder's zero is estimated: a balanced pendulum is upright on average."""
+        return bool(self._state.balancing[0])
+
+    @balancing.setter
+    def balancing(self, value: bool) -> None:
+        self._state.balancing[0] = value
+
     def decide(self, policy: Policy) -> float:
         """Return the policy's u [m/s^2] for the observation."""
         return policy.act(observation_of(self._state))

@@ -15,9 +15,11 @@ formula, by its rate at the bottom, its height, and the work of flange and frict
 The law hands over where the policy is known to save the pendulum: in each tick near upright, the
 policy balances the nominal pendulum from there, in simulation, at the edges of what the observer
 may be wrong by. The observation is the state at which u takes effect, so that no delay remains.
+
+Turned round, with an acceleration that falls with the rate, it lets a pendulum hang (`damping`).
 """
 
-from math import copysign, cos, pi, radians, sqrt
+from math import acos, copysign, cos, pi, radians, sqrt
 from typing import Annotated, Final, NamedTuple, Protocol
 
 import numba
@@ -52,6 +54,8 @@ USED_SPEED: Final = 0.8
 """Fraction of a limit of the flange's speed that the law uses [-]."""
 CALIBRATION: Final = 0.5
 """Fraction of the difference between measured and assumed w2 that a swing corrects [-]."""
+DAMPING: Final = 0.3
+"""Damping ratio of the pendulum's small swings under `damping` [-]."""
 MIN_HEIGHT: Final = 1.0
 """Minimum height of a swing that calibrates w2, in lengths of the pendulum [-]."""
 MAX_CALIBRATION: Final = 0.15
@@ -82,6 +86,8 @@ class SwingUp(NamedTuple):
     """Limit of the flange's speed [m/s]; inf without a limit."""
     time_limit: float
     """Time after which it has failed [s]."""
+    damps: bool = False
+    """Whether it lets the pendulum hang, instead of swinging it up."""
     swing_up: int = 0
     """Address of the compiled `swing_up`; 0 where every trial starts by hand."""
 
@@ -95,6 +101,22 @@ def make_swing_up(controller: ControllerParams, max_speed: float) -> SwingUp:
     """
     pendulum, h, horizon = controller.pendulum, controller.h, controller.horizon
     return SwingUp(pendulum, h, horizon, max_speed, time_limit(pendulum))
+
+
+def damping(law: SwingUp) -> SwingUp:
+    """Return the constants of a law that lets the pendulum hang."""
+    return law._replace(damps=True)
+
+
+def amplitude(pendulum: PendulumParameters, phi: float, phi_dot: float) -> float:
+    """Return the amplitude of a pendulum's swing from hanging [rad]; pi where it turns over.
+
+    Args:
+        pendulum: The pendulum.
+        phi: Its angle from upright [rad].
+        phi_dot: Its angular velocity [rad/s].
+    """
+    return acos(max(-cos(phi) - phi_dot * phi_dot / (2.0 * pendulum.w2), -1.0))
 
 
 def time_limit(pendulum: PendulumParameters) -> float:
@@ -171,7 +193,7 @@ def calibrate(
 def pump(
     law: SwingUp, state: SwingUpState, x: float, x_dot: float, phi: float, phi_dot: float, n: int
 ) -> float:
-    """Return the acceleration of the flange that brings the energy to that of upright [m/s^2].
+    """Return the acceleration that brings the energy to that of upright, or damps [m/s^2].
 
     Args:
         law: Constants.
@@ -190,6 +212,8 @@ def pump(
     energy = phi_dot * phi_dot / (2.0 * state.w2[n]) + cos(phi) - 1.0
     gain = UPPER_GAIN if cos(phi) > UPPER else ENERGY_GAIN
     u = copysign(gain, phi_dot * cos(phi)) * energy
+    if law.damps:
+        u = 2.0 * DAMPING * sqrt(law.pendulum.w2) / law.pendulum.k * phi_dot * cos(phi)
     w = CENTRING[0] * sqrt(law.pendulum.w2)
     back = w * (w * x + 2.0 * CENTRING[1] * x_dot)
     most = min(paper.U_MAX, PUMP_TRAVEL * law.pendulum.w2)
@@ -288,7 +312,7 @@ def swing_up(
     n: int,
 ) -> None:
     """Hand lane `n` over to the policy, or pump; arguments as of `pump`."""
-    if saves(law, state, policy, x, x_dot, phi, phi_dot, n):
+    if not law.damps and saves(law, state, policy, x, x_dot, phi, phi_dot, n):
         state.ended[n] = 1
     else:
         state.u[n] = pump(law, state, x, x_dot, phi, phi_dot, n)

@@ -24,6 +24,15 @@ EvidenceValue = Annotated[float | str, BeforeValidator(_storable)]
 """Number or text of an end; a text may quote an exception of a custom policy."""
 
 
+class Reference(Value):
+    """Measurements of a rig at rest at home, which later runs of a series take from the first."""
+
+    zero: Number
+    """Encoder counts of the hanging pendulum."""
+    torque: tuple[Number, ...] | None = None
+    """External torques [N m]; None for a robot that reports none."""
+
+
 class RunConditions(Value):
     """Place of a run, and all its settings."""
 
@@ -68,6 +77,8 @@ class RunConditions(Value):
     """Address of the encoder; None in simulation, or if the robot's address includes it."""
     max_speed: Number | None = None
     """Requested flange speed limit [m/s]; None without one."""
+    reference: Reference | None = None
+    """Reference from the first run of a series; None where this run takes its own."""
     dry_run: bool = False
     """Whether the run omitted the motion of the arm."""
     phases: tuple[Phase, ...] = Field(default=(Phase.BALANCING,), min_length=1, max_length=64)
@@ -95,8 +106,16 @@ class RunEnd(Value):
     """Duration of the balancing [s]."""
     stoppable: bool = True
     """Whether software stopped the arm."""
+    upright: Number | None = None
+    """Duration of the swing-up before [s]; None for a start by hand."""
     zero: Number | None = None
     """Encoder counts of the hanging pendulum; None in simulation, and before the self-test."""
+    zero_change: Number | None = None
+    """Change of the zero that the self-test has measured [rad]; None without one."""
+    w2: Number | None = None
+    """w2 of the pendulum in the self-test [1/s^2]."""
+    delay: Number | None = None
+    """Delay of the encoder behind the measured joints in the self-test [s]."""
     max_speed: Number | None = None
     """Flange speed limit from the pre-flight [m/s]; None without one."""
     identified: Actuator | None = None

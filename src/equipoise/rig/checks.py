@@ -18,6 +18,7 @@ from equipoise.arm.arm import Arm
 from equipoise.arrays import Array
 from equipoise.control.controller import Controller, FlangeKinematics
 from equipoise.control.policy import TaskPolicy, shipped_policy, tick_policy
+from equipoise.control.swing_up import SwingUpPolicy, make_swing_up
 from equipoise.errors import EquipoiseError, InputError, LinkError
 from equipoise.identification.driven_swing import MODEL_STEP, driven_swing
 from equipoise.model.actuator import Actuator
@@ -30,6 +31,8 @@ from equipoise.rig.host import prepare
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Robot
 from equipoise.rig.request import RunRequest, actuator_fits
 from equipoise.rig.script import POLICY_TIME_FRACTION
+from equipoise.settings import HANGING, changed
+from equipoise.simulation.evaluation import evaluate
 from equipoise.user_code import user_code
 
 STALL: Final = 0.020
@@ -53,6 +56,12 @@ class Finding(NamedTuple):
     """Measured values, and the limit where it is not met."""
     remedy: str = ""
     """Action that helps; empty for a good result."""
+
+    @property
+    def sentence(self) -> str:
+        """The finding as a sentence for the operator."""
+        text = f"{self.name}: {self.status}, {self.evidence}"
+        return f"{text}; {self.remedy}" if self.remedy else text
 
 
 def find(
@@ -251,6 +260,32 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> list[
     ]
 
 
+def check_swing_up(request: RunRequest) -> Finding:
+    """Simulate swing-ups of a run's pendulum and arm, within its limits.
+
+    Raises:
+        InputError: A swing-up cannot end with the policy.
+        SettingsError: The pendulum is linearised.
+    """
+    policy, trials = request.policy, 20
+    numbers = {"start": HANGING, "trials": trials, "duration": 1.0}  # [s]
+    values = {f"evaluation.{name}": value for name, value in numbers.items()}
+    if request.max_speed is not None:
+        values["plant.max_speed"] = request.max_speed
+    results = evaluate(
+        policy, changed(policy.settings, values), actuator=request.actuator, with_baselines=False
+    ).results.summary()
+    typical, longest = results.upright or (inf, inf)
+    return find(
+        "swing-up",
+        f"{results.survived} of {trials} succeed in simulation, after {typical:.1f} s (median), "
+        f"{longest:.1f} s (maximum)",
+        "use a pendulum with a period below a second, raise --max-speed, or start by hand",
+        warning=results.survived < trials,
+        bad=results.survived < trials / 2,
+    )
+
+
 def max_flange_speed(
     arm: Arm, trips: Array, requested: float | None, rule: Callable[[Arm, float], float] | None
 ) -> float:
@@ -408,6 +443,8 @@ def warm_up(request: RunRequest) -> None:
     controller.hold()  # a tick that was missed
     driven_swing(0.0, 0.0, np.zeros(1), MODEL_STEP, PendulumParameters(1.0, 1.0, 0.0), np.zeros(2))
     FlangeKinematics(arm, params).pose(arm.home)
+    if request.start == HANGING and (kernel := request.policy.kernel) is not None:
+        SwingUpPolicy(kernel, make_swing_up(params, inf)).act(np.zeros(4))
     if request.identify is not None:
         shipped_policy()  # to read it in a tick takes 50 ms, once all memory is locked
     typical, limit = median(took), POLICY_TIME_FRACTION * request.policy.h

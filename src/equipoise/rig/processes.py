@@ -21,11 +21,12 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import EquipoiseError, OutsideError
-from equipoise.log.conditions import RunEnd
+from equipoise.log.conditions import RunConditions, RunEnd
 from equipoise.log.recorder import (
     CONNECTING,
     ENDED,
@@ -36,7 +37,6 @@ from equipoise.log.recorder import (
     read_events,
     share,
 )
-from equipoise.log.writer import RunWriter
 from equipoise.rig import host
 from equipoise.rig.checks import warm_up
 from equipoise.rig.connection import connect
@@ -47,10 +47,14 @@ from equipoise.rig.plugins import robot_plugin
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import ALONE, STOP, log_warning, run_on_rig
 from equipoise.rig.run_controller import PHASES
+from equipoise.rig.series import RunLogs
 from equipoise.user_code import format_error, user_code
 
 Live = Callable[[str, float], None]
 """Shows the phase of the run and the angle from upright [rad]; never blocks."""
+
+Following = tuple[RunEnd, RunConditions, Callable[[None], None]]
+"""End of a run, conditions of the next, and the reply that lets it begin."""
 
 HEARTBEAT_TIMEOUT: Final = 0.085
 """Time without a tick after which the loop counts as stopped [s]: more than a tick and a stall that
@@ -64,14 +68,25 @@ JOIN_TIMEOUT: Final = 5.0
 # The parent.
 
 
-def run_in_processes(request: RunRequest, out: Path, person: Operator, live: Live) -> RunEnd:
-    """Run a policy on a rig in real time, and write the log.
+def run_in_processes(
+    request: RunRequest,
+    out: Path,
+    person: Operator,
+    live: Live,
+    *,
+    ended: Callable[[RunEnd], None] = lambda _: None,
+) -> RunEnd:
+    """Run a policy on a rig in real time, once or in a series, and write the logs.
 
     Args:
         request: The run.
         out: Path of the log.
         person: The operator.
         live: Shows the phase of the run and the angle from upright [rad]; never blocks.
+        ended: Called with the end of each run of a series but the last.
+
+    Returns:
+        The end of the last run.
 
     Raises:
         InputError: The policy cannot be sent to the loop's process.
@@ -86,8 +101,11 @@ def run_in_processes(request: RunRequest, out: Path, person: Operator, live: Liv
     signalled: list[str] = []
     with share(info) as memory, handled_signals(SIGNALS, lambda *_: signalled.append(STOP)):
         recorder = open_recorder(memory, len(arm.joints))
-        writer, over = RunWriter(out, request.conditions(), time.monotonic()), threading.Event()
-        drains = threading.Thread(target=_drain, args=(writer, recorder, over), daemon=True)
+        logs = RunLogs(out, request.conditions(), request.runs, time.monotonic())
+        over, following = threading.Event(), SimpleQueue[Following]()
+        drains = threading.Thread(
+            target=_drain, args=(logs, recorder, over, following), daemon=True
+        )
         drains.start()
         context = multiprocessing.get_context("spawn")
         results, loop_end = context.Pipe()
@@ -100,7 +118,7 @@ def run_in_processes(request: RunRequest, out: Path, person: Operator, live: Liv
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
             loop_end.close()
-            end = _attend(loop, results, recorder, writer, person, live, signalled)
+            end = _attend(loop, results, recorder, logs, following, person, live, signalled, ended)
             return end
         except EquipoiseError as error:
             end = RunEnd(evidence={"text": str(error)})
@@ -111,33 +129,39 @@ def run_in_processes(request: RunRequest, out: Path, person: Operator, live: Liv
                 loop.join(JOIN_TIMEOUT)
             over.set()
             drains.join(JOIN_TIMEOUT)
-            complete = writer.problem is None
+            complete = logs.problem is None
             if drains.is_alive():
-                writer.problem = "the disk does not answer"
+                logs.problem = "the disk does not answer"
             else:
-                writer.drain(recorder)
-                end = end.model_copy(update={"lost_rows": recorder.lost})
-                writer.finish(time.monotonic(), end)
-            ended = OperatorMessage(ENDED, f"{end.outcome}: {end.reason}")
-            push_event(recorder.event, time.monotonic(), ended)
-            if complete and writer.problem is not None:
-                person.notify(log_warning(writer.problem))
+                logs.finish(recorder, time.monotonic(), end)
+            last = OperatorMessage(ENDED, f"{end.outcome}: {end.reason}")
+            push_event(recorder.event, time.monotonic(), last)
+            if complete and logs.problem is not None:
+                person.notify(log_warning(logs.problem))
 
 
-def _drain(writer: RunWriter, recorder: Recorder, over: threading.Event) -> None:
-    """Write the log during the run; a failure stays in `writer.problem`."""
+def _drain(
+    logs: RunLogs, recorder: Recorder, over: threading.Event, following: "SimpleQueue[Following]"
+) -> None:
+    """Write the logs during the runs; a failure stays in `logs.problem`."""
     while not over.wait(0.050):
-        writer.drain(recorder)
+        logs.drain(recorder)
+        with suppress(Empty):
+            end, conditions, reply = following.get_nowait()
+            logs.follow(recorder, time.monotonic(), end, conditions)
+            reply(None)
 
 
 def _attend(
     loop: BaseProcess,
     results: Any,
     recorder: Recorder,
-    writer: RunWriter,
+    logs: RunLogs,
+    following: "SimpleQueue[Following]",
     person: Operator,
     live: Live,
     signalled: list[str],
+    ended: Callable[[RunEnd], None],
 ) -> RunEnd:
     """Serve the operator and monitor the loop until its process ends; return or raise its result.
 
@@ -145,10 +169,12 @@ def _attend(
         loop: The process.
         results: Pipe with its result.
         recorder: Rings of the run.
-        writer: Writer of the log, for its failure.
+        logs: Logs of the runs, for their failure.
+        following: Takes the end of a run, the next one's conditions, and what lets it begin.
         person: The operator.
         live: Shows phase and angle.
         signalled: Stops that signals to this process request.
+        ended: Called with the end of each run but the last.
     """
     pulse = recorder.pulse
     result: RunEnd | EquipoiseError | None = None
@@ -158,7 +184,12 @@ def _attend(
         if result is None:
             with suppress(EOFError, OSError):  # the process has ended
                 if results.poll():
-                    result, pulse["ticks"] = results.recv(), 0.0  # it ticks no more
+                    received, pulse["ticks"] = results.recv(), 0.0  # it ticks no more
+                    if isinstance(received, tuple):
+                        ended(received[0])
+                        following.put((*received, results.send))
+                    else:
+                        result = received
         # The heartbeat comes before the messages, since printing may take long.
         streams = pulse["ticks"] > 0
         beats = alive and time.monotonic() - float(pulse["time"]) < HEARTBEAT_TIMEOUT
@@ -168,9 +199,9 @@ def _attend(
         silent = streams and not beats
         for event in read_events(recorder.notices.take()):
             person.notify(OperatorMessage(event.name, event.text, event.answers))
-        if writer.problem is not None and not warned:
+        if logs.problem is not None and not warned:
             warned = True
-            person.notify(log_warning(writer.problem))
+            person.notify(log_warning(logs.problem))
         for word in (*person.read_input(), *signalled):
             recorder.typed.push(word=word.encode())
         signalled.clear()
@@ -216,6 +247,11 @@ def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
             )
         rig.sensor.samples()
 
+    def follow(end: RunEnd, following: RunRequest) -> None:
+        """Let the parent end the log and begin the next."""
+        pipe.send((end, following.conditions()))
+        pipe.recv()
+
     with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as helper:
         try:
             request: RunRequest = pickle.loads(data)
@@ -231,6 +267,7 @@ def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
                 recorder,
                 measures=host.prepare,
                 submit=helper.submit,
+                follow=follow,
             )
         except EquipoiseError as error:
             result = type(error)(str(error))

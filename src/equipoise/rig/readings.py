@@ -62,6 +62,7 @@ class EncoderReadings:
         self.dropouts, self.bridged = RepeatMonitor(), False
         """Monitor of lost samples, and whether one was bridged."""
         self._missing, self._illegal, self._jump = 0, False, 0.0
+        self._first_check = inf
 
     def add(self, sample: Sample) -> None:
         """Add the newest sample."""
@@ -87,9 +88,16 @@ class EncoderReadings:
             "encoder_jump": self._jump,
         }
         self._missing, self._illegal, self._jump = 0, False, 0.0
-        if isnan(self.zero) or not self.samples:
+        self._first_check = min(now, self._first_check)
+        if isnan(self.zero):
             return {}
-        return {"encoder_age": now - self.samples[-1].time, **checks}
+        newest = self.samples[-1].time if self.samples else self._first_check
+        return {"encoder_age": now - newest, **checks}
+
+    def hanging(self) -> float:
+        """Return the counts of the hanging pendulum after its whole turns so far."""
+        turn = 2.0 * pi / self._resolution
+        return self.zero + turn * round((self.samples[-1].counts - self.zero) / turn)
 
     def phi(self) -> float:
         """Return the newest angle from upright, in [-pi, pi) [rad]; NaN without a zero."""

@@ -1,7 +1,7 @@
 """Request for a run on a rig: policy, rig and options, and what follows from them."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, radians
 
 import numpy as np
@@ -9,11 +9,12 @@ import numpy as np
 from equipoise.arrays import Array
 from equipoise.control.control_step import ControllerParams, horizon, make_controller_params
 from equipoise.control.policy import TaskPolicy, shipped_policy
-from equipoise.log.conditions import RunConditions
+from equipoise.log.conditions import Reference, RunConditions
 from equipoise.model.actuator import Actuator
 from equipoise.outcomes import Phase
 from equipoise.rig.config import RigSettings
 from equipoise.safety.rules import SafetyParams, make_safety_params
+from equipoise.settings import Start, changed
 from equipoise.simulation.twin.excitation import excitation
 
 
@@ -42,6 +43,13 @@ class RunRequest:
     identify: Callable[[Array, Array], Actuator] | None = None
     """Identification of the arm from an excitation before the lift, such as
     `equipoise.identification.actuator.identify_actuator`; None without one."""
+
+    start: Start = "hand"
+    """Start: the operator lifts the pendulum, or it hangs, and the arm swings it up."""
+    runs: int = 1
+    """Number of runs in a row, without a hand in between; more than one only from hanging."""
+    reference: Reference | None = None
+    """Reference from the first run of a series; None where the operator references the pendulum."""
 
     def parameters(
         self, actuator: Actuator, counts_per_rev: int, max_speed: float = inf
@@ -79,6 +87,16 @@ class RunRequest:
             torque_fraction=rig.torque_fraction,
         )
         return params, safety
+
+    def following(self, reference: Reference, identified: Actuator | None) -> "RunRequest":
+        """Return the request for the next run of a series.
+
+        Args:
+            reference: Reference of the run before.
+            identified: Actuator that it has identified; None without one.
+        """
+        actuator = identified or self.actuator
+        return replace(self, reference=reference, actuator=actuator, identify=None)
 
     def excitation(self) -> Array:
         """Return the motion that identifies the arm, from home to home.
@@ -120,11 +138,12 @@ class RunRequest:
             actuator=self.actuator.digest,
             identifies=self.identify is not None,
             counts_per_rev=self.settings.counts_per_rev,
-            settings=policy.settings,
+            settings=changed(policy.settings, {"evaluation.start": self.start}),
             u_max=policy.u_max,
             rig=self.settings.model_dump(mode="json"),
             encoder=self.encoder,
             max_speed=self.max_speed,
+            reference=self.reference,
             dry_run=self.dry_run,
             phases=tuple(Phase),
         )

@@ -13,9 +13,8 @@ from typing import Any, Final
 
 from equipoise.control.ticks import Job, OperatorMessage
 from equipoise.errors import EquipoiseError, LinkError, OutsideError
-from equipoise.log.conditions import RunEnd
+from equipoise.log.conditions import Reference, RunEnd
 from equipoise.log.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
-from equipoise.log.writer import RunWriter
 from equipoise.outcomes import End, Outcome
 from equipoise.printable import printable
 from equipoise.rig.checks import check_fit, preflight, require
@@ -27,6 +26,8 @@ from equipoise.rig.loop import run_inline, run_loop
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
 from equipoise.rig.script import Run
+from equipoise.rig.series import LEADS_ON, RunLogs
+from equipoise.settings import HANGING
 
 CHECKLIST: Final = (
     ("estop", "Is the E-stop in an operator's hand, and was it tested today?"),
@@ -34,6 +35,17 @@ CHECKLIST: Final = (
     ("monitoring", "Is the robot's own monitoring of its speed active?"),
 )
 """Safety questions before a run on any robot; the operator types the word to acknowledge each."""
+CIRCLE: Final = (
+    (
+        "circle",
+        "Does the pendulum clear arm, cable and table over its whole turn, all along the track?",
+    ),
+)
+"""Safety question before a swing-up."""
+SERIES: Final = (
+    ("stay", "Does the operator stay, the E-stop in a hand, until the last run has ended?"),
+)
+"""Safety question before a series."""
 STOP: Final = "stop"
 """Word that a signal becomes in the loop's input."""
 ALONE: Final = "the operator's process has ended"
@@ -110,8 +122,9 @@ def run_on_rig(
     measures: Callable[[], dict[str, str]] = dict,
     submit: Callable[[Job], "Future[Any]"] = run_inline,
     idle: Callable[[], None] = lambda: None,
+    follow: Callable[[RunEnd, RunRequest], None] = lambda *_: None,
 ) -> RunEnd:
-    """Connect a rig, run a policy on it, bring the arm to rest, and disconnect the rig.
+    """Connect a rig, run a policy on it once or in a series, and disconnect the rig at rest.
 
     Args:
         request: The run.
@@ -121,6 +134,10 @@ def run_on_rig(
         measures: Applies the real-time settings of this process, and returns their results.
         submit: Starts a long job (default: inline).
         idle: Called in each tick, e.g. to drain the rings.
+        follow: Called between two runs of a series, with the end of one and the next request.
+
+    Returns:
+        The end of the last run.
 
     Raises:
         InputError: The policy does not fit the rig.
@@ -137,23 +154,28 @@ def run_on_rig(
     waiting = DrainingClock(rig.clock, rig.sensor)
     operator = OperatorChannel(operators, recorder, waiting, check_links)
     tell = operator.tell
+
     try:
         tell(OperatorMessage(CONNECTING, f"Connecting to {request.robot}."))
         rig.sensor.connect()
         rig.robot.connect()
-        results, max_speed = preflight(request, rig, measures())
+        granted = measures()
+        results, max_speed = preflight(request, rig, granted)
         fit = check_fit(request.policy, request.actuator, request.settings)
         for result in (*fit, *results):
-            text = f"{result.name}: {result.status}, {result.evidence}"
-            text += f"; {result.remedy}" if result.remedy else ""
-            tell(OperatorMessage(f"finding {result.status}", printable(text)))
+            tell(OperatorMessage(f"finding {result.status}", printable(result.sentence)))
         require(fit)
         require(results, OutsideError)
         if max_speed < inf:
             text = f"The run stops when the flange reaches {max_speed:.3g} m/s."
             tell(OperatorMessage("notice", text))
         tell(OperatorMessage("notice", rig.plugin.failure))
-        for word, question in CHECKLIST + rig.plugin.checklist:
+        questions = CHECKLIST + rig.plugin.checklist
+        if request.start == HANGING:
+            questions += CIRCLE
+        if request.runs > 1:
+            questions += SERIES
+        for word, question in questions:
             answer = operator.ask(OperatorMessage("checklist", f"{question} Type {word}.", (word,)))
             if answer != word:
                 return _unmoved(Outcome.OPERATOR, typed=printable(answer))
@@ -163,45 +185,86 @@ def run_on_rig(
         question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
         if (answer := operator.ask(OperatorMessage("move", question, ("y", "n")))) != "y":
             return _unmoved(Outcome.OPERATOR, typed=printable(answer))
-        rig.sensor.samples()
-        robot.start()
-        started = rig.clock.now()
-        recorder.reply.push(time=started, q=robot.started_at, taken=started)
-        counts = rig.sensor.counts_per_rev
-        run = Run(request, robot.started_at, counts_per_rev=counts, max_speed=max_speed)
-        controller = RunController(run, rig.clock.now)
-        ending = run_loop(
-            robot,
-            rig.sensor,
-            rig.clock,
-            controller,
-            recorder,
-            operator,
-            submit=submit,
-            idle=idle,
-        )
-        if ending.stoppable:
-            try:
-                rig.robot.stop()
-            except LinkError as error:
-                fault = End(Outcome.LINK_LOST, {"text": str(error)})
-                ending = ending._replace(fault=fault, stoppable=False)
-        zero = run.encoder.zero
-        end = ending.fault or controller.end
-        end = end or End(Outcome.FAULT, {"text": "the run ended without a cause"})
-        return RunEnd(
-            outcome=end.outcome,
-            evidence=dict(end.evidence),
-            survival=controller.survival,
-            stoppable=ending.stoppable,
-            zero=None if isnan(zero) else zero,
-            max_speed=max_speed if max_speed < inf else None,
-            identified=run.identified,
-            missed=ending.missed,
-        )
+        number, survived = 1, 0
+        while True:
+            if request.runs > 1:
+                so_far = f"{survived} of {number - 1} survived" if number > 1 else "the first"
+                tell(OperatorMessage("run", f"Run {number} of {request.runs}; {so_far}."))
+            end, reference = _run_once(
+                request, rig, robot, operator, recorder, max_speed, submit=submit, idle=idle
+            )
+            if reference is None or number == request.runs:
+                return end
+            number, survived = number + 1, survived + (end.outcome is Outcome.SURVIVED)
+            request = request.following(reference, end.identified)
+            follow(end, request)
+            results, max_speed = preflight(request, rig, granted)
+            require(results, OutsideError)
+            if words := operator.read_input():
+                return _unmoved(Outcome.OPERATOR, typed=printable(words[0].strip() or "Enter"))
     finally:
         rig.robot.close()
         rig.sensor.close()
+
+
+def _run_once(
+    request: RunRequest,
+    rig: Rig,
+    robot: GuardedRobot,
+    operator: Operator,
+    recorder: Recorder,
+    max_speed: float,
+    *,
+    submit: Callable[[Job], "Future[Any]"],
+    idle: Callable[[], None],
+) -> tuple[RunEnd, Reference | None]:
+    """Start the servo, run once, bring the arm to rest, and stop the servo.
+
+    Returns:
+        The end, and the reference for the next run; None where this end leads to none.
+    """
+    rig.sensor.samples()
+    robot.start()
+    started = rig.clock.now()
+    recorder.reply.push(time=started, q=robot.started_at, taken=started)
+    counts = rig.sensor.counts_per_rev
+    run = Run(request, robot.started_at, counts_per_rev=counts, max_speed=max_speed)
+    controller = RunController(run, rig.clock.now)
+    ending = run_loop(
+        robot,
+        rig.sensor,
+        rig.clock,
+        controller,
+        recorder,
+        operator,
+        submit=submit,
+        idle=idle,
+    )
+    if ending.stoppable:
+        try:
+            rig.robot.stop()
+        except LinkError as error:
+            fault = End(Outcome.LINK_LOST, {"text": str(error)})
+            ending = ending._replace(fault=fault, stoppable=False)
+    cause = ending.fault or controller.end
+    cause = cause or End(Outcome.FAULT, {"text": "the run ended without a cause"})
+    zero, test = run.encoder.zero, run.tested
+    end = RunEnd(
+        outcome=cause.outcome,
+        evidence=dict(cause.evidence),
+        survival=controller.survival,
+        stoppable=ending.stoppable,
+        upright=run.upright,
+        zero=None if isnan(zero) else zero,
+        zero_change=test and test.zero,
+        w2=test and test.w2,
+        delay=test and test.delay,
+        max_speed=max_speed if max_speed < inf else None,
+        identified=run.identified,
+        missed=ending.missed,
+    )
+    leads_on = cause.outcome in LEADS_ON and not controller.key_after_stop
+    return end, run.reference if leads_on and ending.stoppable else None
 
 
 def _unmoved(outcome: Outcome, **evidence: float | str) -> RunEnd:
@@ -219,6 +282,7 @@ def run_virtually(
     operator: Operator | None = None,
     *,
     rig: Rig | None = None,
+    ended: Callable[[RunEnd], None] = lambda _: None,
 ) -> RunEnd:
     """Run on an emulated rig in this process, in virtual time.
 
@@ -227,6 +291,10 @@ def run_virtually(
         out: Path of the log; None writes no log.
         operator: Operator besides the emulated one.
         rig: The rig, such as one with faults (default: that of the robot's address).
+        ended: Called with the end of each run of a series but the last.
+
+    Returns:
+        The end of the last run.
 
     Raises:
         InputError: The policy does not fit the rig.
@@ -234,27 +302,32 @@ def run_virtually(
     """
     rig = connect(request) if rig is None else rig
     recorder = Recorder(rig.robot.joints)
-    writer = out and RunWriter(out, request.conditions(), rig.clock.now())
+    logs = out and RunLogs(out, request.conditions(), request.runs, rig.clock.now())
     ticks = count(1)
 
     def idle() -> None:
         """Write the log every quarter of a second; the rings hold ten."""
-        if writer is not None and next(ticks) % 25 == 0:
-            writer.drain(recorder)
+        if logs is not None and next(ticks) % 25 == 0:
+            logs.drain(recorder)
+
+    def follow(end: RunEnd, following: RunRequest) -> None:
+        """End the log of a run, and begin the next."""
+        ended(end)
+        if logs is not None:
+            logs.follow(recorder, rig.clock.now(), end, following.conditions())
 
     operators = [person for person in (rig.operator, operator) if person is not None]
     end = RunEnd()
     try:
         with ended_stalls(rig.clock, rig.clock, rig.robot, rig.sensor):
-            end = run_on_rig(request, rig, operators, recorder, idle=idle)
+            end = run_on_rig(request, rig, operators, recorder, idle=idle, follow=follow)
         return end
     except EquipoiseError as error:
         end = RunEnd(evidence={"text": str(error)})
         raise
     finally:
-        if writer is not None:
-            writer.drain(recorder)
-            writer.finish(rig.clock.now(), end)
-            if writer.problem is not None:
+        if logs is not None:
+            logs.finish(recorder, rig.clock.now(), end)
+            if logs.problem is not None:
                 for person in operators:
-                    person.notify(log_warning(writer.problem))
+                    person.notify(log_warning(logs.problem))

@@ -24,7 +24,16 @@ from equipoise.rig.readings import (
     setpoint_in_force,
     unanswered_time,
 )
-from equipoise.rig.script import PhaseError, Run, Setpoints, Steps, Tick, come_to_rest, script
+from equipoise.rig.script import (
+    OBSERVED,
+    PhaseError,
+    Run,
+    Setpoints,
+    Steps,
+    Tick,
+    come_to_rest,
+    script,
+)
 from equipoise.safety import rules
 from equipoise.safety.monitors import MAX_REPEATS, REPEAT_WINDOW, RepeatMonitor
 from equipoise.safety.rules import SafetyInputs
@@ -34,7 +43,7 @@ UNCERTAIN_TORQUE_FACTOR: Final = 2.0
 at the start of the servo, where the load on the flange pulls differently."""
 PHASES: Final = tuple(Phase)
 """Phases by the index that logs use."""
-MOVING: Final = {Phase.HOMING, Phase.SELF_TEST, Phase.EXCITING, Phase.BALANCING}
+MOVING: Final = {Phase.HOMING, Phase.SELF_TEST, Phase.EXCITING, *OBSERVED}
 """Phases in which the arm moves: Enter stops them, too, and a silent link is sent nothing."""
 OFF_TRACK: Final = {Phase.HOMING, Phase.EXCITING}
 """Phases in which the rules of the flange do not apply."""
@@ -67,7 +76,8 @@ class RunController:
         self.from_measured = False
         """Whether any cause so far shows that the arm is not at its setpoint."""
         self._stopped = Phase.STOPPING  # the phase before the stop
-        self._key_after_stop = False
+        self.key_after_stop = False
+        """Whether the operator has typed anything after the stop."""
         self._sent, self._monitor = setpoint_history(run.q), rules.MonitorState()
         self._pose: FlangePose | None = None
         self._stalls, self._overdue, self._link_stalled = RepeatMonitor(), 0.0, False
@@ -156,7 +166,7 @@ class RunController:
 
     def _take_lines(self, lines: Sequence[str]) -> None:
         """Accept an expected answer; other input stops, except Enter while nothing moves."""
-        self._key_after_stop = self._key_after_stop or (self.end is not None and bool(lines))
+        self.key_after_stop = self.key_after_stop or (self.end is not None and bool(lines))
         for line in lines:
             answer = line.strip().lower() or OK
             if answer in self.run.answers:
@@ -198,9 +208,9 @@ class RunController:
         """Send nothing while the link stands still; the time of a balance continues."""
         run = self.run
         self._rest(0, False, "The robot's link")
-        if run.phase in (Phase.SELF_TEST, Phase.BALANCING):
+        if run.phase is Phase.SELF_TEST or run.phase in OBSERVED:
             run.controller.hold()
-        if run.phase is Phase.BALANCING:
+        if run.phase in OBSERVED:
             run.record_decision(0.0)
 
     # Safety.
@@ -216,7 +226,7 @@ class RunController:
         self._monitor = rules.update_monitor(params, self._monitor, inputs)
         # The observer receives no forbidden measurement; the rules then check its estimate, too.
         measured = inputs._replace(on_track=False, balancing=False)
-        if inputs.balancing and rules.check(params, self._monitor, measured) is None:
+        if run.phase in OBSERVED and rules.check(params, self._monitor, measured) is None:
             self._observe(now)
             estimate = run.controller.estimate
             inputs = inputs._replace(x_dot=estimate.v, phi=estimate.phi)
@@ -225,14 +235,14 @@ class RunController:
             self.stop(violation)
         others = (end for end in broken if end.outcome not in rules.FROM_MEASURED)
         forbidden = next(map(describe, others), "")
-        self._tick.hold_reason = "a key was pressed" if self._key_after_stop else forbidden
+        self._tick.hold_reason = "a key was pressed" if self.key_after_stop else forbidden
         if not broken and run.encoder.bridged:
             self._warn_once("An encoder sample was lost on its way. Look at its cable later.")
 
     def _safety_inputs(self, now: float, lateness: float) -> SafetyInputs:
         """Return the inputs of the safety rules, with the estimate of the tick before."""
         run, joints, controller = self.run, self.run.joints, self.run.controller
-        balancing = run.phase is Phase.BALANCING
+        observed = run.phase in OBSERVED
         punctual = run.phase in (*MOVING, Phase.ARMED, Phase.STOPPING)
         if joints.known_since == inf or (not punctual and missed_ticks(lateness, run.h)):
             joints.known_since = now  # a late loop reads late; nothing moves meanwhile
@@ -244,8 +254,8 @@ class RunController:
             overdue=self._overdue,
             measured_age=now - joints.known_since,
             torque=joints.new_torque(),
-            balancing=balancing,
-            phi=controller.estimate.phi if balancing else 0.0,
+            balancing=run.phase is Phase.BALANCING,
+            phi=controller.estimate.phi if observed else 0.0,
             **run.encoder.take_checks(now),
         )
         if joints.fresh:
@@ -255,7 +265,7 @@ class RunController:
             inputs = inputs._replace(measured=joints.q, expected=expected)
         phase = run.phase if self.end is None else self._stopped
         if phase not in OFF_TRACK and self._pose is not None:
-            x_dot = controller.estimate.v if balancing else controller.x_dot
+            x_dot = controller.estimate.v if observed else controller.x_dot
             if run.phase is Phase.STOPPING and run.ticks > 0:
                 # The controller does not know the way to rest, which has begun.
                 before = [q - run.h * dq for q, dq in zip(run.q, run.dq, strict=True)]

@@ -10,7 +10,7 @@ or from a safety rule, no phase is resumed: `come_to_rest` takes the place of th
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from math import inf, isfinite, nan, pi
+from math import degrees, inf, isfinite, nan, pi, radians, sqrt
 from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
@@ -20,6 +20,7 @@ from equipoise.arrays import Array
 from equipoise.control.controller import Controller, FlangeKinematics
 from equipoise.control.minimum_jerk import MinimumJerk, path_within
 from equipoise.control.policy import Policy, tick_policy
+from equipoise.control.swing_up import SwingUpPolicy, amplitude, damping, make_swing_up, time_limit
 from equipoise.control.ticks import OK, Job, OperatorMessage, Sample, TickRecord
 from equipoise.errors import InputError
 from equipoise.identification.driven_swing import (
@@ -30,6 +31,7 @@ from equipoise.identification.driven_swing import (
     flange_move,
     self_test,
 )
+from equipoise.log.conditions import Reference
 from equipoise.model.actuator import Actuator
 from equipoise.outcomes import End, Outcome, Phase
 from equipoise.printable import printable
@@ -38,6 +40,7 @@ from equipoise.rig.release import ReleaseDetector, ReleaseState
 from equipoise.rig.request import RunRequest, actuator_fits, describe_fit
 from equipoise.safety.rules import STOP_DECELERATION, largest_difference
 from equipoise.safety.stop import Ramp, ramp, stoppable_speeds, way_back
+from equipoise.settings import HANGING
 
 T = TypeVar("T")
 Setpoints: TypeAlias = tuple[tuple[float, ...], ...]
@@ -57,6 +60,16 @@ HOME_TOLERANCE: Final = 2e-5
 first setpoint it is an acceleration of 1 m/s^2."""
 MAX_SWINGS: Final = 4
 """Maximum number of swings of a self-test, repeated until the zero's interval is small."""
+DAMPED: Final = radians(5.0)
+"""Amplitude below which the pendulum hangs [rad]; the self-test needs no smaller one."""
+STILL_SPEED: Final = 1e-6
+"""Speed below which the flange rests [m/s]."""
+BRAKING: Final = 1.0
+"""Deceleration of the flange after the damping [m/s^2]."""
+MAX_SWING_UPS: Final = 3
+"""Maximum number of swing-ups of a run."""
+OBSERVED: Final = {Phase.DAMPING, Phase.SWINGING_UP, Phase.BALANCING}
+"""Phases in which the observer runs, and a policy commands."""
 POLICY_TIME_FRACTION: Final = 0.5
 """Maximum computing time of the policy, as a fraction of a tick [-]: later, the second setpoint,
 due after half a tick, would be late too."""
@@ -133,6 +146,10 @@ class Run:
         self.h, self.flange = self.params.h, FlangeKinematics(self.arm, self.params)
         self.encoder = EncoderReadings(self.params.resolution)
         self.joints = ArmReadings(q, self.safety.limits)
+        if (reference := request.reference) is not None:
+            self.encoder.zero = reference.zero
+            if reference.torque is not None:
+                self.joints.torque_at_home = np.array(reference.torque)
         self.phase = Phase.HOMING
         """The phase."""
         self.ticks = 0
@@ -153,8 +170,19 @@ class Run:
         """Job that begins with this tick."""
         self.identified: Actuator | None = None
         """Actuator that the excitation has identified."""
+        self.tested: SelfTest | None = None
+        """Result of the last self-test."""
+        self.upright: float | None = None
+        """Duration of the swing-up [s]; None before its end."""
         self.done = False
         """Whether the arm rests after a stop, and the run is over."""
+
+    @property
+    def reference(self) -> Reference:
+        """Zero and torques for the next run of a series; the pendulum is referenced."""
+        torque = self.joints.torque_at_home
+        zero = self.encoder.zero
+        return Reference(zero=zero, torque=None if torque is None else tuple(torque.tolist()))
 
     @property
     def time(self) -> float:
@@ -191,6 +219,11 @@ class Run:
         self.dq = (0.0,) * len(self.q)
         return self.q, self.q
 
+    def begin_hanging(self) -> None:
+        """Begin to observe a pendulum that hangs or swings, the arm at rest at home."""
+        self.controller.begin(self.encoder.phi(), 0.0)
+        self.controller.balancing, self.lost_speed = False, 0.0
+
     def glide(self, path: MinimumJerk, t: float) -> Setpoints:
         """Move the flange along a path on its track, as the policy would, at its time t [s]."""
         v = path.at(t + self.h).dq[0] - path.at(t).dq[0]
@@ -219,14 +252,14 @@ class Run:
             unsent: Whether a setpoint of the last tick was not sent.
         """
         self.q, self.dq = q, (0.0,) * len(q)
-        if self.phase in (Phase.SELF_TEST, Phase.BALANCING):
+        if self.phase is Phase.SELF_TEST or self.phase in OBSERVED:
             self.lost_speed += self.controller.x_dot
             self.controller.rest(q, missed, unsent)
         if self.phase is Phase.BALANCING:
             self.balanced += missed
 
     def record_decision(self, u: float) -> None:
-        """Record the observation of a tick of the balance, and the policy's u [m/s^2]."""
+        """Record the observation of a tick, and the policy's u [m/s^2]."""
         observed, estimate = self.controller.observation, self.controller.estimate
         self.record = TickRecord(*observed, self.controller.box, u, *estimate)
 
@@ -255,15 +288,18 @@ def script(run: Run, clock: Callable[[], float]) -> Steps[End]:
     """
     policy, motion = tick_policy(run.request.policy), run.request.excitation()
     yield from home(run)
-    yield from confirm(run)
-    zeroed = False
-    while not zeroed:
-        yield from reference(run)
-        zeroed = yield from swing_test(run)
+    if run.request.reference is None:
+        yield from confirm(run)
+        yield from take_zero(run)
+    else:
+        yield from check_zero(run, clock)
     if run.request.identify is not None:
         yield from excite(run, motion, run.request.identify)
-    released = yield from lift(run)
-    return (yield from balance(run, released, policy, clock))
+    if run.request.start == HANGING:
+        yield from swing_up(run, clock)
+    else:
+        yield from lift(run)
+    return (yield from balance(run, policy, clock))
 
 
 def home(run: Run) -> Steps[None]:
@@ -299,6 +335,30 @@ def confirm(run: Run) -> Steps[None]:
         raise PhaseError(Outcome.OPERATOR, typed="n")
 
 
+def take_zero(run: Run) -> Steps[None]:
+    """Reference the pendulum, until a self-test confirms its zero."""
+    while True:
+        yield from reference(run)
+        test = yield from swing_test(run)
+        if test.verdict is SelfTestVerdict.PASSED:
+            run.encoder.zero += test.zero / run.params.resolution
+            return
+
+
+def check_zero(run: Run, clock: Callable[[], float]) -> Steps[None]:
+    """Damp the pendulum, and check its zero against the reference, which stays."""
+    while not run.encoder.samples:
+        yield run.still()
+    run.begin_hanging()
+    run.q = run.controller.q
+    yield from damp(run, clock)
+    while abs(v := run.controller.x_dot) > STILL_SPEED:
+        yield run.accelerate(-min(max(v / run.h, -BRAKING), BRAKING))
+    test = yield from swing_test(run)
+    if test.verdict is not SelfTestVerdict.PASSED:
+        raise PhaseError(Outcome.SELF_TEST, text=test.reason)
+
+
 def reference(run: Run) -> Steps[None]:
     """Take the count of the hanging pendulum, once it is still and the operator confirms."""
     text = "Let the pendulum hang freely, and steady it with a finger."
@@ -327,11 +387,11 @@ def reference(run: Run) -> Steps[None]:
             return
 
 
-def swing_test(run: Run) -> Steps[bool]:
+def swing_test(run: Run) -> Steps[SelfTest]:
     """Move the flange by 40 mm, judge the swing of the pendulum, and return home.
 
     Returns:
-        Whether the zero is known; otherwise a new reference is needed.
+        A result that is passed, or says that the pendulum does not hang where it was referenced.
     """
     text = "Self-test: the arm moves by 40 mm. Keep your hands off."
     run.enter(Phase.SELF_TEST, "swing", text)
@@ -350,10 +410,8 @@ def swing_test(run: Run) -> Steps[bool]:
             yield run.glide(path, t)
             t = run.time - begin
         at_home = abs(run.controller.x) <= HOME_TOLERANCE
-    if result.verdict is SelfTestVerdict.ZERO:
-        return False
-    run.encoder.zero += result.zero / run.params.resolution
-    return True
+    run.tested = result
+    return result
 
 
 def _swing_out(run: Run, direction: float) -> Steps[SelfTest]:
@@ -374,7 +432,7 @@ def _swing_out(run: Run, direction: float) -> Steps[SelfTest]:
         *np.array(pivot).reshape(-1, 2).T.copy(),
         pendulum=run.params.pendulum,
         counts_per_rev=round(2.0 * pi / run.params.resolution),
-        resting=run.encoder.zero,
+        resting=run.encoder.hanging(),
         delay=0.0,
     )
     try:
@@ -428,8 +486,8 @@ def _free_joints(run: Run, rows: list[TimedJoints]) -> Array:
     return motion[np.unique(motion[:, 0], return_index=True)[1]]
 
 
-def lift(run: Run) -> Steps[float]:
-    """Hold the arm until the operator has lifted and released the pendulum; return the time [s]."""
+def lift(run: Run) -> Steps[None]:
+    """Hold the arm until the operator has lifted and released the pendulum."""
     text = "Lift the pendulum until it stands upright, and hold it there."
     run.enter(Phase.LIFTING, "lift", text)
     detector = ReleaseDetector(run.params.pendulum)
@@ -439,7 +497,9 @@ def lift(run: Run) -> Steps[float]:
         for sample in tick.samples:
             detector.feed(sample.time, run.encoder.angle(sample.counts))
         if detector.state is ReleaseState.RELEASED:
-            return tick.now
+            run.controller.begin(*run.encoder.falling(tick.now, run.params.pendulum.w2))
+            run.lost_speed = 0.0
+            return
         armed = detector.state is ReleaseState.ARMED
         if armed and run.phase is Phase.LIFTING:
             run.enter(Phase.ARMED, "armed", "\aArmed. Let go.")
@@ -450,18 +510,61 @@ def lift(run: Run) -> Steps[float]:
             run.notify("nudge", "Let go. If it stands by itself, nudge it.")
 
 
-def balance(run: Run, released: float, policy: Policy, clock: Callable[[], float]) -> Steps[End]:
+def swing_up(run: Run, clock: Callable[[], float]) -> Steps[None]:
+    """Swing the hanging pendulum up until the policy can balance it.
+
+    A swing-up that takes too long is damped, and begins again.
+    """
+    policy, limit = _swinging(run), time_limit(run.params.pendulum)
+    run.begin_hanging()
+    took = 0.0
+    for attempt in range(MAX_SWING_UPS):
+        again = "again" if attempt else f"for {limit:.0f} s at most"
+        run.enter(Phase.SWINGING_UP, "swing-up", f"Swinging up, {again}. Press any key to stop.")
+        while run.time < limit:
+            u = _decide(run, policy, clock, first=run.ticks == 0)
+            if policy.balancing:
+                run.controller.balancing = True
+                run.upright = took + run.time
+                return
+            yield run.accelerate(u)
+        took += run.time
+        yield from damp(run, clock)
+        took += run.time
+    raise PhaseError(Outcome.NOT_UPRIGHT, value=limit)
+
+
+def damp(run: Run, clock: Callable[[], float]) -> Steps[None]:
+    """Take the swing from the pendulum with the flange, until it nearly hangs."""
+    policy, pendulum = _swinging(run, hang=True), run.params.pendulum
+    run.enter(Phase.DAMPING, "damping", "Damping the pendulum. Press any key to stop.")
+    period, last = 2.0 * pi / sqrt(pendulum.w2), 0.0
+    while run.time - last < period:
+        swing = amplitude(pendulum, *run.controller.observation[2:])
+        last = run.time if swing > DAMPED else last
+        if run.time > time_limit(pendulum):
+            text = f"the pendulum still swings by {degrees(swing):.0f} deg"
+            raise PhaseError(Outcome.SELF_TEST, text=f"{text} after {run.time:.0f} s of damping")
+        yield run.accelerate(_decide(run, policy, clock, first=run.ticks == 0))
+
+
+def _swinging(run: Run, *, hang: bool = False) -> SwingUpPolicy:
+    """Return the policy that swings the pendulum up, or lets it hang."""
+    kernel = run.request.policy.kernel
+    assert kernel is not None  # noqa: S101 - `check_start` has refused other policies
+    law = make_swing_up(run.params, run.safety.speed)
+    return SwingUpPolicy(kernel, damping(law) if hang else law)
+
+
+def balance(run: Run, policy: Policy, clock: Callable[[], float]) -> Steps[End]:
     """Command the policy's accelerations for the duration of the request; return the end.
 
     Args:
         run: The run.
-        released: Time at which the pendulum was released [s].
         policy: The policy.
         clock: Clock for its computing time [s].
     """
     run.enter(Phase.BALANCING, "balancing", "Balancing. Press any key to stop.")
-    run.controller.begin(*run.encoder.falling(released, run.params.pendulum.w2))
-    run.lost_speed = 0.0
     begin, duration = run.balanced, run.request.duration
     while (run.balanced - begin) * run.h < duration - 0.5 * run.h:
         yield run.accelerate(_decide(run, policy, clock, first=run.balanced == begin))

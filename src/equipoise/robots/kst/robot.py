@@ -159,6 +159,7 @@ class KstRobot:
             self._wait(AFTER_START)
             measured = self._request_joints()
         self._streams, self._sent = True, 0
+        self._ready.clear()  # replies of a servo before
         self._last = (self._clock.now(), measured)
         return np.array(measured)
 
