@@ -50,6 +50,8 @@ def replay(run, policy):
         conditions.encoder,
         conditions.duration,
         identify=identify_actuator if conditions.identifies else None,
+        start=conditions.settings.evaluation.start,
+        reference=conditions.reference,
     )
     limit = None if run.end is None else run.end.max_speed
     clock = PolicyClock()

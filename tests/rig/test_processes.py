@@ -81,7 +81,7 @@ class Heart:
         return ARM.home[6] + 0.005 * (1.0 - cos(4.0 * n * H / 2.0))
 
 
-def move(request, rig, operators, recorder, *, measures, submit):
+def move(request, rig, operators, recorder, *, measures, submit, follow):
     """Be the course: no more than a stream."""
     clock, (operator,) = SystemClock(), operators
     arm, heart = Arm(clock), Heart()

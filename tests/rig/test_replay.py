@@ -5,6 +5,8 @@ import pytest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.log.run_log import RunLog
+from equipoise.outcomes import Phase
+from equipoise.rig.run_controller import PHASES
 from tests.faults.harness import FaultHarness, Scenario, Trigger
 from tests.log.made_up import changed_table
 from tests.rig.replayed import replay
@@ -23,7 +25,7 @@ def test_a_whole_course_comes_out_bit_for_bit(run):
 
 def test_the_first_difference_is_named_with_its_tick(run):
     tick = run.tables["tick"]
-    number = int(np.flatnonzero(tick["state"] == 7)[0]) + 20
+    number = int(np.flatnonzero(tick["state"] == PHASES.index(Phase.BALANCING))[0]) + 20
     u = tick["u"].copy()
     u[number] = 1.25
     assert replay(changed_table(run, "tick", u=u), shipped_policy()) == (number, ["u"])

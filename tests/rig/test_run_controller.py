@@ -13,6 +13,7 @@ from equipoise.control.policy import shipped_policy
 from equipoise.control.ticks import Reply, Sample, TickInputs, missed_ticks
 from equipoise.errors import RecordingError
 from equipoise.identification.driven_swing import SelfTest, SelfTestVerdict
+from equipoise.log.conditions import Reference
 from equipoise.model.actuator import Actuator
 from equipoise.outcomes import (
     MAX_MEASUREMENT_AGE,
@@ -237,7 +238,21 @@ def test_an_arm_without_a_usable_actuator_lifts_nothing(identify):
     assert "lift" not in course.told
 
 
-REACH = {Phase.EXCITING: lambda: exciting(fails), Phase.ARMED: armed, Phase.BALANCING: balancing}
+HANGING = replace(REQUEST, start="hanging")
+FOLLOWING = replace(HANGING, reference=Reference(zero=0.0, torque=TORQUES))
+
+
+def hanging(request=HANGING):
+    return Course(away(), request=request)
+
+
+REACH = {
+    Phase.EXCITING: lambda: exciting(fails),
+    Phase.ARMED: armed,
+    Phase.BALANCING: balancing,
+    Phase.DAMPING: lambda: hanging(FOLLOWING).until(Phase.DAMPING),
+    Phase.SWINGING_UP: lambda: hanging().until(Phase.SWINGING_UP),
+}
 """Courses to the phases that `Course.until` alone does not reach."""
 
 
@@ -257,6 +272,36 @@ def test_each_phase_can_be_stopped_and_nothing_opens_the_latch(phase):
         assert (course.pilot.run.phase, course.pilot.end) == (Phase.STOPPING, key)
     assert course.told.count("stopping") == 1
     assert beyond_the_ramp(np.array([q for _, q in course.sent[begin - 1 :]])) < 1e-9
+
+
+@pytest.mark.full
+def test_a_pendulum_that_does_not_come_up_is_damped_and_swung_three_times():
+    course = hanging().until(Phase.STOPPING, 90.0)
+    assert course.cause == Outcome.NOT_UPRIGHT
+    assert [n for n in course.told if n in ("swing-up", "damping")] == ["swing-up", "damping"] * 3
+
+
+def test_a_following_run_asks_nothing_and_damps_before_its_self_test():
+    course = hanging(FOLLOWING).until(Phase.SWINGING_UP)
+    order = ["homing", "home", "hang", "damping", "swing", "swing-up"]
+    told = [name for name in course.told if name in order]
+    assert told == ["homing", "damping", "swing", "swing-up"]
+
+
+def test_a_pendulum_that_is_not_damped_is_not_swung_up():
+    course = hanging(FOLLOWING)
+    course.theta = lambda time: 0.5 * np.sin(8.4 * time)
+    course.until(Phase.STOPPING)
+    assert course.cause == Outcome.SELF_TEST
+    assert "still swings by" in course.reason
+
+
+def test_a_zero_that_has_changed_since_the_reference_ends_a_following_run():
+    course = hanging(FOLLOWING)
+    course.verdicts = [SelfTestVerdict.ZERO]
+    course.until(Phase.STOPPING)
+    assert course.cause == Outcome.SELF_TEST
+    assert course.pilot.run.encoder.zero == 0.0
 
 
 def moves(course):

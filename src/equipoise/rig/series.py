@@ -55,10 +55,13 @@ class RunLogs:
         """Ends of the runs so far."""
         self.problem: str | None = None
         """Reason of an early end of the logs; None without a failure."""
-        self._writer = RunWriter(run_path(out, 1, runs), conditions, now)
+        self._writer: RunWriter | None = RunWriter(run_path(out, 1, runs), conditions, now)
 
     def drain(self, recorder: Recorder) -> None:
         """Write the rows recorded since the last call; a failure of the disk sets `problem`."""
+        if self._writer is None:
+            recorder.take()
+            return
         self._writer.drain(recorder)
         self.problem = self.problem or self._writer.problem
 
@@ -72,7 +75,7 @@ class RunLogs:
             self._writer = RunWriter(run_path(self._out, number, self._runs), conditions, now)
             run_path(self._out, number - MAX_LOGS, self._runs).unlink(missing_ok=True)
         except (OSError, OutsideError) as error:
-            self.problem = self.problem or str(error)
+            self._writer, self.problem = None, self.problem or str(error)
 
     def finish(self, recorder: Recorder, now: float, end: RunEnd) -> None:
         """End the log of a run, and write the summary; a failure of the disk sets `problem`.
@@ -85,8 +88,9 @@ class RunLogs:
         self.drain(recorder)
         end = end.model_copy(update={"lost_rows": recorder.lost - self._lost})
         self._lost = recorder.lost
-        self._writer.finish(now, end)
-        self.problem = self.problem or self._writer.problem
+        if self._writer is not None:
+            self._writer.finish(now, end)
+            self.problem = self.problem or self._writer.problem
         self.ends.append(end)
         if self._runs > 1:
             policy, world = self._conditions.policy, self._conditions.world
