@@ -60,6 +60,8 @@ class Scenario:
     duration: float = 3.0  # of the balancing [s]
     max_speed: float | None = None  # of the flange [m/s]
     identify: bool = False  # whether the arm is excited and identified before the lift
+    start: str = "hand"
+    runs: int = 1
     out: Path | None = None  # the log
     missed_messages: frozenset[str] = frozenset()  # of the emulated operator
 
@@ -124,6 +126,7 @@ class FaultHarness:
         self.clock = StallingClock(clock)
         self.robot_tap = TransportTap(self.robot.link.other, clock)
         self.encoder_tap = TransportTap(self.sensor.link.other, clock)
+        self.ends = list[RunEnd]()  # of the runs of a series before the last
         self.messages, self.observations = list[ReceivedMessage](), list[ArmObservation]()
         self.held_at_start = False  # whether the hand held the pendulum when the policy began
         self.injected_at = None  # time of the first injection [s]
@@ -154,10 +157,14 @@ class FaultHarness:
             duration=scenario.duration,
             max_speed=scenario.max_speed,
             identify=identify_actuator if scenario.identify else None,
+            start=scenario.start,
+            runs=scenario.runs,
         )
         try:
             with patch.object(run, "RunController", partial(FaultyController, self)):
-                outcome = run.run_virtually(request, scenario.out, self, rig=rig)
+                outcome = run.run_virtually(
+                    request, scenario.out, self, rig=rig, ended=self.ends.append
+                )
         except EquipoiseError as error:
             self.messages.append(ReceivedMessage(self.clock.now(), "error", str(error)))
             outcome = RunEnd(evidence={"text": str(error)})
@@ -212,7 +219,7 @@ class FaultHarness:
         if self._ms % 2 == 0:
             q = tuple(self.bench.twin.data.qpos[: self.bench.joints].tolist())
             self.observations.append(ArmObservation(now, float(self.bench.twin.truth().x), q))
-        if self._ms == 90_000:  # the longest run
+        if self._ms == 90_000 * self.scenario.runs:  # the longest run
             self.typed.append("stop")
 
 

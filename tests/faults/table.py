@@ -289,13 +289,17 @@ def _held_back(
 MOVED_AWAY = _ends("following error", "flange drift", "flange tilt", "track")
 """Ends of a run whose setpoints leave the planned motion."""
 
+HANGING = _with(start="hanging")
+SERIES = _with(start="hanging", runs=2, duration=0.5)
 MOVES = {
-    "homing": (Trigger("homing", 0.5), False),
-    "self-test": (Trigger("swing", 0.6), False),
-    "excitation": (Trigger("excitation", 1.0), True),
-    "balancing": (BALANCING, False),
+    "homing": (Trigger("homing", 0.5), _with()),
+    "self-test": (Trigger("swing", 0.6), _with()),
+    "excitation": (Trigger("excitation", 1.0), _with(identify=True)),
+    "swinging up": (Trigger("swing-up", 1.0), HANGING),
+    "damping": (Trigger("damping", 0.3), SERIES),
+    "balancing": (BALANCING, _with()),
 }
-"""Phases in which the arm moves: a time in each, and whether the run identifies the arm."""
+"""Phases in which the arm moves: a time in each, and the scenario that reaches it."""
 
 
 def run_off(joint: int, rate: float, most: float) -> Inject:
@@ -379,11 +383,12 @@ ROBOT = (
     _held_back("unit slip in the setpoints", "joint position",
                _setpoint(lambda q, since: tuple(map(degrees, q)))),
     *(Fault(f"joints run off: {phase}", MOVED_AWAY, run_off(0, 10.0, 1.5), trigger,
-            _with(identify=identify), within=0.08, says="not plausible", words_after_stop=False)
-      for phase, (trigger, identify) in MOVES.items()),
+            scenario, within=0.08, says="not plausible", words_after_stop=False)
+      for phase, (trigger, scenario) in MOVES.items()),
     *(Fault(f"slow link: {phase}", _ends("stale joints", "repeated stalls", "arm not identified"),
-            _stop_behind_slow_link, trigger, _with(identify=identify), within=0.135, says="link")
-      for phase, (trigger, identify) in MOVES.items()),
+            _stop_behind_slow_link, trigger, scenario, within=0.135, says="link",
+            words_after_stop=phase != "damping")
+      for phase, (trigger, scenario) in MOVES.items()),
 )
 # fmt: on
 
@@ -495,6 +500,51 @@ RELEASE = (
 # fmt: on
 
 
+# Without a hand.
+
+
+def _hold(harness: FaultHarness) -> None:
+    """Hold the pendulum down from now on, as an obstacle does."""
+    harness.bench.steady()
+
+
+def _swung_once(harness: FaultHarness) -> Sequence[str]:
+    swung = sum(message.name == "swing-up" for message in harness.messages)
+    return () if swung == 1 else (f"it swung up {swung} times",)
+
+
+# fmt: off
+IN_SWING_UP = Trigger("swing-up", 2.0)
+HANDS_OFF = (
+    Fault("encoder unplugged in the swing-up", _ends("encoder lost"), _call("sensor.link.close"),
+          IN_SWING_UP, HANGING, within=0.02, says="encoder"),
+    Fault("encoder frozen in the swing-up", _ends("not upright", "self-test", "count jump"),
+          _change("board", frozen=True), IN_SWING_UP, HANGING),
+    Fault("E-stop in the swing-up", _ends("robot not following", "following error"),
+          _call("bench.body.stop", "emergency stop"), IN_SWING_UP, HANGING, within=0.4),
+    Fault("contact in the swing-up", _ends("contact"), _touch(60.0), IN_SWING_UP, HANGING,
+          within=0.1),
+    Fault("stall in the swing-up", _ends("survived"), _stall(0.06), IN_SWING_UP, HANGING,
+          says="loop stalled"),
+    Fault("push in the swing-up", _ends("survived"), _call("bench.push", radians(200.0)),
+          IN_SWING_UP, HANGING),
+    Fault("pendulum held in the swing-up", _ends("not upright", "self-test"), _hold, IN_SWING_UP,
+          HANGING),
+    Fault("pendulum held between two runs", _ends("self-test"), _hold, Trigger("stopping", 3.0),
+          SERIES, check=_swung_once, words_after_stop=False),
+    Fault("zero that slips between two runs", _ends("self-test"), _call("bench.slip", radians(1.0)),
+          Trigger("stopping", 2.0), SERIES, says="hangs", check=_swung_once,
+          words_after_stop=False),
+    Fault("robot lost between two runs", _ends("error"), _drop, Trigger("stopping", 2.0), SERIES,
+          check=_swung_once, words_after_stop=False),
+    Fault("key between two runs", _ends("operator"), _call("typed.append", "stop"),
+          Trigger("stopping", 2.5), SERIES, check=_swung_once, words_after_stop=False),
+    Fault("key after a stop of a series", _ends("survived"), scenario=SERIES,
+          trigger=Trigger("stopping"), check=_swung_once),
+)
+# fmt: on
+
+
 # The operator and the input files.
 
 
@@ -505,11 +555,13 @@ def _other_arm(scenario: Scenario) -> Scenario:
 
 # fmt: off
 KEYS = {"homing": 0.5, "hang": 1.0, "swing": 0.6,
-               "lift": 1.5, "armed": 0.1, "balancing": 1.0}
+               "lift": 1.5, "armed": 0.1, "damping": 0.5, "swing-up": 1.0, "balancing": 1.0}
 """Time of a key press in each phase, after its start [s]."""
+SCENARIOS = {"damping": SERIES, "swing-up": HANGING}
 OPERATOR = (
     *(Fault(f"key: {phase}", _ends("operator"), _call("typed.append", "stop"),
-            Trigger(phase, after), within=0.02, says="operator")
+            Trigger(phase, after), SCENARIOS.get(phase, _with()), within=0.02, says="operator",
+            words_after_stop=False)
       for phase, after in KEYS.items()),
 )
 INPUTS = (
@@ -520,4 +572,4 @@ INPUTS = (
 )
 # fmt: on
 
-TABLE = (*ENCODER, *TIME, *ROBOT, *NUMBERS, *RELEASE, *OPERATOR, *INPUTS)
+TABLE = (*ENCODER, *TIME, *ROBOT, *NUMBERS, *RELEASE, *HANDS_OFF, *OPERATOR, *INPUTS)

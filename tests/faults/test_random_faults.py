@@ -13,7 +13,7 @@ pytestmark = pytest.mark.compiled_only
 
 PHASES = {
     "homing": 1.0, "home": 0.3, "hang": 2.0, "reference": 0.5, "swing": 6.0, "excitation": 9.0,
-    "lift": 3.0, "armed": 0.5, "balancing": 2.5,
+    "lift": 3.0, "armed": 0.5, "swing-up": 5.0, "balancing": 2.5, "damping": 25.0,
 }  # fmt: skip
 """Messages that a phase begins with, and the time after them within which it fails [s]."""
 LISTED = [fault for fault in TABLE if fault.trigger.event != START]
@@ -58,19 +58,25 @@ def end_badly(seed, folder):
     random = np.random.default_rng([seed, 29])
     faults, names = [], []
     identify = bool(random.random() < 0.15)
-    last = str(random.choice([name for name in PHASES if identify or name != "excitation"]))
+    start = str(random.choice(("hand", "hanging")))
+    runs = int(random.integers(1, 3)) if start == "hanging" else 1
+    left_out = {"swing-up"} if start == "hand" else {"lift", "armed"}
+    left_out |= set() if identify else {"excitation"}
+    left_out |= set() if runs > 1 else {"damping"}
+    phases = [name for name in PHASES if name not in left_out]
+    last = str(random.choice(phases))
     for _ in range(int(random.integers(2, 5))):
         name, inject = drawn(random)
         if random.random() < 0.4:
             listed = LISTED[int(random.integers(len(LISTED)))]
             name, inject = listed.name, listed.inject
         # Most strike at about the same time; some long before.
-        phase = last if random.random() < 0.7 else str(random.choice(list(PHASES)))
+        phase = last if random.random() < 0.7 else str(random.choice(phases))
         trigger = Trigger(phase, float(random.uniform(0.0, PHASES[phase])))
         faults.append((trigger, inject))
         names.append(f"{name} at {phase} + {trigger.after:.2f} s")
     words = bool(random.random() < 0.3)
-    scenario = Scenario(identify=identify, out=folder / "run.mcap")
+    scenario = Scenario(identify=identify, start=start, runs=runs, out=folder / "run.mcap")
     harness = FaultHarness(scenario, *faults, words_after_stop=words, seed=seed)
     end = harness.run()
     return names, end.outcome, end.reason, check_run(harness, end)

@@ -7,6 +7,7 @@ link, limits come from the arm, and rest is judged by the twin's joints.
 """
 
 from bisect import bisect_left
+from itertools import pairwise
 from math import inf, isfinite
 from typing import NamedTuple
 
@@ -16,8 +17,9 @@ from equipoise import paper
 from equipoise.errors import EquipoiseError
 from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Outcome
+from equipoise.rig.series import LEADS_ON, run_path
 from equipoise.safety.rules import POSITION_MARGIN, STOP_DECELERATION
-from tests.faults.harness import FaultHarness, Scenario
+from tests.faults.harness import ArmObservation, FaultHarness, ReceivedMessage, Scenario
 
 MAX_NOTICE = 0.100
 """Maximum time from the fault to the warning that software cannot stop the robot [s]."""
@@ -30,7 +32,10 @@ MAX_HOLD_STEP = 5e-5
 """Maximum step of a setpoint that holds the arm [rad]: 0.01 rad/s."""
 REST_DISTANCE = 2e-4
 """Distance that a ramp still covers once its steps are those of a held arm [rad]."""
-CONTINUING = {"homing", "home", "hang", "reference", "swing", "lift", "armed", "balancing"}
+CONTINUING = {
+    "homing", "home", "hang", "reference", "damping", "swing", "swing-up", "lift", "armed",
+    "balancing",
+}  # fmt: skip
 """Names of messages that must not follow a stop."""
 PERIOD = paper.STEP / 2.0
 """Time between two setpoints [s]."""
@@ -41,6 +46,24 @@ class Sent(NamedTuple):
 
     time: float  # [s]
     q: tuple[float, ...]  # joints [rad]
+
+
+class Part(NamedTuple):
+    """What one run of a series has sent, said and moved."""
+
+    messages: list[ReceivedMessage]
+    sent: list[Sent]
+    observations: list[ArmObservation]
+
+
+def parts_of(harness):
+    """Return the parts of a series, which begin with each way home."""
+    begins = [m.time for m in harness.messages if m.name == "homing"][1:]
+    rows = harness.messages, setpoints_of(harness.robot_tap.sent), harness.observations
+    return [
+        Part(*([row for row in kind if begin <= row.time < end] for kind in rows))
+        for begin, end in pairwise((-inf, *begins, inf))
+    ]
 
 
 def setpoints_of(lines):
@@ -132,20 +155,32 @@ def ramp_reach(arm, q, before):
 
 
 def check_run(harness, outcome):
-    """Return the problems that no run may have, whatever fails in it.
+    """Return the problems that no run or series may have, whatever fails in it.
 
     Args:
         harness: Record of the run.
         outcome: Result that the run returns.
     """
-    arm, messages = harness.scenario.settings.described_arm, harness.messages
-    sent = setpoints_of(harness.robot_tap.sent)
+    *before, last = parts_of(harness)
+    problems = _on_track(harness) + _log_problems(harness)
+    for part, end in zip(before, harness.ends, strict=False):
+        if end.outcome not in LEADS_ON:
+            problems.append(f"a run followed {end.outcome}")
+        problems += _check_part(harness, part, end)
+    if outcome.outcome is Outcome.ERROR and len(harness.ends) > len(before):
+        return problems + _at_rest(last)  # between two runs
+    return problems + _check_part(harness, last, outcome)
+
+
+def _check_part(harness, part, outcome):
+    """Return the problems of one run."""
+    arm = harness.scenario.settings.described_arm
+    messages, sent, _ = part
     problems = check_limits(arm, sent)
     if outcome.outcome is Outcome.ERROR:
         moved = [f"{len(sent)} setpoints were sent"] if sent else []
-        return [*problems, *moved, *_at_rest(harness)]
-    problems += _on_track(harness) + _log_problems(harness)
-    stop = stop_time(harness)
+        return [*problems, *moved, *_at_rest(part)]
+    stop = stop_time(part)
     if stop == inf:
         return [*problems, "the operator received no message of the stop"]
     if outcome.stoppable:
@@ -155,15 +190,16 @@ def check_run(harness, outcome):
     if any(m.name in CONTINUING for m in messages if m.time > stop + 1e-9):
         problems.append("the run went on after its stop")
     ended = [time for time, line in harness.robot_tap.sent if line.startswith(b"stopDirectServo")]
+    ended = [time for time in ended if time > stop]
     if ended and sent and sent[-1].time > ended[0]:
         problems.append("a setpoint was sent after the servo had ended")
-    return problems + _moved_on(harness, sent, stop) + _at_rest(harness)
+    return problems + _moved_on(arm, part, stop) + _at_rest(part)
 
 
-def stop_time(harness):
+def stop_time(part):
     """Return the time of the first message of a run's end [s]; inf without one."""
     ends = ("stopping", "fault", "error")
-    return next((m.time for m in harness.messages if m.name in ends and m.text), inf)
+    return next((m.time for m in part.messages if m.name in ends and m.text), inf)
 
 
 def problems_of(fault, scenario=None):
@@ -190,7 +226,7 @@ def judge(harness, outcome, fault):
         return problems
     if harness.held_at_start and not fault.held_at_start:
         problems.append("the policy began while the hand held the pendulum")
-    stop = stop_time(harness)
+    stop = stop_time(parts_of(harness)[-1])
     if stop - harness.injected_at > fault.within + 1e-9:
         problems.append(f"it stopped {stop - harness.injected_at:.3f} s after the fault")
     if outcome.stoppable is not fault.stoppable:
@@ -208,13 +244,14 @@ def _warns(message):
     return "software" in text and ("E-stop" in text or "emergency stop" in text)
 
 
-def _moved_on(harness, sent, stop):
+def _moved_on(arm, part, stop):
     """Return the problem of a joint that moves further after a stop [s] than the ramp."""
+    sent = part.sent
     k = bisect_left([setpoint.time for setpoint in sent], stop - 1e-9)
-    later = [arm.q for arm in harness.observations if arm.time >= stop]
+    later = [arm.q for arm in part.observations if arm.time >= stop]
     if k < 2 or not later:
         return []
-    arm, before, last = harness.scenario.settings.described_arm, sent[k - 2].q, sent[k - 1].q
+    before, last = sent[k - 2].q, sent[k - 1].q
     q, speed = np.array(last), np.abs(np.subtract(last, before)) / PERIOD
     # The arm may lag by 60 ms; a push or the pendulum moves a joint by 0.02 rad behind its servo.
     most = ramp_reach(arm, q, np.array(before)) + 0.06 * speed + 0.02
@@ -227,11 +264,15 @@ def _moved_on(harness, sent, stop):
 def _log_problems(harness):
     if harness.scenario.out is None or harness.disk_is_full:
         return []
-    try:
-        end = RunLog.load(harness.scenario.out).end
-    except EquipoiseError as error:
-        return [f"the log cannot be read: {error}"]
-    return [] if end else ["the log has no end"]
+    problems, runs = [], harness.scenario.runs
+    for number in range(1, len(harness.ends) + 2):
+        try:
+            end = RunLog.load(run_path(harness.scenario.out, number, runs)).end
+        except EquipoiseError as error:
+            problems.append(f"the log cannot be read: {error}")
+        else:
+            problems += [] if end else ["the log has no end"]
+    return problems
 
 
 def _on_track(harness):
@@ -240,9 +281,9 @@ def _on_track(harness):
     return [f"the flange was {x:.4f} m from home"] if x >= paper.X_LIMIT else []
 
 
-def _at_rest(harness):
-    end = harness.observations[-1].time
-    return check_still([arm.q for arm in harness.observations if arm.time > end - 0.3])
+def _at_rest(part):
+    end = part.observations[-1].time
+    return check_still([arm.q for arm in part.observations if arm.time > end - 0.3])
 
 
 def check_still(postures):

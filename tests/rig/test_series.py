@@ -128,7 +128,7 @@ def test_older_logs_of_a_long_series_are_deleted(tmp_path, monkeypatch, fallen):
 
 
 def test_a_disk_that_takes_no_log_leaves_the_series_running(tmp_path, monkeypatch):
-    def refuse(*_):
+    def refuse(*_, **__):
         raise OSError(28, "no space left")
 
     def fill(_):
