@@ -110,10 +110,10 @@ def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:
 
 
 @verb
-def refine(output: Output, policy: Path, run: Path, *, files: opt.Files) -> None:
-    """Compare a run log with the model of a policy, and write what has changed.
+def refine(output: Output, policy: Path, runs: list[Path], *, files: opt.Files) -> None:
+    """Compare logs of runs with the model of a policy, and write what has changed.
 
-    POLICY is the table that ran, RUN is a log from equipoise deploy.
+    POLICY is the table that ran, RUNS are logs from equipoise deploy, on one rig.
     Identifies w2 and the actuator again, and writes those that left their
     intervals: the pendulum (refined.json), and the actuator beside it.
     """
@@ -121,12 +121,14 @@ def refine(output: Output, policy: Path, run: Path, *, files: opt.Files) -> None
     from equipoise.log.run_log import load_run
 
     table = eq.TabularPolicy.load(policy)
-    log = load_run(run)
-    out = files.file(output, "refined.json", policy, run, beside=("-actuator.json",))
-    output.warn(log.damage)
+    logs = [load_run(run) for run in runs]
+    out = files.file(output, "refined.json", policy, *runs, beside=("-actuator.json",))
+    for log in logs:
+        output.warn(log.damage)
     with output.busy("identifying again"):
-        findings = inspect(table, log)
-    inputs = {"policy": table.digest, "run": log.digest}
+        findings = inspect(table, *logs)
+    inputs = {f"run {number}": log.digest for number, log in enumerate(logs, start=1)}
+    inputs["policy"] = table.digest
     paths: dict[str, Any] = {}
     pendulum = opt.file_of(table.pendulum.digest, eq.shipped_pendulum())
     actuator = opt.file_of(table.actuator.digest, eq.shipped_actuator())

@@ -30,7 +30,8 @@ integration by parts, their second derivatives under the window equal the sample
 derivative. All terms see the same window.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from math import sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -252,7 +253,7 @@ class ModelMotion(NamedTuple):
 
 
 class RefinementFindings(NamedTuple):
-    """Model of a policy as identified from a log."""
+    """Model of a policy as identified from logs."""
 
     fit: ClosedLoopFit
     """The identified pendulum."""
@@ -265,37 +266,47 @@ class RefinementFindings(NamedTuple):
     actuator: Actuator
     """The policy's actuator, with all identified parameters if any of them moved."""
     warnings: tuple[str, ...]
-    """Limitations of the log, each with advice."""
+    """Limitations of the logs, each with advice."""
 
 
-def inspect(policy: TabularPolicy, log: RunLog) -> RefinementFindings:
-    """Identify the model of a policy from the log of a run, and compare.
+def inspect(policy: TabularPolicy, *logs: RunLog) -> RefinementFindings:
+    """Identify the model of a policy from the logs of runs on one rig, and compare.
 
     Args:
         policy: The policy, with its pendulum, arm and actuator.
-        log: A run on a rig.
+        logs: The runs; of several, those that identify no pendulum are left out with a warning.
 
     Raises:
-        ArtefactError: The log is of another arm.
-        RecordingError: The log identifies no pendulum.
+        ArtefactError: A log is of another arm.
+        RecordingError: No log identifies the pendulum.
     """
     plant, arm = policy.settings.plant, policy.arm
     pendulum, actuator = policy.pendulum, policy.actuator
-    motion = read_motion(log, arm)
-    # A board sends every millisecond, with stamps that err by a third of that, which a spline
-    # through all samples would fit. The equation of the pendulum is nearly linear, so that averages
-    # of its terms over about 10 ms satisfy it.
-    every = max(round(0.01 / float(np.median(np.diff(motion.time)))), 1)
-    used = len(motion.time) // every * every
-    fit = regress(*(part[:used].reshape(-1, every).mean(axis=1) for part in motion), g=pendulum.g)
-    response: dict[str, Estimate] = {}
-    warnings = list(fit.warnings)
-    # An ideal arm has no actuator to compare with.
-    if not plant.ideal:
+    fits, responses, warnings = list[ClosedLoopFit](), list[dict[str, Estimate]](), list[str]()
+    for number, log in enumerate(logs, start=1):
+        name = f"run {number}: " if len(logs) > 1 else ""
         try:
-            response = read_response(log, arm, actuator)
+            fit = read_fit(log, arm, pendulum.g)
         except RecordingError as error:
-            warnings.append(f"the log does not identify the actuator: {error}")
+            if len(logs) == 1:
+                raise
+            warnings.append(f"{name}{error}")
+            continue
+        fits.append(fit)
+        warnings += [name + warning for warning in fit.warnings]
+        # An ideal arm has no actuator to compare with.
+        if not plant.ideal:
+            try:
+                responses.append(read_response(log, arm, actuator))
+            except RecordingError as error:
+                warnings.append(f"{name}the log does not identify the actuator: {error}")
+    if not fits:
+        raise RecordingError("none of the runs identifies the pendulum; balance for longer")
+    fit = combine_fits(fits)
+    names = [name for name in _numbers(actuator, arm) if any(name in found for found in responses)]
+    response = {
+        name: combine([found[name] for found in responses if name in found]) for name in names
+    }
     # The friction of a balanced pendulum is hardly known, and not compared.
     of_w2 = (pendulum.w2, fit.w2, plant.inertia_sigma * pendulum.w2.value)
     moves = significant_moves({"w2": of_w2}, "1/s^2")
@@ -314,6 +325,54 @@ def inspect(policy: TabularPolicy, log: RunLog) -> RefinementFindings:
         actuator = actuator.model_copy(update=new)
     moved = moves | responded
     return RefinementFindings(fit, response, moved, pendulum, actuator, tuple(warnings))
+
+
+def combine(estimates: Sequence[Estimate]) -> Estimate:
+    """Return the mean of independent estimates of a number, weighted by their intervals.
+
+    Where they scatter by more than their intervals say, its interval grows by as much.
+    """
+    if len(estimates) == 1:
+        return estimates[0]
+    values = np.array([estimate.value for estimate in estimates])
+    weights = np.array([max(estimate.half_width, 1e-12) for estimate in estimates]) ** -2.0
+    mean = float(np.average(values, weights=weights))
+    scatter = NORMAL**2 * float(weights @ (values - mean) ** 2) / (len(estimates) - 1)
+    half = sqrt(max(scatter, 1.0) / float(weights.sum()))
+    return Estimate.around(mean, half, estimates[0].source)
+
+
+def combine_fits(fits: Sequence[ClosedLoopFit]) -> ClosedLoopFit:
+    """Return the pendulum of several logs."""
+    names = [name for name in ClosedLoopFit.model_fields if hasattr(getattr(fits[0], name), "low")]
+    means = {name: combine([getattr(fit, name) for fit in fits]) for name in names}
+    of_all: dict[str, float] = {
+        "duration": sum(fit.duration for fit in fits),
+        "samples": sum(fit.samples for fit in fits),
+        "unexplained": max(fit.unexplained for fit in fits),
+    }
+    return fits[0].model_copy(update=means | of_all)
+
+
+def read_fit(log: RunLog, arm: Arm, g: float) -> ClosedLoopFit:
+    """Return the pendulum that a run identifies.
+
+    Args:
+        log: A run on a rig.
+        arm: Its arm.
+        g: Acceleration of gravity [m/s^2].
+
+    Raises:
+        ArtefactError: The log is of another arm.
+        RecordingError: The log identifies no pendulum.
+    """
+    motion = read_motion(log, arm)
+    # A board sends every millisecond, with stamps that err by a third of that, which a spline
+    # through all samples would fit. The equation of the pendulum is nearly linear, so that averages
+    # of its terms over about 10 ms satisfy it.
+    every = max(round(0.01 / float(np.median(np.diff(motion.time)))), 1)
+    used = len(motion.time) // every * every
+    return regress(*(part[:used].reshape(-1, every).mean(axis=1) for part in motion), g=g)
 
 
 def read_motion(log: RunLog, arm: Arm) -> ModelMotion:
