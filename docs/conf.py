@@ -60,6 +60,7 @@ CONTENTS = {
         "/docs/how-to/encoder",
         "/docs/how-to/digital-twin",
         "/docs/how-to/swing-up",
+        "/docs/how-to/series",
         "/docs/how-to/first-run",
         "/docs/how-to/franka",
         "/docs/how-to/console",

@@ -113,6 +113,7 @@ RUN = (
     "docs/tutorial.md",
     "docs/how-to/digital-twin.md",
     "docs/how-to/swing-up.md",
+    "docs/how-to/series.md",
     "docs/how-to/encoder.md",
     "docs/how-to/first-run.md",
     "docs/how-to/franka.md",

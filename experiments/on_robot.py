@@ -1,0 +1,220 @@
+"""What runs on a rig buy a policy that was trained in simulation: the paper's future work.
+
+A rig whose response differs from that of the training is a digital twin behind the emulated KST
+server and its drivers, in virtual time. A series of runs from hanging, without a hand, records
+what happens there. Policies are then evaluated on the same twin, in trials that start by hand:
+
+`shipped`
+    The shipped policy, with the actuator of its training.
+`identified`
+    The same table, with the actuator that the rig's own excitation identifies
+    (`deploy --identify`).
+`trained again`
+    Tables of several seeds, trained for what `refine` finds in the first twenty runs.
+`goes on`
+    Equation (1) goes on with the transitions of the runs, block after block, from the shipped
+    Q and its visits; the runs of a block use the table of the block before.
+
+::
+
+    python experiments/on_robot.py --runs 100 --json on_robot.json --out on_robot.png
+"""
+
+import argparse
+import json
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import equipoise as eq
+from equipoise.executors import available_cores
+from equipoise.identification.actuator import identify_actuator
+from equipoise.identification.refine import inspect
+from equipoise.learning.q_learning import new_tables
+from equipoise.log.conditions import RunEnd
+from equipoise.log.run_log import RunLog
+from equipoise.model.grid import mirrored_box
+from equipoise.model.worlds import read_world
+from equipoise.outcomes import Outcome
+from equipoise.paper import ACTIONS
+from equipoise.rig.config import RigSettings
+from equipoise.rig.request import RunRequest
+from equipoise.rig.run import run_virtually
+from equipoise.rig.series import run_path
+from equipoise.settings import Settings
+
+WORLDS: Final = {
+    "harsh": "",
+    "unknown servo": "transport = 0.022\ncycle = 0.010\nlag = 0.014\ncoulomb = 0.2\n",
+}
+"""Twins by name: that of the project, or the content of a file."""
+BLOCK: Final = 20
+"""Number of runs with one table."""
+SEEDS: Final = 5
+"""Number of trainings for the refined model."""
+
+
+def main() -> None:
+    """Record the series, evaluate the policies, and draw the figure."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--runs", type=int, default=100, help="runs on each rig")
+    parser.add_argument("--duration", type=float, default=10.0, help="length of a balance [s]")
+    parser.add_argument("--trials", type=int, default=500, help="trials of each evaluation")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--out", type=Path)
+    args = parser.parse_args()
+    with ProcessPoolExecutor(available_cores(), get_context("spawn")) as pool:
+        studies = [pool.submit(study, name, args) for name in WORLDS]
+        results = {name: one.result() for name, one in zip(WORLDS, studies, strict=True)}
+    print(json.dumps(results, indent=1))
+    if args.json:
+        args.json.write_text(json.dumps(results))
+    if args.out:
+        draw(results).savefig(args.out, dpi=150)
+
+
+def study(name: str, args: argparse.Namespace) -> dict[str, Any]:
+    """Return the results on one rig."""
+    policy = eq.TabularPolicy.model_validate(eq.shipped_policy())
+    with TemporaryDirectory() as folder:
+        world = f"twin:{name}"
+        if numbers := WORLDS[name]:
+            file = Path(folder) / "world.toml"
+            file.write_text(numbers)
+            world = f"twin:{file}"
+        rig = RigSettings(counts_per_rev=read_world(world).settings.counts_per_rev)
+        request = RunRequest(
+            policy, policy.actuator, rig, f"kst://{world}", None, args.duration, start="hanging"
+        )
+        rows = [evaluated("shipped", policy, policy.actuator, world, args)]
+        actuator = run_virtually(
+            replace(request, identify=identify_actuator, duration=1.0), None
+        ).identified
+        if actuator is None:
+            raise RuntimeError("the excitation has not identified the arm")
+        rows.append(evaluated("identified", policy, actuator, world, args))
+        table, ends, logs = policy, list[RunEnd](), list[RunLog]()
+        tables = new_tables(len(policy.Q), 0)
+        tables.Q[:], tables.visits[:] = policy.table, policy.visits
+        while len(ends) < args.runs:
+            block, records = series(replace(request, policy=table, seed=len(ends)), Path(folder))
+            ends += block
+            learn(tables, records, policy.settings)
+            table = with_table(policy, tables.Q)
+            if not logs:
+                logs = records
+                rows += trained_again(policy, logs, world, args)
+            if len(ends) in (BLOCK, 5 * BLOCK, 25 * BLOCK):
+                label = f"goes on, {len(ends)} runs"
+                rows.append(evaluated(label, table, policy.actuator, world, args))
+        survived = sum(end.outcome is Outcome.SURVIVED for end in ends)
+        return {"rows": rows, "runs": {"survived": survived, "trials": len(ends)}}
+
+
+def series(request: RunRequest, folder: Path) -> tuple[list[RunEnd], list[RunLog]]:
+    """Return the ends of a block of runs, and the logs of those that balanced.
+
+    A series that ends early is begun again, as an operator would.
+    """
+    ends, logs = list[RunEnd](), list[RunLog]()
+    while len(ends) < BLOCK:
+        left = BLOCK - len(ends)
+        block, out = list[RunEnd](), folder / f"block-{request.seed}-{len(ends)}.mcap"
+        wanted = replace(request, runs=left, seed=1000 * request.seed + len(ends))
+        block.append(run_virtually(wanted, out, ended=block.append))
+        for number, end in enumerate(block, start=1):
+            path = run_path(out, number, left)
+            if end.survival:
+                logs.append(RunLog.load(path, damaged=True))
+            path.unlink()
+        ends += block
+        print(request.robot, request.seed, [str(end.outcome) for end in block], flush=True)
+    return ends, logs
+
+
+def learn(tables: Any, logs: list[RunLog], settings: Settings) -> None:
+    """Update the tables by equation (1) with every transition of some runs."""
+    learning, index = settings.learning, {u: i for i, u in enumerate(ACTIONS)}
+    for log in logs:
+        boxes, actions = log.box.tolist(), [index[u] for u in log.u.tolist()]
+        fell = log.ending.outcome in (Outcome.ANGLE, Outcome.TRACK)
+        for k, (box, action) in enumerate(zip(boxes, actions, strict=True)):
+            last = k == len(boxes) - 1
+            if last and not fell:
+                break
+            target = -1.0 if last else learning.gamma * tables.Q[boxes[k + 1]].max()
+            visits = tables.visits[box, action]
+            alpha = max(
+                learning.alpha_initial / (1.0 + learning.alpha_decay * visits),
+                learning.alpha_minimum,
+            )
+            mirrored = mirrored_box(box, len(tables.Q)), len(ACTIONS) - 1 - action
+            for place in ((box, action), mirrored):
+                tables.Q[place] += alpha * (target - tables.Q[place])
+                tables.visits[place] += 1
+
+
+def trained_again(
+    policy: eq.TabularPolicy, logs: list[RunLog], world: str, args: argparse.Namespace
+) -> list[dict[str, Any]]:
+    """Return the results of tables that are trained for what the runs show."""
+    found = inspect(policy, *logs)
+    print(world, found.moves, found.warnings[:2], flush=True)
+    return [
+        evaluated(f"trained again, seed {seed}", table, found.actuator, world, args)
+        for seed in range(SEEDS)
+        for table in [eq.train(found.pendulum, policy.arm, actuator=found.actuator, seed=seed)]
+    ]
+
+
+def with_table(policy: eq.TabularPolicy, Q: Any) -> eq.TabularPolicy:
+    """Return a policy with other values."""
+    return policy.model_copy(update={"Q": tuple(map(tuple, Q.tolist()))})
+
+
+def evaluated(
+    name: str, policy: eq.TabularPolicy, actuator: Any, world: str, args: argparse.Namespace
+) -> dict[str, Any]:
+    """Return survived trials of a policy with an actuator in its controller, by hand."""
+    settings = policy.settings.model_copy(
+        update={"evaluation": policy.settings.evaluation.model_copy(update={"trials": args.trials})}
+    )
+    evaluation = eq.evaluate(
+        policy, settings, world=world, actuator=actuator, seed=77, with_baselines=False
+    )
+    summary = evaluation.results.summary()
+    print(world, name, summary.survived, summary.trials, flush=True)
+    return {
+        "name": name,
+        "survived": summary.survived,
+        "trials": summary.trials,
+        "rate": summary.rate,
+        "interval": summary.interval,
+    }
+
+
+def draw(results: dict[str, Any]) -> Figure:
+    """Return the figure: survival of each policy on each rig."""
+    figure = Figure(figsize=(7.2, 3.2 * len(results)), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(len(results), sharex=True))
+    for ax, (name, result) in zip(axes, results.items(), strict=True):
+        rows = result["rows"][::-1]
+        rates = np.array([row["rate"] for row in rows])
+        ends = np.array([row["interval"] for row in rows]).T
+        ax.errorbar(rates, range(len(rows)), xerr=np.abs(ends - rates), fmt="o", capsize=3)
+        ax.set_yticks(range(len(rows)), [row["name"] for row in rows])
+        ax.set_title(f"twin {name}", loc="left")
+        ax.set_xlim(-0.02, 1.02)
+        ax.grid(axis="x", alpha=0.3)
+    axes[-1].set_xlabel("trials of 60 s survived, with 95 % intervals")
+    return figure
+
+
+if __name__ == "__main__":
+    main()
