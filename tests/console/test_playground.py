@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from equipoise.console.play import FALL, SCENES, Playground, PlayPage
+from equipoise.control.bound_policy import bind_policy, load_policy
 
 pytestmark = pytest.mark.compiled_only
 
@@ -35,10 +36,39 @@ def test_a_delay_without_prediction_falls_and_with_it_stands():
         playground.advance()
         assert playground._tick * playground.h < 20.0
     assert abs(degrees(played(playground, 1.0).phi)) > 20.0  # the fall is shown
-    played(playground, FALL)
-    assert playground._tick * playground.h < 2.0  # and it begins again
     playground.set(SCENES["why-it-falls"]._replace(predict=True))
     assert not played(playground, 30.0).fallen
+
+
+def test_a_pendulum_that_was_tipped_over_is_swung_up_again():
+    playground = Playground(SCENES["balance"])
+    played(playground, 1.0).push(radians(200.0))
+    assert "It fell after 1." in played(playground, 1.0).sentences()[2]
+    played(playground, FALL)
+    assert (playground.balancing, playground.fallen, playground.box) == (False, "", -1)
+    assert abs(playground._loop.state()[0]) < 0.05
+    assert "has been swinging it up for" in playground.sentences()[2]
+    assert played(playground, 10.0).balancing
+    assert "It has been up for" in playground.sentences()[2]
+
+
+def test_a_pendulum_that_does_not_come_up_has_failed_and_hangs_at_the_start_of_a_swing_up():
+    playground = Playground(SCENES["balance"], load_policy("random"))
+    playground.set(SCENES["balance"]._replace(policy="yours"))
+    playground.begin(hanging=True)
+    assert abs(degrees(played(playground, 0.01).phi)) > 179.0
+    assert "ended after 15.0 s (not upright)" in played(playground, 15.2).sentences()[2]
+
+
+def test_without_a_kernel_a_policy_is_released_again():
+    playground = Playground(SCENES["balance"], bind_policy(lambda _: 2.0))
+    playground.set(SCENES["balance"]._replace(policy="yours"))
+    assert playground.swing_up is None
+    assert played(playground, 1.0).fallen
+    played(playground, FALL - 0.5)
+    while playground.fallen:
+        playground.advance()
+    assert abs(degrees(playground.phi)) < 4.0
 
 
 def test_the_box_in_use_is_known_for_a_table_alone():
@@ -69,6 +99,9 @@ def test_the_page_pushes_and_changes_the_rig(monkeypatch):
     assert "shipped table" not in page._page._state.content
     assert "after 43 ms: 25 ms transport + 18 ms servo" in page._page._state.content
     assert not page._table.visible
+    page._hang()
+    page.advance(0)
+    assert "swinging up" in page._page._state.content
     monkeypatch.setattr(page.playground, "push", pushes.append)
     for drawn in (0.05, -1.0):  # [m]
         event = {"start_position": (0.1, 0.0, 0.9), "end_position": (0.1 + drawn, 0.0, 0.9)}

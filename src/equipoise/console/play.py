@@ -15,9 +15,10 @@ import numpy as np
 from equipoise.console.scene import RigPage, card
 from equipoise.control.bound_policy import load_policy
 from equipoise.control.control_step import horizon
-from equipoise.control.policy import TabularPolicy, TaskPolicy, shipped_policy
+from equipoise.control.policy import Policy, TabularPolicy, TaskPolicy, shipped_policy
+from equipoise.control.swing_up import SwingUpPolicy, make_swing_up, time_limit
 from equipoise.files import Estimate
-from equipoise.model.grid import TRUNCATED, box_indices, make_grid
+from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED, box_indices, make_grid
 from equipoise.model.random import DEPLOYMENT
 from equipoise.model.worlds import World, read_world
 from equipoise.outcomes import TRIAL_OUTCOMES
@@ -31,7 +32,9 @@ if TYPE_CHECKING:
     import viser
 
 FALL: Final = 2.0
-"""Time that a fall is shown [s]."""
+"""Time that a fall is shown, in which the flange returns to the middle [s]."""
+RETURN: Final = 2.5
+"""Rate of this return, which is critically damped [1/s]."""
 PICTURE: Final = 4
 """Number of ticks between two pictures."""
 PUSH: Final = radians(15.0)
@@ -129,6 +132,11 @@ class Playground:
         """Factor by which a lean grows within the latency [-]."""
         self._simulation = TwinSimulation(twin, setup, seed=0, stream=DEPLOYMENT)
         self._loop = self._simulation.loop()
+        self.swing_up = None
+        """The policy after a swing-up; None if no swing-up can end with it."""
+        if policy.kernel is not None:
+            law = make_swing_up(self._loop.params, self._simulation.max_speed)
+            self.swing_up = SwingUpPolicy(policy.kernel, law)
         self._boxes = make_grid(BoxSettings(), parameters.k)
         self.u_of_box = None
         if isinstance(policy, TabularPolicy) and policy.settings.boxes == BoxSettings():
@@ -136,44 +144,70 @@ class Playground:
         """Command of each box [m/s^2], shape (270,); None without a table of the usual boxes."""
         self.begin()
 
-    def begin(self) -> None:
-        """Release the pendulum again."""
+    def begin(self, *, hanging: bool = False) -> None:
+        """Release the pendulum again, or swing it up from hanging if that can be."""
         trial = self._simulation.draw(1, self._number).trial(0)
         self._number += 1
-        self._loop.reset(trial._replace(start=(0.0, 0.0, radians(self.scene.lean_deg), 0.0)))
-        self.policy.reset()
-        self._tick, self._fell, self.fallen = 0, 0, ""
-        self.box = -1
+        acting, phi = self.policy, radians(self.scene.lean_deg)
+        if hanging and self.swing_up is not None:
+            acting, phi = self.swing_up, pi
+        self._loop.reset(trial._replace(start=(0.0, 0.0, phi, 0.0)))
+        self._follow(acting)
+
+    def _follow(self, acting: Policy) -> None:
+        """Let a policy act from its start."""
+        acting.reset()
+        self._acting, self._tick, self.fallen, self.box = acting, 0, "", -1
 
     def push(self, rate: float) -> None:
         """Push the pendulum, which changes its rate [rad/s]."""
         self._loop.push(rate)
 
+    @property
+    def balancing(self) -> bool:
+        """Whether the pendulum is up, neither fallen nor on its way up."""
+        return self._loop.balancing
+
     def advance(self) -> None:
-        """Advance by one tick; a fall is shown for `FALL`, then the pendulum is released again."""
-        if self.fallen and (self._tick - self._fell) * self.h > FALL:
-            self.begin()
-        loop, observation = self._loop, predicted(self._loop)
+        """Advance by one tick; a fall is shown for `FALL`, then the arm swings the pendulum up.
+
+        The pendulum is released again instead if that cannot be: see `swing_up`, or the flange has
+        not come back.
+        """
+        loop = self._loop
+        if self.fallen and self._tick * self.h > FALL:
+            if self.swing_up is None or self._cause != TRUNCATED:
+                self.begin()
+            else:
+                loop.controller.estimate.bias[0] = 0.0  # the fall has changed it
+                self._follow(self.swing_up)
+        observation = predicted(loop)
         if self.fallen:
-            # The flange brakes with 5 times its velocity a second.
-            self.u = float(np.clip(-5.0 * loop.state()[1], -U_MAX, U_MAX))
+            x, x_dot = loop.state()[:2]
+            self.u = float(np.clip(-RETURN * (RETURN * x + 2.0 * x_dot), -U_MAX, U_MAX))
         else:
-            self.u = float(self.policy.act(observation))
-        cause = loop.step(self.u)
+            acting = self._acting
+            self.u = float(acting.act(observation))
+            if isinstance(acting, SwingUpPolicy) and acting.balancing and not loop.balancing:
+                loop.balancing, self._tick = True, 0
+        self._cause = cause = loop.step(self.u)
         self._tick += 1
+        lasted = self._tick * self.h
+        if cause == TRUNCATED and not loop.balancing and lasted > time_limit(loop.params.pendulum):
+            cause = NOT_UPRIGHT
         if cause != TRUNCATED and not self.fallen:
-            self.fallen, self._fell = TRIAL_OUTCOMES[cause], self._tick
+            what = "It fell" if loop.balancing else "The swing-up ended"
+            self.fallen = f"{what} after {lasted:.1f} s ({TRIAL_OUTCOMES[cause]})."
+            loop.balancing, self._tick = False, 0
         self.q, self.phi, self.box = loop.joints(), float(loop.state()[2]), -1
         inside = abs(observation[2]) < PHI_LIMIT and abs(observation[0]) < X_LIMIT
-        if self.u_of_box is not None and inside and not self.fallen:
+        if self.u_of_box is not None and inside and loop.balancing:
             self.box = int(box_indices(observation[None, :], self._boxes)[0])
 
     def sentences(self) -> tuple[str, str, str, str]:
         """Return the policy, the scene, the motion so far, and the effect of the latency."""
-        upright = (self._fell if self.fallen else self._tick) * self.h
-        motion = f"It has been up for {upright:.0f} s."
-        if self.fallen:
-            motion = f"It fell after {upright:.1f} s ({self.fallen})."
+        what = "It has been up" if self.balancing else "The arm has been swinging it up"
+        motion = self.fallen or f"{what} for {self._tick * self.h:.0f} s."
         transport, latency = self.scene.delay_ms, 1e3 * self.latency
         effect = (
             f"A command acts after {latency:.0f} ms: {transport:.0f} ms transport + "
@@ -209,6 +243,8 @@ class PlayPage:
         pushes.on_click(lambda event: self._push(-PUSH if "left" in event.target.value else PUSH))
         again = gui.add_button("Release again", order=11)
         again.on_click(lambda _: self._set(self.playground.scene))
+        self._swing_up = gui.add_button("Swing up", order=12)
+        self._swing_up.on_click(lambda _: self._hang())
         with gui.add_folder("The rig", order=50):
             chosen = next((name for name, other in SCENES.items() if other == scene), "balance")
             scenes = gui.add_dropdown("scene", tuple(SCENES), initial_value=chosen)
@@ -244,6 +280,10 @@ class PlayPage:
         with self._lock:
             self.playground.set(scene)
 
+    def _hang(self) -> None:
+        with self._lock:
+            self.playground.begin(hanging=True)
+
     def _dragged(self, event: Any) -> None:
         """Push the pendulum when the mouse lets it go, as far as it was drawn along the track."""
         if event.phase == "end":
@@ -267,8 +307,11 @@ class PlayPage:
                 twin.advance()
             self._page.show(twin.q, remainder(twin.phi, 2.0 * pi), twin.u)
             if picture % 12 == 0:  # texts change twice a second
-                name, colour = ("fallen", VERMILION) if twin.fallen else ("standing", GREEN)
+                name, colour = ("standing", GREEN) if twin.balancing else ("swinging up", BLUE)
+                if twin.fallen:
+                    name, colour = "fallen", VERMILION
                 self._page.describe(name, colour, twin.sentences())
+                self._swing_up.visible = twin.swing_up is not None
                 self._table.visible = twin.u_of_box is not None
                 self._boxes.content = self._drawn_table()
 
