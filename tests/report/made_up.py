@@ -1,5 +1,7 @@
 """Results of a reproduction that nobody ran: small, quick to draw, as odd as a test wants them."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from equipoise import paper
@@ -194,6 +196,15 @@ def run(of, survival=60.0, cause=Outcome.SURVIVED, world=MODEL):
     )
 
 
+def swung_up(of, balanced=2.0, cause=Outcome.SURVIVED):
+    """A run of 5 s whose pendulum turns from hanging to upright at a constant rate in 3 s."""
+    made = run(of, survival=5.0, world="twin:nominal")
+    turned = np.minimum(made.time, 3.0) / 3.0
+    made.tables["truth"]["phi"] = (2.0 - turned) * np.pi % (2.0 * np.pi) - np.pi
+    made.tables["truth"]["phi_dot"] = np.where(made.time < 3.0, -np.pi / 3.0, 0.0)
+    return replace(made, end=RunEnd(outcome=cause, survival=balanced))
+
+
 def results(
     *,
     recipe="robust",
@@ -232,4 +243,5 @@ def results(
             twin_evaluation=twin_evaluation(literal, 20 * (5.5,)) if twin else None,
             run=run(literal, survival=1.5, cause=Outcome.ANGLE, world=world),
         ),
+        swing_up=swung_up(trained),
     )

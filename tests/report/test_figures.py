@@ -9,7 +9,8 @@ from scipy.integrate import solve_ivp
 
 from equipoise.errors import RecordingError
 from equipoise.identification.recording import fitted_curve
-from equipoise.report.figures import free_swing
+from equipoise.outcomes import Outcome
+from equipoise.report.figures import free_swing, swing_up
 from equipoise.report.page import FIGURES
 from equipoise.report.style import render, save
 from tests.report import made_up
@@ -19,6 +20,7 @@ LABELS = {
     "learning-curve": ["mean duration [s]", "episodes", "kept: episode"],
     "policy": ["φ [°]", "dφ/dt [°/s]", "x from −0.22 to −0.08 m"],
     "survival": ["time since the release [s]", "trials surviving [%]", "90 %", "LQR"],
+    "swing-up": ["handed over after 3.00 s", "dφ/dt [°/s]", "x [m]", "u [m/s²]", "time [s]"],
     "literal-run": ["Literal recipe: angle after 1.5 s", "observation", "A7"],
     "run": ["u [m/s²]", "joints, change [°]", "φ [°]", "x [m]", "dx/dt [m/s]", "observation", "A7"],
 }
@@ -144,3 +146,23 @@ def test_the_runs_of_both_recipes_have_the_same_axes(drawn):
     for one, other in zip(drawn["run"].axes, drawn["literal-run"].axes, strict=True):
         assert one.get_xlim() == other.get_xlim() == (0.0, 5.0)
         np.testing.assert_allclose(one.get_ylim(), other.get_ylim())
+
+
+def test_a_swing_up_is_drawn_from_hanging_with_its_hand_over(drawn):
+    plane, angle, _, command = drawn["swing-up"].axes
+    up, policy, dot = plane.lines[2:]
+    ends = up.get_xydata()[[0, -1]]
+    np.testing.assert_allclose(ends, [[180.0, -60.0], [0.0, 0.0]], atol=1e-9)
+    np.testing.assert_allclose(dot.get_xydata(), [[0.0, 0.0]], atol=1e-9)
+    assert len(policy.get_xdata()) == 200
+    assert {float(line.get_xdata()[0]) for line in (angle.lines[-1], command.lines[-1])} == {3.0}
+    # The dotted lines: the energy of rest upright, per m g l, is zero.
+    phi, rate = np.radians(plane.lines[1].get_data())
+    np.testing.assert_allclose(rate**2 / (2.0 * 68.0) + np.cos(phi), 1.0)
+
+
+def test_a_pendulum_that_never_came_up_has_no_hand_over():
+    of = made_up.policy(made_up.pendulum(made_up.swing()))
+    figure = swing_up(made_up.swung_up(of, 0.0, Outcome.NOT_UPRIGHT))
+    assert "Swing-up: not upright" in texts(figure)
+    assert not len(figure.axes[0].lines[-1].get_xdata())

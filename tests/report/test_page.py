@@ -168,6 +168,7 @@ def folder(tmp_path_factory):
             twin_evaluation=made_up.twin_evaluation(policy),
             run=made_up.run(policy, survival=8.0, cause=Outcome.TRACK, world="twin:nominal"),
         ),
+        swing_up=made_up.swung_up(policy),
     )
     files.save(results, out)
     return out

@@ -40,6 +40,7 @@ INPUTS = {
     "evaluation.json": ("policy", lambda results: results.default.policy.digest),
     "twin-evaluation.json": ("policy", lambda results: results.default.policy.digest),
     "run.mcap": ("policy", lambda results: results.default.policy.digest),
+    "swing-up.mcap": ("policy", lambda results: results.default.policy.digest),
     "literal-policy.json": ("pendulum", lambda results: results.pendulum.digest),
     "literal-evaluation.json": ("policy", lambda results: results.literal.policy.digest),
     "literal-twin-evaluation.json": ("policy", lambda results: results.literal.policy.digest),
@@ -68,6 +69,8 @@ def test_the_folder_holds_every_value_and_they_belong_together(made):
     for recipe, simulation in ((again.default, MODEL), (again.literal, IDEAL)):
         assert recipe.evaluation.world == simulation
         assert recipe.twin_evaluation.world == recipe.run.conditions.world == TWIN
+    assert again.swing_up.conditions.settings.evaluation.start == "hanging"
+    assert again.swing_up.conditions.world == TWIN
     assert again.literal.policy.recipe == "paper"
     assert again.literal.policy.episodes == paper.EPISODES
     assert again.default.run.conditions.actuator == shipped_actuator().digest

@@ -42,6 +42,8 @@ JOINT_COLOURS: Final = (
 TRUE_LINE: Final[dict[str, Any]] = {"color": style.SKY, "linewidth": 2.4}
 """True state: wide and pale below the thin dark line of the observation, distinct in grey too."""
 OBSERVED_LINE: Final[dict[str, Any]] = {"color": style.INK, "linewidth": 0.8}
+AFTER_SWING_UP: Final = 2.0
+"""Time shown after a swing-up [s]."""
 
 
 @styled()
@@ -231,6 +233,56 @@ def _curves(run: RunLog, until: float) -> list[Array]:
         np.column_stack((true.x, run.x))[shown],
         np.column_stack((true.x_dot, run.x_dot))[shown],
     ]
+
+
+@styled()
+def swing_up(run: RunLog) -> "Figure":
+    """Draw a swing-up: the pendulum in the phase plane; angle, flange and command against time.
+
+    Args:
+        run: A simulated run that began with a hanging pendulum.
+
+    Raises:
+        RecordingError: No policy ran.
+    """
+    from matplotlib.ticker import MultipleLocator
+
+    run.require_balancing()
+    end: Any = run.end  # a simulation has one
+    taken, h = run.survival - end.survival, run.conditions.h
+    first, last = round(taken / h), round((taken + AFTER_SWING_UP) / h)
+    true = truth(run)
+    phi, phi_dot = np.rad2deg(np.unwrap(true.phi)), np.rad2deg(true.phi_dot)
+    phi -= 360.0 * np.round(phi[-1] / 360.0)
+    title = f"handed over after {taken:.2f} s" if end.survival else str(run.outcome)
+    figure = new_figure(3.8, f"Swing-up: {title}")
+    rows: Any = {"φ [°]": phi, "x [m]": true.x, "u [m/s²]": run.u}
+    panels: Any = figure.subplot_mosaic([["plane", name] for name in rows], width_ratios=(3, 4))
+    plane = panels.pop("plane")
+    angle = np.linspace(phi.min(), phi.max(), 200)
+    upright = np.sqrt(2.0 * run.conditions.pendulum.w2 * (1.0 - np.cos(np.deg2rad(angle))))
+    for rate in (-upright, upright):
+        plane.plot(angle, np.rad2deg(rate), **TRIAL_LINES[2])
+    for label, color, part in (
+        ("swing-up", style.BLUE, slice(first + 1)),
+        ("policy", style.INK, slice(first, last)),
+    ):
+        plane.plot(phi[part], phi_dot[part], color=color, label=label)
+        for name, panel in panels.items():
+            panel.plot(run.time[part], rows[name][part], color=color)
+    plane.plot(phi[first : first + 1], phi_dot[first : first + 1], "o", color=style.VERMILION)
+    plane.set_title("dotted: energy of the pendulum at rest upright")
+    plane.set_xlabel("φ [°]")
+    plane.set_ylabel("dφ/dt [°/s]")
+    plane.xaxis.set_major_locator(MultipleLocator(90.0))
+    panels["φ [°]"].yaxis.set_major_locator(MultipleLocator(180.0))
+    for name, panel in panels.items():
+        panel.set_ylabel(name)
+        panel.axvline(taken, color=style.VERMILION)
+    panels["u [m/s²]"].set_xlabel("time [s]")
+    figure.align_ylabels(list(panels.values()))
+    figure.legend(*plane.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure
 
 
 @styled()

@@ -41,6 +41,7 @@ FIGURES: Final[dict[str, Callable[[Results], "Figure"]]] = {
     "policy": lambda r: figures.policy_picture(r.default.policy, r.default.run),
     "literal-run": lambda r: figures.run_figure("Literal recipe", r.literal.run, r.default.run),
     "run": lambda r: figures.run_figure("Default recipe", r.default.run, r.literal.run),
+    "swing-up": lambda r: figures.swing_up(r.swing_up),
 }
 """Drawing functions of the figures, by the names of their files."""
 

@@ -3,8 +3,9 @@
 The policy of the default recipe is trained and evaluated on the training plant, with an actuator
 that was identified on the digital twin; that of the literal recipe, `paper`, on the paper's own
 simulation. Then both are evaluated on the twin, and one run of each is recorded there, as the paper
-recorded one on the robot. An arm with unknown masses has no twin: each run is in the simulation of
-its training. `equipoise.report.page.build` makes the page from the folder.
+recorded one on the robot; the default recipe also swings a hanging pendulum up. An arm with unknown
+masses has no twin: each run is in the simulation of its training. `equipoise.report.page.build`
+makes the page from the folder.
 """
 
 import os
@@ -16,6 +17,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Final
 
+from equipoise import paper
 from equipoise.arguments import Workers, checked
 from equipoise.arm.arm import Arm
 from equipoise.arm.urdf import read_arm
@@ -38,7 +40,7 @@ from equipoise.reproduction.results import (
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.reproduction.warm_up import TWIN, is_warm, warm_up
 from equipoise.rig.simulate import simulate_run
-from equipoise.settings import Settings, changed, resolve
+from equipoise.settings import HANGING, Settings, changed, resolve
 from equipoise.simulation.evaluation import Evaluation, evaluate
 
 QUICK: Final = {
@@ -50,6 +52,8 @@ QUICK: Final = {
     "evaluation.duration": 20.0,
 }
 """Maximum settings of a quick reproduction, which takes less than a minute."""
+FROM_HANGING: Final = {"evaluation.start": HANGING, "plant.linearised": False}
+"""Settings of the run from a hanging pendulum."""
 TWIN_TRIALS: Final = 40
 """Maximum number of trials on the twin: a trial there takes thirty times as long."""
 
@@ -111,6 +115,14 @@ def reproduce(
 
     default_results = measure(policy, MODEL, "", seed, workers, report)
     literal_results = measure(literal_policy, IDEAL, "literal ", seed, workers, report)
+    with stage("swing-up", report):
+        swing_up = simulate_run(
+            policy,
+            world=default_results.run.conditions.world,
+            seed=seed,
+            duration=paper.SECONDS_BALANCED,
+            settings=changed(policy.settings, FROM_HANGING),
+        )
 
     record = ReproductionRecord(
         quick=quick,
@@ -120,7 +132,7 @@ def reproduce(
         training_s=training_s,
         files={},
     )
-    return save(Results(record, fitted, pendulum, default_results, literal_results), out)
+    return save(Results(record, fitted, pendulum, default_results, literal_results, swing_up), out)
 
 
 def measure(

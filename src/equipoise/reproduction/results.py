@@ -5,6 +5,7 @@ The report uses these files only::
     swing.csv  pendulum.json  reproduction.json
     policy.json  evaluation.json  twin-evaluation.json  run.mcap
     literal-policy.json  literal-evaluation.json  literal-twin-evaluation.json  literal-run.mcap
+    swing-up.mcap
 
 Both evaluations on the twin are missing for an arm without a digital twin.
 """
@@ -24,6 +25,7 @@ SWING: Final = "swing.csv"
 PENDULUM: Final = "pendulum.json"
 POLICY: Final = "policy.json"
 RECORD: Final = "reproduction.json"
+SWING_UP: Final = "swing-up.mcap"
 LITERAL: Final = "literal-"
 """Prefix of the files of the literal recipe."""
 
@@ -73,6 +75,8 @@ class Results(NamedTuple):
     """Results of the default recipe, or of the given settings."""
     literal: RecipeResults
     """Results of the literal recipe, `paper`."""
+    swing_up: RunLog
+    """One run of the default recipe in the same world, from a hanging pendulum."""
 
 
 def save(results: Results, out: Path) -> Results:
@@ -93,6 +97,8 @@ def save(results: Results, out: Path) -> Results:
             if value is recipe.policy:
                 inputs = {"pendulum": results.pendulum.digest}
             value.save(out / name, command="reproduce", inputs=inputs)
+    inputs = {"policy": results.default.policy.digest}
+    results.swing_up.save(out / SWING_UP, command="reproduce", inputs=inputs)
     record.save(out / RECORD, command="reproduce", inputs=record.files)
     return results._replace(record=record)
 
@@ -116,7 +122,8 @@ def load(out: Path) -> Results:
         )
         recipes.append(recipe)
     swing, pendulum = read_swing(out / SWING), Pendulum.load(out / PENDULUM)
-    results = Results(record, swing, pendulum, *recipes)
+    swing_up = RunLog.load(out / SWING_UP)
+    results = Results(record, swing, pendulum, recipes[0], recipes[1], swing_up)
     actual = digests(results)
     for name, recorded in record.files.items():
         if actual.get(name) != recorded:
@@ -130,6 +137,7 @@ def load(out: Path) -> Results:
 def digests(results: Results) -> dict[str, str]:
     """Return the digest of each value, by the name of its file."""
     files = {SWING: results.swing.sha256, PENDULUM: results.pendulum.digest}
+    files[SWING_UP] = results.swing_up.digest
     for prefix, recipe in (("", results.default), (LITERAL, results.literal)):
         files |= {name: value.digest for name, value in _files(recipe, prefix).items()}
     return files

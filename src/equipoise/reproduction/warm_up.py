@@ -20,7 +20,7 @@ from equipoise.learning.train import train_to_target
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.rig.simulate import simulate_run
-from equipoise.settings import Settings, changed
+from equipoise.settings import HANGING, Settings, changed
 from equipoise.simulation.evaluation import evaluate
 
 TWIN: Final = "twin:nominal"
@@ -53,7 +53,8 @@ def run_a_little() -> None:
     """Evaluate and run on the digital twin."""
     policy = shipped_policy()
     evaluate(policy, changed(policy.settings, LITTLE), world=TWIN)
-    simulate_run(policy, world=TWIN, duration=SECONDS)
+    hanging = changed(policy.settings, {"evaluation.start": HANGING})
+    simulate_run(policy, world=TWIN, duration=SECONDS, settings=hanging)
 
 
 def _marker() -> Path:
