@@ -251,7 +251,7 @@ def write_film(
         first, *others = frames
         stream = io.BytesIO()
         options: Any = {"append_images": others, "duration": round(1e3 / rate), "loop": 0}
-        first.save(stream, "webp", save_all=True, quality=60, method=2, **options)
+        first.save(stream, "webp", save_all=True, quality=60, method=4, **options)
         write_atomically(path, stream.getvalue())
         return
     import imageio
