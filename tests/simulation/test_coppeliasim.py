@@ -19,7 +19,9 @@ from equipoise.cli import main
 from equipoise.control.policy import KernelPolicy, TabularPolicy, shipped_policy
 from equipoise.coppeliasim.rig import FORGOTTEN, Connection, CoppeliaRig
 from equipoise.errors import InputError, LinkError, MissingExtraError, OutsideError, SettingsError
+from equipoise.log.run_log import RunLog
 from equipoise.model.grid import TRUNCATED
+from equipoise.paper import PHI_LIMIT
 from equipoise.simulation import TrialRecorder, run_trial, setup_of, simulate
 from equipoise.testing import WorldConformance
 from tests.arm.witnesses import ELBOW, ELBOW_HOME
@@ -291,6 +293,18 @@ def test_a_wrong_address_is_refused(rest):
 
 
 # The verbs
+
+
+def test_a_hanging_pendulum_is_swung_up_there(server, tmp_path, capsys):
+    out, hanging = tmp_path / "run.mcap", ["--start", "hanging", "--duration", "0.5"]
+    verb = ["--world", server.address, *hanging]
+    assert main(["evaluate", *verb, "--trials", "1", "--no-baselines", "--json"]) == 0
+    assert 2.0 < json.loads(capsys.readouterr().out)["upright_max_s"] < 15.0
+    assert main(["deploy", *verb, "--out", str(out)]) == 0
+    run = RunLog.load(out)
+    assert run.end.survival == 0.5 < run.survival - 2.0
+    assert abs(run.truth.phi[0]) > 3.1
+    assert np.abs(run.truth.phi[-50:]).max() < PHI_LIMIT
 
 
 def test_train_runs_there_and_its_policy_says_so(server, tmp_path, capsys):
