@@ -261,8 +261,7 @@ def swing_up(run: RunLog) -> "Figure":
     plane = panels.pop("plane")
     angle = np.linspace(phi.min(), phi.max(), 200)
     upright = np.sqrt(2.0 * run.conditions.pendulum.w2 * (1.0 - np.cos(np.deg2rad(angle))))
-    for rate in (-upright, upright):
-        plane.plot(angle, np.rad2deg(rate), **TRIAL_LINES[2])
+    plane.plot(angle, np.rad2deg(np.column_stack((-upright, upright))), **TRIAL_LINES[2])
     for label, color, part in (
         ("swing-up", style.BLUE, slice(first + 1)),
         ("policy", style.INK, slice(first, last)),
