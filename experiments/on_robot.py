@@ -9,6 +9,8 @@ what happens there. Policies are then evaluated on the same twin, in trials that
 `identified`
     The same table, with the actuator that the rig's own excitation identifies
     (`deploy --identify`).
+`trained for the arm`
+    Tables of several seeds, trained for that actuator.
 `trained again`
     Tables of several seeds, trained for what `refine` finds in the first twenty runs.
 `goes on`
@@ -99,6 +101,7 @@ def study(name: str, args: argparse.Namespace) -> dict[str, Any]:
         if actuator is None:
             raise RuntimeError("the excitation has not identified the arm")
         rows.append(evaluated("identified", policy, actuator, world, args))
+        rows += trained("trained for the arm", policy, policy.pendulum, actuator, world, args)
         table, ends, logs = policy, list[RunEnd](), list[RunLog]()
         tables = new_tables(len(policy.Q), 0)
         tables.Q[:], tables.visits[:] = policy.table, policy.visits
@@ -109,7 +112,10 @@ def study(name: str, args: argparse.Namespace) -> dict[str, Any]:
             table = with_table(policy, tables.Q)
             if not logs:
                 logs = records
-                rows += trained_again(policy, logs, world, args)
+                found = inspect(policy, *logs)
+                print(world, found.moves, len(found.warnings), flush=True)
+                of_rig = found.pendulum, found.actuator
+                rows += trained("trained again", policy, *of_rig, world, args)
             if len(ends) in (BLOCK, 5 * BLOCK, 25 * BLOCK):
                 label = f"goes on, {len(ends)} runs"
                 rows.append(evaluated(label, table, policy.actuator, world, args))
@@ -160,16 +166,19 @@ def learn(tables: Any, logs: list[RunLog], settings: Settings) -> None:
                 tables.visits[place] += 1
 
 
-def trained_again(
-    policy: eq.TabularPolicy, logs: list[RunLog], world: str, args: argparse.Namespace
+def trained(
+    name: str,
+    policy: eq.TabularPolicy,
+    pendulum: eq.Pendulum,
+    actuator: eq.Actuator,
+    world: str,
+    args: argparse.Namespace,
 ) -> list[dict[str, Any]]:
-    """Return the results of tables that are trained for what the runs show."""
-    found = inspect(policy, *logs)
-    print(world, found.moves, found.warnings[:2], flush=True)
+    """Return the results of tables of several seeds, trained for a pendulum and an actuator."""
     return [
-        evaluated(f"trained again, seed {seed}", table, found.actuator, world, args)
+        evaluated(f"{name}, seed {seed}", table, actuator, world, args)
         for seed in range(SEEDS)
-        for table in [eq.train(found.pendulum, policy.arm, actuator=found.actuator, seed=seed)]
+        for table in [eq.train(pendulum, policy.arm, actuator=actuator, seed=seed)]
     ]
 
 
