@@ -109,7 +109,8 @@ def explain(run: RunLog) -> list[Cause]:
     score = 0.2 if busy or end.outcome in SYMPTOMS else 0.95
     causes.append(Cause(end.outcome, score, time, describe(end)))
     regular = end.outcome in (Outcome.SURVIVED, Outcome.OPERATOR, Outcome.EXCITED)
-    if balanced and len(run.time) > 0 and not regular:
+    swinging = end.outcome is Outcome.NOT_UPRIGHT
+    if balanced and len(run.time) > 0 and not (regular or swinging):
         causes += root_causes(run)
     return sorted(causes, key=lambda cause: -cause.score)
 

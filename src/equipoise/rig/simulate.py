@@ -25,7 +25,7 @@ from equipoise.files import Seed, StrPath
 from equipoise.log.conditions import RunConditions, RunEnd
 from equipoise.log.run_log import RunLog, simulated_log
 from equipoise.model.actuator import Actuator
-from equipoise.model.grid import TRUNCATED, box_indices, make_grid
+from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED, box_indices, make_grid
 from equipoise.model.pendulum import Pendulum, read_pendulum
 from equipoise.model.random import DEPLOYMENT
 from equipoise.model.worlds import (
@@ -82,7 +82,9 @@ def simulate_run(
     setpoints = rows.setpoints.reshape(-1, FREE_JOINTS)
     state = ("x", "x_dot", "phi", "phi_dot")
     evidence: dict[str, float | str] = {}
-    if end.cause != TRUNCATED and len(rows.state):
+    if end.cause == NOT_UPRIGHT:
+        evidence = {"value": end.upright * h}
+    elif end.cause != TRUNCATED and len(rows.state):
         evidence = dict(zip(state, rows.state[-1].tolist(), strict=True))
     measured: dict[str, Any] = {}
     if twin is not None:
@@ -110,7 +112,10 @@ def simulate_run(
             **_twin_conditions(twin),
         ),
         RunEnd(
-            outcome=TRIAL_OUTCOMES[end.cause], evidence=evidence, survival=round(end.steps * h, 9)
+            outcome=TRIAL_OUTCOMES[end.cause],
+            evidence=evidence,
+            survival=round(end.steps * h, 9),
+            upright=round(end.upright * h, 9) if end.steps and end.upright else None,
         ),
         {
             "time": time,
