@@ -1,5 +1,6 @@
 """Values that tests of several rooms share."""
 
+import fcntl
 import os
 import signal
 from importlib.util import find_spec
@@ -95,6 +96,19 @@ def recordings():
 @pytest.fixture(scope="session")
 def rig_log(tmp_path_factory):
     """The log of a whole run on an emulated rig: home, self-test, lift, 1.5 s of balancing."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:  # the workers share one
+        folder = folder.parent
+    path = folder / "rig.mcap"
+    with (folder / "rig.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not path.exists():
+            record_rig(path)
+    return path
+
+
+def record_rig(path):
+    """Write the log of `rig_log`."""
     from equipoise.control.policy import shipped_policy
     from equipoise.model.worlds import pendulum_on, read_world
     from equipoise.rig.config import RigSettings
@@ -102,8 +116,7 @@ def rig_log(tmp_path_factory):
     from equipoise.rig.request import RunRequest
     from equipoise.rig.run import run_virtually
 
-    path, policy = tmp_path_factory.mktemp("rig") / "run.mcap", shipped_policy()
-    settings = RigSettings()
+    policy, settings = shipped_policy(), RigSettings()
     world = read_world("twin:nominal")
     real = pendulum_on(policy.pendulum, world.settings)
     rig = emulated_rig(world, settings, real, seed=3, robot="kst")
@@ -118,7 +131,6 @@ def rig_log(tmp_path_factory):
         seed=3,
     )
     assert run_virtually(request, path, rig=rig).outcome == "survived"
-    return path
 
 
 @pytest.fixture

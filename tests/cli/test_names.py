@@ -17,7 +17,6 @@ RUN = ("deploy", "--duration=0.3", "--json")
 
 SECOND_CALLS = {
     "identify swing.csv": {"pendulum.json", "pendulum.svg", "pendulum.png"},
-    "deploy --duration=0.3": {"run.mcap"},
     "log export given.mcap": {"given-csv/tick.csv", "given-csv/truth.csv"},
 }
 

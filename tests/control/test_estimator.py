@@ -17,8 +17,9 @@ PENDULA = [
 ]
 
 
-@pytest.mark.parametrize("pendulum", PENDULA, ids=str)
-@pytest.mark.parametrize("counts", [4096, 8192, 100_000])
+@pytest.mark.parametrize(
+    ("pendulum", "counts"), list(zip(PENDULA, [8192, 4096, 100_000], strict=True)), ids=str
+)
 @pytest.mark.parametrize("estimates_bias", [True, False])
 def test_gains_are_those_to_which_the_riccati_recursion_converges(pendulum, counts, estimates_bias):
     settings = ControllerSettings(estimate_bias=estimates_bias)

@@ -90,7 +90,7 @@ def test_training_equals_the_slow_loop_bit_for_bit(pendulum, recipe, overrides):
         assert np.array_equal(tables.visits, theirs.visits)
         assert np.array_equal(tables.Q, theirs.Q)
     assert totals.running == 0
-    assert np.count_nonzero(tables.visits) > 60
+    assert np.count_nonzero(tables.visits) > 40
 
 
 @pytest.mark.parametrize(
@@ -104,17 +104,17 @@ def test_training_behind_an_actuator_equals_the_slow_loop_bit_for_bit(pendulum, 
     plant, parameters, settings = problem(
         pendulum,
         "robust",
-        "learning.episodes=100",
+        "learning.episodes=50",
         "plant.delay_spread=0.006",
         *overrides,
         actuator=Actuator.assumed(kind, delay=0.0125, lag=0.01),
     )
-    tables, totals = trained(plant, parameters, settings, 100, seed=5)
-    theirs = reference.train(plant, parameters, settings, 100, 5)
+    tables, totals = trained(plant, parameters, settings, 50, seed=5)
+    theirs = reference.train(plant, parameters, settings, 50, 5)
     assert totals.steps == theirs.steps
     assert np.array_equal(tables.visits, theirs.visits)
     assert np.array_equal(tables.Q, theirs.Q)
-    assert np.count_nonzero(tables.visits) > 60
+    assert np.count_nonzero(tables.visits) > 40
 
 
 # What the result depends on

@@ -258,11 +258,9 @@ def test_a_function_that_cannot_be_compiled_is_named_with_its_line(guest, name, 
     assert f"({guest}, line {number})" in str(refusal.value)
 
 
+@pytest.mark.full
 @pytest.mark.compiled_only
-@pytest.mark.parametrize(
-    ("name", "error"),
-    [("late", "ValueError"), pytest.param("wild", "IndexError", marks=pytest.mark.full)],
-)
+@pytest.mark.parametrize(("name", "error"), [("late", "ValueError"), ("wild", "IndexError")])
 def test_an_error_of_compiled_code_ends_the_training(
     guest, small_policy, quick_settings, capfd, name, error
 ):

@@ -7,7 +7,6 @@ from scipy.stats import binomtest
 from equipoise import paper
 from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import shipped_policy, table_kernel
-from equipoise.errors import InputError
 from equipoise.learning import select
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.grid import make_grid
@@ -62,16 +61,13 @@ def policy_with(policy, trials):
     return policy.model_copy(update={"settings": settings})
 
 
-@pytest.mark.parametrize("confidence", [0.95, 0.99])
-def test_the_bound_of_a_test_is_the_exact_one(confidence, monkeypatch):
+def test_the_bound_of_a_test_is_the_exact_one(monkeypatch):
     def fall(self, policy, trials, rows, duration):
         trials.cause[rows] = [int(trials.number[i] in {5, 60, 100}) for i in rows]
 
     monkeypatch.setattr(PlantSimulation, "run_piece", fall)
-    test = select.measure_survival(
-        policy_with(shipped_policy(), 200), target=0.97, confidence=confidence
-    )
-    found = binomtest(197, 200, alternative="greater").proportion_ci(confidence, method="exact")
+    test = select.measure_survival(policy_with(shipped_policy(), 200), target=0.97, confidence=0.99)
+    found = binomtest(197, 200, alternative="greater").proportion_ci(0.99, method="exact")
     assert (test.trials, test.survived) == (200, 197)
     assert test.at_least == pytest.approx(found.low, rel=1e-9)
     assert test.met is (found.low >= 0.97)
@@ -88,9 +84,3 @@ def test_the_test_uses_trials_of_its_own(monkeypatch):
     assert streams == [TARGET_TEST]
     assert len({SELECTION, TARGET_TEST, TEST}) == 3
 
-
-def test_a_target_that_the_test_cannot_show_is_refused():
-    rule = resolve(overrides=["selection.test_trials=298"]).selection
-    with pytest.raises(InputError, match="298 trials cannot show"):
-        select.check_target(0.99, rule, 0.95)
-    select.check_target(0.98, rule, 0.95)

@@ -49,7 +49,7 @@ def bench_of(motion, **board):
     return bench
 
 
-@pytest.mark.parametrize("height", [0.8, -0.5])
+@pytest.mark.parametrize("height", [0.8, pytest.param(-0.5, marks=pytest.mark.full)])
 def test_what_is_recorded_identifies_the_pendulum(tmp_path, height):
     bench = bench_of(ByHand(height), drift=8e-5, offset_us=2**32 - 4_000_000)
     told, shown = [], []

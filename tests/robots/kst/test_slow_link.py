@@ -43,8 +43,7 @@ def peak_of_the_cabinet(speed, period_ms):
 
 
 @pytest.mark.compiled_only
-@pytest.mark.parametrize("period_ms", [5, 15])
-@pytest.mark.parametrize("speed", [0.1, 0.8])
+@pytest.mark.parametrize(("period_ms", "speed"), [(5, 0.8), (15, 0.1)])
 def test_the_shaped_peak_is_that_of_the_cabinet_with_a_perfect_drive(speed, period_ms):
     peak = peak_of_the_cabinet(speed, period_ms)
     # The law is quadratic only near zero, and the server looks once a millisecond: both make the
