@@ -114,7 +114,6 @@ THEORY = {"docs/safety-case.md", "docs/explanation/claims.md", "docs/how-to/real
 """Pages whose shares follow from a formula, or are requirements."""
 ALLOWED = (
     "until one meets 99 %",
-    "14 % in 16 ms for w2 = 70",
     "the randomization of the training (2 % of the inertia",
     "survived 5 s on their arm",
     "that survive 95 % of their trials in simulation",
