@@ -9,7 +9,17 @@ import inspect
 import os
 from collections.abc import Callable
 from types import UnionType
-from typing import Annotated, Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Protocol,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from pydantic import ConfigDict, Field, GetPydanticSchema, TypeAdapter, ValidationError
 from pydantic_core.core_schema import is_instance_schema
@@ -64,7 +74,7 @@ def _instances(hint: Any) -> Any:
     """Return an annotation in which a value of Equipoise has to be an instance of its class."""
     if get_origin(hint) in (Union, UnionType):
         return Union[tuple(map(_instances, get_args(hint)))]  # noqa: UP007  (of any number)
-    if getattr(hint, "_is_protocol", False):  # a user's object, which its user checks
+    if Protocol in getattr(hint, "__bases__", ()):  # a user's object, which its user checks
         return Any
     hint = os.PathLike if get_origin(hint) is os.PathLike else hint
     own = isinstance(hint, type) and hint.__module__.startswith(("equipoise.", "os"))

@@ -17,6 +17,7 @@ import ctypes
 import functools
 from math import copysign
 from pathlib import Path
+from threading import Lock, get_ident
 from typing import Any, Final
 
 import numba
@@ -228,6 +229,30 @@ def load_library() -> ctypes.CDLL:
     library = ctypes.CDLL(str(path))
     ctypes.c_void_p.in_dll(library, "mjcb_time").value = None
     return library
+
+
+_callback_lock: Final = Lock()
+
+
+def addresses(model: Any, data: Any) -> tuple[int, int]:
+    """Return the addresses of MuJoCo's structures, which its control callback receives.
+
+    Args:
+        model: A model.
+        data: Its state; computes what depends on positions and velocities.
+    """
+    mj, found = mujoco(), dict[int, tuple[int, int]]()
+    callback = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(
+        lambda *structures: found.update({get_ident(): structures})  # other threads call it, too
+    )
+    with _callback_lock:
+        before = mj.get_mjcb_control()
+        mj.set_mjcb_control(callback)
+        try:
+            mj.mj_step1(model, data)
+        finally:
+            mj.set_mjcb_control(before)
+    return found[get_ident()]
 
 
 def _c_function(name: str, *more: Any) -> Any:

@@ -324,8 +324,7 @@ class Twin:
         one record each. As an array of one it takes a microsecond, by itself it takes forty."""
         self.state = state = own[0]
         """Constants and state."""
-        # The addresses of MuJoCo's structures have no public name.
-        state.model_address, state.data_address = self.model._address, self.data._address
+        state.model_address, state.data_address = physics.addresses(self.model, self.data)
         state.substeps = settings.substeps
         state.home = state.setpoint = arm.home
         state.home_x = arm.kinematics(arm.home_free).position[0]
