@@ -7,7 +7,7 @@ from equipoise.arm.iiwa import iiwa
 from equipoise.arrays import fields, new_records
 from equipoise.model.actuator import Servos, follow, lag_fraction
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.worlds import POSITION_DRIVES, TwinSettings
 from equipoise.simulation.twin.excitation import excitation
 from equipoise.simulation.twin.physics import TICK
 from equipoise.simulation.twin.servo_model import equivalent_actuator
@@ -57,7 +57,7 @@ def test_the_lag_on_a_ramp_is_that_of_the_server(cycle, lag):
 
 @pytest.mark.parametrize(
     "changes",
-    [{}, {"inner": "pd", "shaped": False}, {"reach_time": 0.040}],
+    [{}, POSITION_DRIVES | {"shaped": False}, {"reach_time": 0.040}],
     ids=str,
 )
 def test_an_arm_without_load_moves_as_the_equivalent_actuator(changes):
