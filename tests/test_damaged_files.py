@@ -42,7 +42,7 @@ encoder_sign = -1
 """
 WORLD = """\
 transport = 0.012
-inner = "pd"
+reach_time = 0.016
 counts_per_rev = 4096
 guards = true
 """

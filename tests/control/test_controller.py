@@ -59,7 +59,6 @@ def test_in_a_pause_the_model_comes_to_rest_with_the_twins_arm(unsent):
     world = read_world("twin:nominal")
     pendulum = pendulum_on(POLICY.pendulum, world.settings)
     rig = SimulatedRig(Bodies(ARM, pendulum, world.settings, ARM.home_free, 0.0, 0))
-    assert not rig.twin.state.servo.pd
     rig.body.servo(True)
     own, delay = controller(), POLICY.actuator.delay.value
     for tick in range(20):

@@ -83,4 +83,3 @@ def test_the_test_uses_trials_of_its_own(monkeypatch):
     assert sum(test.causes.values()) == 20
     assert streams == [TARGET_TEST]
     assert len({SELECTION, TARGET_TEST, TEST}) == 3
-

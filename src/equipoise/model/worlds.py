@@ -15,9 +15,9 @@ data are facts; numbers marked *assumed* are pessimistic choices within the plau
 import os.path
 from collections.abc import Mapping
 from difflib import get_close_matches
-from math import radians
+from math import log, radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from pydantic import Field, ValidationError
 
@@ -62,17 +62,11 @@ class TwinSettings(Value):
     shaped: bool = True
     """Whether a KST server applies its shaping law, as in its source. Otherwise the destination is
     the setpoint, as behind KUKA's FRI."""
-    inner: Literal["velocity", "pd"] = "velocity"
-    """Servo model behind the shaping law; that of KUKA is not published. `velocity`: a joint
-    velocity of (destination - q) over `reach_time`, through a first-order lag. `pd`: a PD
-    controller on the destination."""
     reach_time: float | None = Field(default=None, ge=0.001, le=0.1)
-    """Time in which `velocity` would reach the destination [s]; by default the cycle."""
+    """Time in which the velocity of the drives would reach the destination [s]; by default the
+    cycle. The servo of KUKA behind its shaping law is not published."""
     lag: float = Field(default=0.008, ge=0.001, le=0.1)
     """Time constant of the joint drives [s]. Assumed: 4 to 16 ms are plausible."""
-    pd_frequency: float = Field(default=125.0, ge=1.0, le=2000.0)
-    """Natural frequency of `pd`, critically damped [rad/s]. Assumed: 1 / lag of `velocity`. A cycle
-    of 1 ms limits it to 2000."""
     rotor_inertia: Annotated[tuple[RotorInertia, ...], Field(min_length=1)] = LWR_ROTORS
     """Inertia of motor and gear, reflected to the output of the joint [kg m^2]: one number for each
     joint from the base on, the last one for further joints. The drive knows it.
@@ -167,6 +161,9 @@ class World(NamedTuple):
     """Parameters of the twin."""
 
 
+POSITION_DRIVES: Final = {"reach_time": 0.016, "lag": -1e-3 / log(0.75)}
+"""Drives that control the position, critically damped at omega = 125 rad/s: they reach the
+destination in 2 / omega, and (1 - exp(-h / lag)) / h = 2 omega, with h = 1 ms."""
 WORLDS: Final[Mapping[str, Mapping[str, Any]]] = {
     "nominal": {},
     "harsh": {
@@ -180,11 +177,11 @@ WORLDS: Final[Mapping[str, Mapping[str, Any]]] = {
     # [kg m^2]: a fifth of a small motor (1e-5 kg m^2) behind 1:100.
     "light-rotors": {"rotor_inertia": (0.02,)},
     "bare": {"rotor_inertia": (0.0,)},
-    "pd": {"inner": "pd"},
+    "pd": POSITION_DRIVES,
     # `setMinimumTrajectoryExecutionTime` of a KST server.
     "trajectory40": {"reach_time": 0.040},
-    "smart60": {"shaped": False, "transport": 0.044, "inner": "pd"},
-    "fri": {"shaped": False, "transport": 0.003, "inner": "pd"},
+    "smart60": {"shaped": False, "transport": 0.044, **POSITION_DRIVES},
+    "fri": {"shaped": False, "transport": 0.003, **POSITION_DRIVES},
 }
 """Frozen parameter sets of the digital twin by name: differences to the defaults of `TwinSettings`.
 What is known and what is guessed about each stands in docs/how-to/digital-twin.md."""

@@ -3,16 +3,10 @@ r"""Servo of a twin's arm: from a setpoint that was sent to the torques of the j
 Setpoints arrive after a transport that jitters, in the order in which they were sent. Each cycle of
 the servo's loop the newest sets a destination, q plus the shaped step towards it (see
 `equipoise.model.actuator`); each millisecond the joint drives follow that destination. The law of
-KUKA's drives is not published. Two assumptions, with the bare arm's mass matrix at home M:
-
-``velocity``: the velocity (destination - q) / `reach_time`, held over the cycle, through a
-first-order lag T
+KUKA's drives is not published. Assumed: the velocity (destination - q) / `reach_time`, held over
+the cycle, through a first-order lag T, with the bare arm's mass matrix at home M
 
 .. math:: \tau = M\,(\dot q_c - \dot q)\,(1 - e^{-h/T}) / h
-
-``pd``: a critically damped controller of the position
-
-.. math:: \tau = M\,(\omega^2 (q_c - q) - 2 \omega \dot q)
 
 The arm's own gravity is balanced beside it. What a joint passes on to its link keeps within the
 torque that the joint can give: its limits are those of the output, behind gear and torque
@@ -41,12 +35,10 @@ def servo_type(n: int) -> np.dtype[Any]:
     """Return the type of a servo of `n` joints: a record of its constants and its state."""
     return np.dtype(
         [
-            ("pd", "?"),  # whether the drives control the position
             ("cycle", "i8"),  # cycle of the servo's loop [ms]
             ("shaped", "?"),  # whether the loop shapes its steps
             ("rate", "f8"),  # reciprocal of the time to the destination [1/s]
-            ("gain", "f8"),  # (1 - exp(-h / T)) / h of `velocity` [1/s]
-            ("omega", "f8"),  # natural frequency of `pd` [rad/s]
+            ("gain", "f8"),  # (1 - exp(-h / T)) / h [1/s]
             ("M", "f8", (n, n)),  # mass matrix of the links, without the rotors [kg m^2]
             ("rotors", "f8", n),  # inertias of the rotors [kg m^2]
             ("limit", "f8", n),  # limits of the torques on the links [N m]
@@ -55,7 +47,6 @@ def servo_type(n: int) -> np.dtype[Any]:
             ("newest", "i8"),  # arrival of the newest setpoint [ms]
             ("arriving", "f8", (SLOTS, n)),  # setpoint of each millisecond, NaN without one [rad]
             ("target", "f8", n),  # setpoint in force [rad]
-            ("destination", "f8", n),  # destination set by the servo's loop [rad]
             ("velocity", "f8", n),  # velocity that the drives follow [rad/s]
             ("ddq", "f8", n),  # accelerations commanded by the drives [rad/s^2]
         ],
@@ -68,19 +59,17 @@ def new_servo(arm: Arm, settings: TwinSettings) -> np.record:
 
     Args:
         arm: The arm.
-        settings: Times, variant and rotor inertia.
+        settings: Times, shaping law and rotor inertia.
 
     Raises:
         ArmError: The masses of the arm's links are not known.
     """
     n = len(arm.joints)
     servo: Any = np.zeros(1, np.dtype((np.record, servo_type(n))))[0]
-    servo.pd = settings.inner == "pd"
     servo.cycle = round(settings.cycle / TICK)
     servo.shaped = settings.shaped
     servo.rate = 1.0 / (settings.reach_time or settings.cycle)
     servo.gain = lag_fraction(settings.lag) / TICK
-    servo.omega = settings.pd_frequency
     servo.M = mass_matrix(arm)
     servo.rotors = rotor_inertias(settings, n)
     servo.limit = [joint.torque for joint in arm.joints]
@@ -92,14 +81,10 @@ def new_servo(arm: Arm, settings: TwinSettings) -> np.record:
 def equivalent_actuator(settings: TwinSettings) -> Actuator:
     """Return the actuator that responds as the servo of an arm without load does.
 
-    `pd` is a drive with T = 1 / (2 omega) that reaches a destination in t_c = 2 / omega.
-
     Args:
-        settings: Times and variant.
+        settings: Times and shaping law.
     """
     cycle, lag = settings.reach_time or settings.cycle, settings.lag
-    if settings.inner == "pd":
-        cycle, lag = 2.0 / settings.pd_frequency, 0.5 / settings.pd_frequency
     kind = "kst" if settings.shaped else "unshaped"
     return Actuator.assumed(kind, delay=settings.transport, lag=lag, cycle=cycle)
 
@@ -116,7 +101,7 @@ def start(servo: np.record, q: Array) -> None:
     servo.arriving[:] = np.nan
     servo.velocity[:] = 0.0
     for i in range(len(servo.target)):
-        servo.target[i] = servo.destination[i] = q[i]
+        servo.target[i] = q[i]
 
 
 @inlined
@@ -160,14 +145,9 @@ def serve(servo: np.record, now: int, q: Array, dq: Array, gravity: Array, force
             step = servo.target[i] - q[i]
             if servo.shaped:
                 step = shaped_step(step, AMPLITUDE, INTERVAL_WIDTH)
-            servo.destination[i] = q[i] + step
             servo.velocity[i] = step * servo.rate
-    omega = servo.omega
     for i in range(n):
-        if servo.pd:
-            servo.ddq[i] = omega**2 * (servo.destination[i] - q[i]) - 2.0 * omega * dq[i]
-        else:
-            servo.ddq[i] = servo.gain * (servo.velocity[i] - dq[i])
+        servo.ddq[i] = servo.gain * (servo.velocity[i] - dq[i])
     for i in range(n):
         torque = gravity[i]
         for j in range(n):
