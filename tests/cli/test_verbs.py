@@ -34,17 +34,17 @@ pytestmark = pytest.mark.compiled_only
 
 
 def test_identify_writes_pendulum_and_figure(equipoise, swing, tmp_path):
-    ran = equipoise("identify", swing, "--mass=0.2", "--mass-uncertainty=0.001", "--length=0.14")
+    weighed = ("--mass=0.2", "--mass-uncertainty=0.001", "--length=0.14")
+    ran = equipoise("identify", swing, "--friction=coulomb", *weighed)
     assert ran.code == 0, ran
     assert "w2 [1/s^2]" in ran.out
     assert "(95 %, identified)" in ran.out
     assert "zero [deg]" in ran.out
     assert ran.out.endswith("next: equipoise train pendulum.json\n")
-    assert Pendulum.load(tmp_path / "pendulum.json").inertia is not None
+    pendulum = Pendulum.load(tmp_path / "pendulum.json")
+    assert pendulum.w2.value == pytest.approx(70.2, rel=0.05)
+    assert (pendulum.friction_model, pendulum.inertia is None) == ("coulomb", False)
     assert {"pendulum.json", "pendulum.svg", "pendulum.png"} < contents(tmp_path).keys()
-    found = equipoise("identify", swing, "--friction=coulomb", "--force", "--json").json
-    assert found["w2"]["value"] == pytest.approx(70.2, rel=0.05)
-    assert (found["friction_model"], found["inertia"]) == ("coulomb", None)
 
 
 def test_train_writes_a_policy_and_marks_one_that_misses_the_target(

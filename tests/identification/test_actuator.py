@@ -101,7 +101,9 @@ def holds(estimate, truth):
 # Known truths.
 
 
-@pytest.mark.parametrize(("delay", "push"), [(0.010, 0.0), (0.030, PUSH)])
+@pytest.mark.parametrize(
+    ("delay", "push"), [pytest.param(0.010, 0.0, marks=pytest.mark.full), (0.030, PUSH)]
+)
 def test_delay_lags_and_shaping_law_are_found_together_and_a_steady_load_moves_none(delay, push):
     actuator = identified(recorded(delay=delay, push=push), kind="kst")
     # Required: within 2 ms. Jitter of 1 ms in 2000 setpoints leaves 0.04 ms, once in 1000 0.13.

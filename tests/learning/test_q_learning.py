@@ -101,37 +101,6 @@ def test_expected_sarsa_finds_the_values_of_the_policy_that_explores(example):
     np.testing.assert_allclose(Q[1 : STATES + 1], exact, atol=0.05)
 
 
-@pytest.mark.parametrize(("chance", "moved"), [(0.2, 0), (0.7, 1)])
-def test_double_q_moves_one_table_towards_the_value_of_the_other(example, chance, moved):
-    rng = np.random.default_rng(3)
-    A, B = rng.normal(size=(2, 270, 8))
-    tables = new_tables(270, 1)
-    tables.Q[:], tables.own[0] = (A + B) / 2, (A - B) / 2
-    given = transition(4, 5, -0.25, 9, chance=chance)
-    example("double_q").update(tables, given, UpdateParams(GAMMA, 0.5, 0.0, 0.0, False))
-    mine, other = (A, B) if moved == 0 else (B, A)
-    mine[4, 5] = 0.5 * mine[4, 5] + 0.5 * (-0.25 + GAMMA * other[9, np.argmax(mine[9])])
-    np.testing.assert_allclose(tables.Q + tables.own[0], A, rtol=0.0, atol=1e-14)
-    np.testing.assert_allclose(tables.Q - tables.own[0], B, rtol=0.0, atol=1e-14)
-
-
-def test_watkins_carries_a_failure_back_until_an_action_that_was_not_the_best(example):
-    watkins, params = example("watkins"), UpdateParams(GAMMA, 1.0, 0.0, 0.0, False)
-    tables, decay = new_tables(270, watkins.tables), 0.7 * GAMMA
-    watkins.update(tables, transition(1, 0, 0.0, 2, lane=3), params)
-    tables.Q[4, 1] = -0.5  # so that action 1 in box 4 is not the best
-    watkins.update(tables, transition(2, 0, 0.0, 4, lane=3), params)
-    watkins.update(tables, transition(4, 1, 0.5, 5, lane=3), params)
-    watkins.update(tables, transition(5, 2, 0.0, 6, lane=3), params)
-    failure = transition(6, 0, -1.0, 0, lane=3, failed=True, ended=True)
-    watkins.update(tables, failure, params)
-    assert tables.Q[6, 0] == -1.0
-    assert tables.Q[5, 2] == pytest.approx(-decay)
-    assert tables.Q[4, 1] == pytest.approx(0.5 - decay**2)
-    assert tables.Q[2, 0] == tables.Q[1, 0] == 0.0
-    assert not tables.own.any()
-
-
 def test_rewards_are_those_of_the_reference():
     state = Observation(0.1, 0.2, 0.3, 0.4)
     assert set(REWARDS) == set(reference.REWARDS)

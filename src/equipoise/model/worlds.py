@@ -109,8 +109,6 @@ class TwinSettings(Value):
     joint_noise: float = Field(default=5e-5, ge=0.0, le=0.1)
     """Standard deviation of the noise on a measured joint position [rad]. Assumed: half of the
     arm's repeatability of 0.1 mm at 0.8 m, 6e-5 rad."""
-    substeps: int = Field(default=1, ge=1, le=16)
-    """Number of physics engine steps per millisecond."""
     guards: bool = True
     """Whether the safety rules of a rig end a trial (cause `guard`)."""
     max_speed: float | None = Field(default=None, gt=0.0, le=2.0)

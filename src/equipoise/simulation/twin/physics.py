@@ -47,7 +47,7 @@ def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any
     Args:
         arm: The arm; its pivot's distance from the axis of the last joint is that of the settings.
         pendulum: w2 and the frictions.
-        settings: Masses, pivot and steps; its frictions are not used, see `pivot_friction`.
+        settings: Masses and pivot; its frictions are not used, see `pendulum_on`.
 
     Raises:
         ArmError: The masses of the arm's links are not known.
@@ -63,7 +63,7 @@ def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any
     phi.solimp_friction = [0.999, 0.999, *phi.solimp_friction[2:]]  # MuJoCo's default is 0.9
     model = spec.compile()
     model.dof_armature[:n] = rotor_inertias(settings, n)
-    model.opt.timestep = TICK / settings.substeps
+    model.opt.timestep = TICK
     set_pendulum(model, mujoco().MjData(model), pendulum)
     return model
 

@@ -1,7 +1,7 @@
 """Digital twin for kernels and for Python: send setpoints, advance time, read the sensors.
 
 Time advances in whole milliseconds. In each, the servo sets the torques of the joints, and the
-physics engine takes its steps. Positions and velocities of all bodies are valid at the end of each
+physics engine takes a step. Positions and velocities of all bodies are valid at the end of each
 millisecond, so that the true state can be read at any time.
 
 The pendulum's angle in the engine, as the encoder's, is relative to the flange; phi in the truth
@@ -44,7 +44,6 @@ def twin_type(n: int) -> np.dtype[Any]:
         [
             ("model_address", "i8"),  # model of the engine
             ("data_address", "i8"),  # state of the engine; one thread at a time may use it
-            ("substeps", "i8"),  # steps of the engine in a millisecond
             ("seed", "i8"),  # master seed
             ("index", "i8"),  # number of the trial
             ("now", "i8"),  # time [ms]
@@ -218,10 +217,9 @@ def advance(twin: np.record, data: np.record, ticks: int) -> None:
     inside = within_limits(twin, data)
     for _ in range(ticks):
         serve(twin.servo, twin.now, data.qpos, data.qvel, twin.gravity, data.qfrc_applied)
-        for _ in range(twin.substeps):
-            integrate(twin, data, inside)
-            inside = within_limits(twin, data)
-            update(twin, data, inside)
+        integrate(twin, data, inside)
+        inside = within_limits(twin, data)
+        update(twin, data, inside)
         twin.now += 1
         slot = twin.now % HISTORY_MS
         twin.past_phi[slot] = data.qpos[len(twin.home)]
@@ -325,7 +323,6 @@ class Twin:
         self.state = state = own[0]
         """Constants and state."""
         state.model_address, state.data_address = physics.addresses(self.model, self.data)
-        state.substeps = settings.substeps
         state.home = state.setpoint = arm.home
         state.home_x = arm.kinematics(arm.home_free).position[0]
         state.free = arm.free
