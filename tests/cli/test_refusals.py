@@ -37,6 +37,8 @@ REFUSED = {
     ("rig", "record", "--encoder", "usb:///x", "--out", "swing.csv"): "serial:",
     # The rig
     ("deploy", "--dry-run"): "--robot",
+    ("deploy", "--runs", "3"): "--robot",
+    (*TWIN, "--runs", "3"): "--start hanging",
     ("deploy", "small.json", "--excite"): "--excite",
     ("deploy", "--robot", KST): "--encoder",
     ("deploy", "--robot", "ros://host", "--encoder", BOARD): "kst:",

@@ -10,6 +10,7 @@ import os
 import signal
 import sys
 import time
+from dataclasses import replace
 from math import cos, nan
 from types import SimpleNamespace
 
@@ -32,6 +33,7 @@ from equipoise.rig.loop import CANNOT_STOP, run_loop
 from equipoise.rig.processes import HEARTBEAT_TIMEOUT, POLL_PERIOD, run_in_processes
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import PHASES
+from equipoise.rig.series import Series
 from equipoise.safety.rules import limits_of
 from tests.rig.test_loop import Arm
 
@@ -125,6 +127,18 @@ def waiting(request, memory, joints, pipe):
     processes._loop(request, memory, joints, pipe)
 
 
+def three(request, rig, operators, recorder, *, measures, submit, follow):
+    """Be a series of three runs."""
+    for _ in range(2):
+        end = move(None, rig, operators, recorder, measures=measures, submit=submit, follow=follow)
+        follow(end, request)
+    return move(None, rig, operators, recorder, measures=measures, submit=submit, follow=follow)
+
+
+def series(request, memory, joints, pipe):
+    moving(request, memory, joints, pipe, three)
+
+
 # Who stands at the screen.
 
 
@@ -204,6 +218,18 @@ def test_a_signal_is_a_word_to_the_loop_and_the_log_is_complete(run, log, number
     assert came_to_rest(log())
     assert len(log().tables["tick"]) < 150
     assert signal.getsignal(number) == handler
+
+
+def test_each_run_of_a_series_has_a_log_of_its_own(monkeypatch, tmp_path):
+    monkeypatch.setattr(processes, "_loop", series)
+    request, person, ends = replace(REQUEST, runs=3, start="hanging"), Person(), []
+    last = run_in_processes(request, tmp_path / "run.mcap", person, person.live, ended=ends.append)
+    assert [end.outcome for end in (*ends, last)] == ["survived"] * 3
+    logs = [RunLog.load(tmp_path / f"run-00{number}.mcap") for number in (1, 2, 3)]
+    for log in logs:
+        assert came_to_rest(log)
+        assert [event.name for event in log.events].count("homing") == 1
+    assert len(Series.load(tmp_path / "run-series.json").runs) == 3
 
 
 def test_a_loop_that_is_killed_is_told_at_once_and_its_log_is_readable(run, log):
