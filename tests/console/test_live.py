@@ -89,8 +89,10 @@ def test_questions_and_stop(played):
         push_event(
             run.recorder.event, 0.0, OperatorMessage("notice", "<img src=x onerror=alert(1)>")
         )
+        push_event(run.recorder.event, 0.0, OperatorMessage("run", "Run 3 of 10; all survived."))
         run.phase = Phase.BALANCING
         wait_until(lambda: "balancing" in shown(page, "#equipoise-state")[0], "phase")
+        assert "Run 3 of 10" in shown(page, "#equipoise-state")[0]
         wait_until(lambda: "<img" in "".join(shown(page, "#equipoise-messages")), "message as text")
 
         page.execute_script(

@@ -192,7 +192,9 @@ class LivePage:
                 late = 1e3 * max(run.late, 0.0)
                 self._history.append((run.time, degrees(run.phi), 1e3 * x, run.u, late))
                 self._draw_plots()
-            if run.phase is Phase.BALANCING:
+            if run.phase is Phase.HOMING:  # also in the next run of a series
+                self._began = nan
+            elif run.phase is Phase.BALANCING:
                 self._began = self._began if isfinite(self._began) else run.time
                 self._ended = run.time
             self._describe(run)
@@ -219,6 +221,7 @@ class LivePage:
             name, colour = run.phase.value, COLOURS.get(run.phase, BLUE)
         elif not (run.question or run.ended):
             lines += [event.text for event in self._messages][-1:]
+        lines += [event.text for event in self._messages if event.name == "run"][-1:]
         if isfinite(self._began):
             length = f" of {run.info.duration:g} s" if run.info.duration else ""
             lines.append(f"balanced {self._ended - self._began:.1f} s{length}")
