@@ -38,10 +38,15 @@ import equipoise as eq
 from equipoise.executors import available_cores
 from equipoise.identification.actuator import identify_actuator
 from equipoise.identification.refine import inspect
-from equipoise.learning.q_learning import new_tables
+from equipoise.learning.q_learning import (
+    Tables,
+    Transition,
+    UpdateParams,
+    new_tables,
+    q_learning,
+)
 from equipoise.log.conditions import RunEnd
 from equipoise.log.run_log import RunLog
-from equipoise.model.grid import mirrored_box
 from equipoise.model.worlds import read_world
 from equipoise.outcomes import Outcome
 from equipoise.paper import ACTIONS
@@ -144,26 +149,26 @@ def series(request: RunRequest, folder: Path) -> tuple[list[RunEnd], list[RunLog
     return ends, logs
 
 
-def learn(tables: Any, logs: list[RunLog], settings: Settings) -> None:
+def learn(tables: Tables, logs: list[RunLog], settings: Settings) -> None:
     """Update the tables by equation (1) with every transition of some runs."""
     learning, index = settings.learning, {u: i for i, u in enumerate(ACTIONS)}
+    params = UpdateParams(
+        learning.gamma,
+        learning.alpha_initial,
+        learning.alpha_decay,
+        learning.alpha_minimum,
+        learning.mirrored,
+    )
     for log in logs:
         boxes, actions = log.box.tolist(), [index[u] for u in log.u.tolist()]
+        steps = list(zip(boxes, actions, boxes[1:], strict=False))
         fell = log.ending.outcome in (Outcome.ANGLE, Outcome.TRACK)
-        for k, (box, action) in enumerate(zip(boxes, actions, strict=True)):
-            last = k == len(boxes) - 1
-            if last and not fell:
-                break
-            target = -1.0 if last else learning.gamma * tables.Q[boxes[k + 1]].max()
-            visits = tables.visits[box, action]
-            alpha = max(
-                learning.alpha_initial / (1.0 + learning.alpha_decay * visits),
-                learning.alpha_minimum,
-            )
-            mirrored = mirrored_box(box, len(tables.Q)), len(ACTIONS) - 1 - action
-            for place in ((box, action), mirrored):
-                tables.Q[place] += alpha * (target - tables.Q[place])
-                tables.visits[place] += 1
+        steps += [(boxes[-1], actions[-1], 0)] if fell else []
+        for k, (box, action, box_next) in enumerate(steps):
+            failed = fell and k == len(steps) - 1
+            reward = -1.0 if failed else 0.0  # `failure`, that of the shipped policy
+            step = Transition(box, action, reward, box_next, failed, failed, 0.0, 0.0, 0)
+            q_learning(tables, step, params)
 
 
 def trained(

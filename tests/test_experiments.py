@@ -5,6 +5,7 @@ import runpy
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -89,6 +90,7 @@ def paths(value, *above):
             (*SHORT, *TRIALS, "--seeds", "2", "--ideal-trials", "2"),
         ),
         ("identification", "experiments/identification", ("--worlds", "pd", "--logs", "1")),
+        ("night", "experiments/night", ("--hours", "0.001", "--runs", "2", "--duration", "1")),
         (
             *("survival-nominal", "benchmarks/twin"),
             (*SHORT, *TRIALS, "--world", "model", "--seeds", "1", "--attempts", "1", "--out", "."),
@@ -103,6 +105,27 @@ def test_a_script_writes_what_the_file_of_results_holds(
     written = json.loads((tmp_path / "values.json").read_text())
     stored = json.loads((ROOT / "docs" / "results.json").read_text())[section]["values"]
     assert paths(stored) <= paths(written)
+
+
+# What runs buy
+
+
+def test_a_fall_lowers_the_value_of_its_last_action_and_every_other_step_moves_towards_the_next():
+    on_robot, settings = module("on_robot"), eq.Settings()
+    tables = on_robot["new_tables"](270, 0)
+    tables.Q[:] = np.linspace(0.0, 1.0, 270)[:, None]
+    before = tables.Q.copy()
+    log = SimpleNamespace(
+        box=np.array([10, 11, 12]), u=np.array([-2.0, 2.0, 2.0]),
+        ending=SimpleNamespace(outcome="angle"),
+    )  # fmt: skip
+    on_robot["learn"](tables, [log], settings)
+    alpha, gamma = settings.learning.alpha_initial, settings.learning.gamma
+    assert tables.Q[10, 0] == pytest.approx(
+        (1 - alpha) * before[10, 0] + alpha * gamma * before[11, 0]
+    )
+    assert tables.Q[12, 7] == pytest.approx((1 - alpha) * before[12, 7] - alpha)
+    assert tables.visits.sum() == 6  # the mirror images, too
 
 
 # Value iteration
