@@ -12,21 +12,12 @@ from equipoise.simulation.twin.excitation import excitation
 from equipoise.simulation.twin.physics import TICK
 from equipoise.simulation.twin.servo_model import equivalent_actuator
 from equipoise.simulation.twin.twin import Twin
+from tests.model.test_actuator import STEADY_LAG_MS
 
 ARM = iiwa(7)
 PENDULUM = PendulumParameters(w2=70.2, k=7.16, c=0.15)
 AT_ONCE = TwinSettings(transport=0.0, transport_jitter=0.0)
 UNLOADED = AT_ONCE.model_copy(update={"bracket_mass": 0.0, "pendulum_mass": 1e-9})
-A, B = 0.07, 0.0525
-# KUKA Sunrise Toolbox's server with a perfect robot: lag [ms] at a speed [rad/s], for cycles of
-# 1, 2 and 4 ms.
-TABLE = {
-    0.05: (28.0, 40.0, 56.0),
-    0.10: (20.0, 28.0, 40.0),
-    0.25: (12.6, 18.0, 25.0),
-    0.50: (8.9, 12.6, 18.0),
-    1.00: (6.3, 8.9, 12.7),
-}
 
 
 def steady_lag(settings, speed, settled=0.5):
@@ -50,7 +41,7 @@ def steady_lag(settings, speed, settled=0.5):
 @pytest.mark.full
 def test_the_lag_on_a_ramp_is_that_of_the_server(cycle, lag):
     settings = AT_ONCE.model_copy(update={"cycle": cycle, "lag": lag})
-    for speed, expected in TABLE.items():
+    for speed, expected in STEADY_LAG_MS.items():
         lag_ms = 1e3 * steady_lag(settings, speed)
         assert lag_ms == pytest.approx(expected[(0.001, 0.002, 0.004).index(cycle)], abs=1.0)
 
