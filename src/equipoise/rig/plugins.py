@@ -114,7 +114,7 @@ class RobotPlugin(Value):
     twin's transport time stays in the servo."""
     servo: TwinSettings = TwinSettings()
     """Numbers of the robot's servo on a twin; those given replace the world's: transport, cycle,
-    shaped, inner, lag."""
+    shaped, lag."""
     flange_speed: Callable[[Arm, float], float] | None = None
     """Returns the largest flange speed [m/s] for the longest time between two setpoints [s]. A run
     over a slow link stops there. None where the link limits no speed."""
