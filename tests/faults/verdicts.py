@@ -162,7 +162,7 @@ def check_run(harness, outcome):
         outcome: Result that the run returns.
     """
     *before, last = parts_of(harness)
-    problems = _on_track(harness) + _log_problems(harness)
+    problems = _on_track(harness) + _log_problems(harness, outcome)
     for part, end in zip(before, harness.ends, strict=False):
         if end.outcome not in LEADS_ON:
             problems.append(f"a run followed {end.outcome}")
@@ -261,11 +261,13 @@ def _moved_on(arm, part, stop):
     return [far] if moved[i] > most[i] else []
 
 
-def _log_problems(harness):
+def _log_problems(harness, outcome):
     if harness.scenario.out is None or harness.disk_is_full:
         return []
     problems, runs = [], harness.scenario.runs
-    for number in range(1, len(harness.ends) + 2):
+    # Where a link has failed between two runs, the next one has no log.
+    logs = len(harness.ends) + (outcome.outcome is not Outcome.ERROR)
+    for number in range(1, logs + 1):
         try:
             end = RunLog.load(run_path(harness.scenario.out, number, runs)).end
         except EquipoiseError as error:
