@@ -101,7 +101,13 @@ def series(number: int, args: argparse.Namespace) -> dict[str, Any]:
     )  # fmt: skip
     rig, out, began = connect(request), args.out / f"{number}.mcap", perf_counter()
     pusher = Pusher(rig, args.duration, number)
-    ends.append(run_virtually(request, out, pusher, rig=rig, ended=ends.append))
+    memory = list[float]()
+
+    def ended(end: RunEnd) -> None:
+        ends.append(end)
+        memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
+
+    ended(run_virtually(request, out, pusher, rig=rig, ended=ended))
     read = partial(run_path, out, runs=args.runs)
     for place in range(max(len(ends) - 99, 1), len(ends) + 1):
         if RunLog.load(read(number=place)).end != ends[place - 1]:
@@ -124,7 +130,7 @@ def series(number: int, args: argparse.Namespace) -> dict[str, Any]:
             degrees(end.zero_change) for end in ends if end.zero_change is not None
         ],
         "w2": [end.w2 for end in ends if end.w2 is not None],
-        "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+        "memory_mb": [memory[min(10, len(memory) - 1)], memory[-1]],
         "files": len(os.listdir("/proc/self/fd")),
     }
 
@@ -147,7 +153,7 @@ def total(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "upright_median_s": float(np.median(upright)),
         "upright_max_s": max(upright),
         "zero_change_max_deg": float(changes.max()),
-        "memory_mb": [rows[0]["memory_mb"], rows[-1]["memory_mb"]],
+        "memory_growth_mb": max(last - tenth for tenth, last in (row["memory_mb"] for row in rows)),
         "files": [rows[0]["files"], rows[-1]["files"]],
     }
 

@@ -4,6 +4,7 @@ The same sequence serves a real rig in real time (`equipoise.rig.processes`) and
 one in virtual time; arguments carry the differences.
 """
 
+import gc
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from itertools import count
@@ -198,6 +199,7 @@ def run_on_rig(
             number, survived = number + 1, survived + (end.outcome is Outcome.SURVIVED)
             request = request.following(reference, end.identified)
             follow(end, request)
+            gc.collect()  # in real time nothing is collected while the arm moves
             results, max_speed = preflight(request, rig, granted)
             require(results, OutsideError)
             if words := operator.read_input():
