@@ -13,7 +13,7 @@ COVERING = $(patsubst %,tests/safety/test_%.py,rules trial monitors stop) \
 PLUGINS = $(wildcard plugins/*/tests)
 
 .DEFAULT_GOAL := help
-.PHONY: help install check lint quick plain cover test full test-all slow docs generated pictures screenshots results demo bench
+.PHONY: help install check lint quick plain cover test full test-all slow docs generated hardware pictures screenshots results demo bench
 
 help:  ## list these words
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -61,6 +61,9 @@ docs:  ## the documentation site, in build/site; a warning or a broken link is a
 
 generated:  ## write the kinematics of the iiwas again; git must see no difference
 	$(PYTHON) -m equipoise.arm.iiwa
+
+hardware:  ## write the mechanism's solids, prints and numbers; needs hardware/requirements.txt
+	$(PYTHON) hardware/make.py
 
 pictures:  ## make the pictures of README and documents again, in a minute
 	$(PYTHON) docs/figures/make.py

@@ -1,12 +1,14 @@
 """Pictures of the rig by MuJoCo's renderer, and films of a run as MP4 or animated WebP.
 
-The scene is that of `equipoise.arm.scene`, slimmer and coloured, with the ends of the track
-as two posts and the displacement marked on a rail between them. The camera stands behind the base,
+The scene is that of `equipoise.arm.scene`, slimmer and coloured, with the designed mechanism
+(hardware/) in place of the bracket, the ends of the track as two posts and the displacement marked
+on a rail between them. The camera stands behind the base,
 so that +x is to the right as in every figure. `MUJOCO_GL` selects EGL (default without a display),
 OSMesa or GLFW.
 """
 
 import io
+import json
 import os
 import tempfile
 from collections.abc import Iterator
@@ -21,6 +23,7 @@ from equipoise.arm.scene import Sizes, scene
 from equipoise.arrays import Array
 from equipoise.errors import InputError, OutsideError, import_optional
 from equipoise.files import write_atomically
+from equipoise.jit import PACKAGE
 from equipoise.log.motion import Motion
 from equipoise.log.run_log import RunLog
 from equipoise.paper import X_LIMIT
@@ -56,6 +59,8 @@ ARROW_PER_U: Final = 0.1
 """Length of the arrow for an acceleration of 1 m/s^2 [m]."""
 ARROW_BELOW: Final = 0.13
 """Distance of the arrow below the pivot [m]; the hand never covers it."""
+MECHANISM: Final = PACKAGE / "data" / "mechanism.json"
+"""Boxes and cylinders of the designed mechanism [m]; `make hardware` writes it."""
 MP4, WEBP = ".mp4", ".webp"
 FORMATS: Final = {MP4: (960, 720, 30.0), WEBP: (480, 480, 12.5)}
 """Width and height of a film [px], and frames per second, by its suffix."""
@@ -113,6 +118,7 @@ def build_scene(arm: Arm) -> RigScene:
         radius = float(housing.size[0])
         out = 0.87 * radius * (end - start) / np.linalg.norm(end - start)
         cylinder(housing.parent, f"cap of {housing.name}", start - out, end + out, 0.7 * radius)
+    _add_mechanism(spec, arm, places[-2] - pivot)
     table, world = spec.geom("table"), spec.worldbody
     table.size = [*(0.5 * np.abs(pivot[:2]) + [0.42, 0.27]), 0.35]
     table.pos = [*(0.5 * pivot[:2]), -0.35]
@@ -143,6 +149,42 @@ def build_scene(arm: Arm) -> RigScene:
     low, high = points.min(axis=0) - 0.1, points.max(axis=0) + 0.1
     centre = 0.5 * (low + high)
     return RigScene(spec.compile(), pivot, tops, camera_axes().T @ centre, points - centre)
+
+
+def _add_mechanism(spec: Any, arm: Arm, inward: Array) -> None:
+    """Replace the bracket of a scene by the designed mechanism, where the pivot is as far outside.
+
+    Args:
+        spec: The scene; changed in place.
+        arm: The arm.
+        inward: Vector from the pivot to the flange at home, in base axes [m], shape (3,).
+    """
+    drawn = json.loads(MECHANISM.read_text())
+    x, y, z = arm.pivot
+    outward, _, height = drawn["pivot"]
+    if abs(np.hypot(x, y) - outward) > 1e-3:
+        return
+    mj = mujoco()
+    spec.delete(spec.geom("bracket"))
+    hand = [geom for geom in spec.geoms if geom.name.startswith("link")][-1]
+    hand.type = mj.mjtGeom.mjGEOM_CYLINDER  # flat at the flange, on which the mechanism sits
+    # From the frame of the parts: X outward, Z out of the flange, or along the rod.
+    yaw = {"flange": np.arctan2(y, x), "pendulum": np.arctan2(-inward[1], -inward[0])}
+    origin = {"flange": [0.0, 0.0, z - height], "pendulum": np.zeros(3)}
+    for number, shape in enumerate(drawn["shapes"]):
+        body = shape["body"]
+        c, s = np.cos(yaw[body]), np.sin(yaw[body])
+        R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        start, end = np.array(shape["ends"]) @ R.T + origin[body]
+        place: dict[str, Any] = {"name": f"bracket {number}"}
+        if shape["kind"] == "cylinder":
+            place |= {"type": mj.mjtGeom.mjGEOM_CYLINDER, "fromto": [*start, *end]}
+            place["size"] = [shape["radius"], 0.0, 0.0]
+        else:
+            half = 0.5 * np.abs(np.subtract(*shape["ends"]))
+            place |= {"type": mj.mjtGeom.mjGEOM_BOX, "pos": 0.5 * (start + end), "size": half}
+            place["quat"] = [np.cos(0.5 * yaw[body]), 0.0, 0.0, np.sin(0.5 * yaw[body])]
+        spec.body(body).add_geom(**place)
 
 
 class RigRenderer:
