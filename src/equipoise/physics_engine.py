@@ -4,12 +4,16 @@ import functools
 import os
 import sys
 from importlib import import_module
-from typing import Any
+from threading import Lock
+from typing import Any, Final
+
+IMPORT: Final = Lock()
+"""Lock of the import. Two threads that set MuJoCo's handler at the same time deadlock: one waits
+for MuJoCo's mutex, the other, which has it, for Python's."""
 
 
-@functools.cache
 def mujoco() -> Any:
-    """Import the module `mujoco`, which has no types.
+    """Import the module `mujoco`, which has no types; threads may call it at the same time.
 
     MuJoCo loads the OpenGL library of `MUJOCO_GL` on import, and fails if the name or the library
     is wrong. Linux without a display uses EGL. Physics needs no OpenGL: if the import fails, MuJoCo
@@ -21,6 +25,13 @@ def mujoco() -> Any:
     Raises:
         ImportError: MuJoCo is not installed.
     """
+    with IMPORT:
+        return import_mujoco()
+
+
+@functools.cache
+def import_mujoco() -> Any:
+    """Import MuJoCo, once; see `mujoco`."""
     before = os.environ.get("MUJOCO_GL")
     display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if before is None and sys.platform.startswith("linux") and not display:
