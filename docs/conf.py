@@ -39,6 +39,7 @@ include_patterns = [
     "benchmarks/README.md",
     "course/README.md",
     "firmware/README.md",
+    "hardware/README.md",
     "docs/**",
 ]
 templates_path: list[str] = []
@@ -74,6 +75,7 @@ CONTENTS = {
         "/docs/how-to/bring-an-arm",
         "/docs/how-to/bring-a-world",
         "/docs/how-to/coppeliasim",
+        "/hardware/README",
         "/firmware/README",
     ],
     "Explanation": [

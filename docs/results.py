@@ -37,7 +37,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FILE = ROOT / "docs" / "results.json"
 PAGES = sorted(
     path
-    for pattern in ("*.md", "docs/**/*.md", "benchmarks/*.md", "course/*.md")
+    for pattern in ("*.md", "docs/**/*.md", "benchmarks/*.md", "course/*.md", "hardware/*.md")
     for path in ROOT.glob(pattern)
 )
 MARK = re.compile(r"<!--=([\w.,~-]+):?([^>\s]*)-->([^<\n]*)<!--/-->")

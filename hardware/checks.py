@@ -43,7 +43,7 @@ def rows(mechanism: Mechanism) -> list[tuple[str, str, str]]:
             f"{m.period:.4f} s",
             f"{FREE_SWING_PERIOD} s ± 1 %",
         ),
-        ("mass of the pendulum, with spindle, hub and collars", f"{1e3 * m.pendulum.mass:.0f} g", ""),
+        ("mass of the pendulum with spindle and hub", f"{1e3 * m.pendulum.mass:.0f} g", ""),
         ("its centre of mass l, inertia I about the spindle",
          f"{1e3 * m.length:.1f} mm, {1e3 * m.inertia:.2f}e-3 kg m²", ""),
         ("mass of the holder", f"{1e3 * m.holder.mass:.0f} g", ""),
@@ -55,7 +55,7 @@ def rows(mechanism: Mechanism) -> list[tuple[str, str, str]]:
         found.append((f"part of the payload, and of a joint's torque, {name}", text, "20 %, 10 %"))
     found += [
         ("first mode, finite elements", f"{stiffness.modes(m)[0]:.0f} Hz", "30 Hz or more"),
-        ("the same as a beam from the flange's edge", f"{stiffness.beam(m):.0f} Hz", "30 Hz or more"),
+        ("the same as a beam", f"{stiffness.beam(m):.0f} Hz", "30 Hz or more"),
         ("the pendulum on the spindle alone",
          f"{stiffness.spindle(d, m.pendulum.mass):.0f} Hz", "30 Hz or more"),
     ]  # fmt: skip

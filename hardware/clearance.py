@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from design import MM
 from equipoise.arm.arm import Arm
+from equipoise.arm.posture import along_x
 from equipoise.arm.scene import scene
 from equipoise.paper import X_LIMIT
 from mechanism import Mechanism
@@ -39,31 +40,6 @@ def link_frames(arm: Arm, q: Array) -> list[tuple[Array, Array]]:
     names = ["world", *(f"frame {number}" for number in range(1, len(arm.joints) + 1))]
     bodies = [data.body(name) for name in names]
     return [(np.array(one.xpos), np.array(one.xmat).reshape(3, 3)) for one in bodies]
-
-
-def along_track(arm: Arm, track: Array = TRACK) -> list[Array]:
-    """Return all joints [rad] for each displacement of the flange, its orientation as at home.
-
-    Newton's method from home outwards, in steps of at most 20 mm.
-    """
-    home = arm.kinematics(arm.home_free)
-    found: dict[float, Array] = {}
-    for side in (track[track >= 0.0], track[track < 0.0][::-1]):
-        q = arm.home_free.copy()
-        for x in side:
-            for _ in range(30):
-                now = arm.kinematics(q)
-                turn = now.rotation @ home.rotation.T
-                axis = [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
-                target = home.position + np.array([x, 0.0, 0.0])
-                error = np.concatenate([target - now.position, -0.5 * np.array(axis)])
-                if np.abs(error).max() < 1e-10:
-                    break
-                q = q + np.linalg.solve(now.jacobian, error)
-            else:
-                raise ValueError(f"no posture of {arm.name} at x = {x:g} m")
-            found[float(x)] = arm.with_held(q)
-    return [found[float(x)] for x in track]
 
 
 def between_segments(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
@@ -124,7 +100,8 @@ def clearance(arm: Arm, mechanism: Mechanism, flange_height: float = 0.0) -> Cle
     )
     rows: list[list[float]] = []
     table, holder = np.inf, np.inf
-    for q in along_track(arm):
+    for free in along_x(arm, TRACK):
+        q = arm.with_held(free)
         ends: list[tuple[Array, Array, float, int]] = []
         for number, (place, rotation) in enumerate(link_frames(arm, q)):
             for *numbers, radius in links[number]:
@@ -132,7 +109,7 @@ def clearance(arm: Arm, mechanism: Mechanism, flange_height: float = 0.0) -> Cle
                 ends.append((place + rotation @ a, place + rotation @ b, radius, number))
         b0, b1 = np.array([e[0] for e in ends]), np.array([e[1] for e in ends])
         radii, number = np.array([e[2] for e in ends]), np.array([e[3] for e in ends])
-        flange = arm.kinematics(np.array(arm.without_held(tuple(q))))
+        flange = arm.kinematics(free)
         centre = flange.position + flange.rotation @ pivot
         outward = flange.rotation @ to_flange @ [1.0, 0.0, 0.0]
         row = []

@@ -12,13 +12,14 @@ from PIL import Image
 
 import parts
 import pictures
+from checks import ARMS
 from clearance import LEAST, TRACK, TURN, base_rotation, clearance
 from equipoise.arm.urdf import read_arm
 from equipoise.film import SLIM
 from mechanism import Mechanism
 
 matplotlib.use("Agg")
-ARMS: Final = ("iiwa7", "iiwa14", "fr3")
+
 WEBP: Final = {"quality": 80, "method": 6}
 
 
@@ -85,7 +86,7 @@ def draw_exploded(mechanism: Mechanism) -> Image.Image:
             moved[name] = (205.0, 0.0, 30.0)
     shown = {name: s for name, s in mechanism.solids.items() if name != "rod"}
     short = parts.rod(mechanism.design, 70.0)  # a part of it, so that the rest is large
-    return pictures.picture(shown | {"rod": short}, 38.0, 24.0, (1000, 560), moved)
+    return pictures.picture(shown | {"rod": short}, 68.0, 20.0, (1000, 440), moved)
 
 
 def draw_steps(mechanism: Mechanism) -> list[Image.Image]:
@@ -148,7 +149,7 @@ def draw_rig(mechanism: Mechanism, name: str) -> Image.Image:
     data.qpos[:] = [*arm.home, 0.35]
     mujoco.mj_forward(model, data)
     flange = data.body("flange").xpos
-    far = np.array([[-0.13, -0.12, -0.12], [0.13, 0.14, 0.2]]) + flange
+    far = np.array([[-0.08, -0.1, -0.09], [0.1, 0.16, 0.2]]) + flange
     corners = np.array(
         [[far[i, 0], far[j, 1], far[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
     )

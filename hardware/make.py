@@ -39,6 +39,13 @@ RIGS: Final = ("iiwa7", "fr3")
 """Arms whose `rig.toml` is written; an iiwa 14 differs by its name alone."""
 
 
+def write_step(path: Path, solid: Part | Solid) -> None:
+    """Write a solid as STEP, in millimetres, without blanks at the ends of lines."""
+    export_step(solid, path, write_pcurves=False, timestamp=DATE)
+    lines = path.read_text().splitlines()
+    path.write_text("".join(f"{line.rstrip()}\n" for line in lines))
+
+
 def write_3mf(path: Path, solid: Part | Solid) -> None:
     """Write a solid's triangles as 3MF, in millimetres; equal solids give equal bytes."""
     vertices, faces = solid.tessellate(TOLERANCE, 0.2)
@@ -185,7 +192,7 @@ def write_all(folder: Path, shapes: Path, d: Design | None = None) -> Mechanism:
     for name, part in parts.printed(d).items():
         lying = parts.for_print(d, name, part)
         lying.label = name
-        export_step(lying, folder / "step" / f"{name}.step", write_pcurves=False, timestamp=DATE)
+        write_step(folder / "step" / f"{name}.step", lying)
         write_3mf(folder / "print" / f"{name}.3mf", lying)
     for name in RIGS:
         (folder / f"rig-{name}.toml").write_text(rig_toml(read_arm(name), mechanism))

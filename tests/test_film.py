@@ -60,6 +60,46 @@ def test_the_pendulum_is_seen_where_the_arm_carries_it(renderer, x, phi):
     assert np.mean(columns[rows < rows.min() + 4]) == pytest.approx(column, abs=2.0)
 
 
+@pytest.mark.parametrize("pivot", [(-0.13, 0.0, 0.0), (-0.13, 0.0, 0.03), (0.0, 0.13, 0.03)])
+def test_the_designed_mechanism_is_drawn_between_flange_and_pivot(pivot):
+    arm = ARM.model_copy(update={"pivot": pivot})
+    mj = film.mujoco()
+    model = build_scene(arm).model
+    data = mj.MjData(model)
+    data.qpos[:] = [*arm.home, 0.0]
+    mj.mj_kinematics(model, data)
+    flange = arm.kinematics(arm.home_free)
+    outward = flange.rotation @ np.array([*pivot[:2], 0.0]) / 0.13
+    place = flange.position + flange.rotation @ pivot
+    held = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith("bracket ")]
+    corners = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
+    ends = np.concatenate(
+        [
+            (model.geom_aabb[geom, :3] + corners * model.geom_aabb[geom, 3:])
+            @ data.geom_xmat[geom].reshape(3, 3).T
+            + data.geom_xpos[geom]
+            for geom in held
+        ]
+    )
+    along = (ends - place) @ outward
+    # From the far side of its plate to the collar on the spindle's end, both sides of the flange.
+    assert along.min() == pytest.approx(-0.13 - 0.038, abs=0.004)
+    assert along.max() == pytest.approx(0.016, abs=0.002)
+    across = (ends - place) @ np.cross(outward, [0.0, 0.0, 1.0])
+    assert across.max() == pytest.approx(-across.min(), abs=1e-6)
+    # Its plate lies 30 mm above the pivot.
+    assert (ends - place)[:, 2].max() == pytest.approx(0.046, abs=0.002)  # the hub, upright
+    assert np.sort(np.unique(np.round((ends - place)[:, 2], 4)))[-2] == pytest.approx(0.030)
+
+
+def test_a_pivot_of_another_holder_keeps_its_plain_bracket():
+    arm = ARM.model_copy(update={"pivot": (-0.2, 0.0, 0.0)})
+    model = build_scene(arm).model
+    names = {model.geom(geom).name for geom in range(model.ngeom)}
+    assert "bracket" in names
+    assert "bracket 0" not in names
+
+
 def test_a_missing_opengl_is_one_error_with_its_remedy(monkeypatch, run, tmp_path):
     def fail(*_):
         raise RuntimeError("no display")

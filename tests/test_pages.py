@@ -18,9 +18,10 @@ from tests.cli.conftest import parse
 from tests.reference.onnx_network import FLOAT, linear_network
 
 ROOT = Path(__file__).parents[1]
+FOLDERS = ("benchmarks", "course", "firmware", "hardware")
 PAGES = sorted(
     path.relative_to(ROOT).as_posix()
-    for pattern in ("*.md", "docs/**/*.md", "benchmarks/*.md", "course/*.md", "firmware/*.md")
+    for pattern in ("*.md", "docs/**/*.md", *(f"{name}/*.md" for name in FOLDERS))
     for path in ROOT.glob(pattern)
 )
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -98,6 +99,7 @@ ELSEWHERE = {
     r"benchmarks/|experiments/": "tests/test_bench.py, tests/test_experiments.py",
     r"rl/|docker|podman": "needs what another page makes",
     r"^make ": "a step of the checks",
+    r"hardware": "its own environment, or its files: hardware/tests",
 }
 """Commands that are not run here, and why."""
 SERVERS = re.compile(r"equipoise (?:play|console|log show|rig emulate)")

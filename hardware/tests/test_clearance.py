@@ -5,12 +5,8 @@ import pytest
 from scipy.optimize import minimize
 
 import clearance
+from checks import ARMS, MEDIA_FLANGES
 from equipoise.arm.urdf import read_arm
-from equipoise.paper import X_LIMIT
-
-ARMS = ("iiwa7", "iiwa14", "fr3")
-MEDIA_FLANGES = (0.0, 0.035, 0.061)
-"""Heights of what may be between arm and base [m]."""
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -25,18 +21,6 @@ def test_the_whole_turn_is_clear_at_every_place_of_the_track(name, mechanism):
 @pytest.mark.parametrize("name", ARMS)
 def test_the_holder_is_clear_of_the_links_before_the_flange(name, mechanism):
     assert clearance.clearance(read_arm(name), mechanism).holder > 0.0
-
-
-@pytest.mark.parametrize("name", ARMS)
-def test_postures_along_the_track_keep_orientation_and_limits(name):
-    arm = read_arm(name)
-    home = arm.kinematics(arm.home_free)
-    for x, q in zip(clearance.TRACK, clearance.along_track(arm), strict=True):
-        now = arm.kinematics(np.array(arm.without_held(tuple(q))))
-        assert now.position == pytest.approx(home.position + np.array([x, 0.0, 0.0]), abs=1e-8)
-        assert now.rotation == pytest.approx(home.rotation, abs=1e-8)
-        assert all(j.lower < angle < j.upper for j, angle in zip(arm.joints, q, strict=True))
-    assert clearance.TRACK[[0, -1]] == pytest.approx([-X_LIMIT, X_LIMIT])
 
 
 def test_distances_of_segments_are_those_of_a_search():

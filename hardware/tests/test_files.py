@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from build123d import import_step
 
+import checks
 import make
 from equipoise.arm.urdf import read_arm
 from parts import PRINTED
@@ -75,3 +76,7 @@ def test_the_shapes_of_pictures_cover_the_holder(mechanism):
     assert 1e3 * low[1] == pytest.approx(box.min.Y, abs=0.1)
     assert 1e3 * high[2] > box.max.Z - 0.1
     assert read_arm("iiwa7").pivot[0] == pytest.approx(-mechanism.design.pivot_outward * 1e-3)
+
+
+def test_the_page_has_the_table_of_checks(mechanism):
+    assert checks.table(mechanism) in (make.FOLDER / "README.md").read_text()
