@@ -27,7 +27,7 @@ last measurement to its start, up to 35 ms until a setpoint after it is answered
 ones do not show whether the arm follows, or where its flange is."""
 MAX_COUNT_JUMP: Final = radians(0.6)
 """Maximum unexplained deviation of a count from the straight line through the two before [rad],
-beyond the encoder's resolution and gravity; time stamps are wrong by up to 0.3 ms."""
+beyond the encoder's resolution, errors of its time stamps, and gravity."""
 
 
 class Phase(Enum):

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from equipoise.arm.iiwa import iiwa
-from equipoise.outcomes import Outcome, SafetyInputs
+from equipoise.outcomes import MAX_COUNT_JUMP, Outcome, SafetyInputs
 from equipoise.safety.rules import (
     MonitorState,
     check,
@@ -376,8 +376,9 @@ def test_a_jump_of_the_counts_is_seen(side):
     times = (0.0, 0.001, 0.002)
     # Two steps of the encoder and gravity's 0.15 mrad explain two counts.
     assert unexplained_turn(times, (0, 5 * side, 12 * side), RESOLUTION) == 0.0
-    jump = unexplained_turn(times, (0, 5 * side, 30 * side), RESOLUTION)
-    assert jump == pytest.approx((20 - 2) * RESOLUTION - 0.5 * 150.0 * 0.001 * 0.002)
+    jump = unexplained_turn(times, (0, 5 * side, 40 * side), RESOLUTION)
+    late = 4.0 * 0.0003 * 5.0 * RESOLUTION / 0.001
+    assert jump == pytest.approx((30 - 2) * RESOLUTION - late - 0.5 * 150.0 * 0.001 * 0.002)
     assert broken(SafetyInputs(encoder_jump=jump)) is Outcome.ENCODER_JUMP
     # As long after a longer pause: a step then stands for more.
     later = unexplained_turn((0.0, 0.001, 0.004), (0, 0, 30 * side), RESOLUTION)
@@ -391,7 +392,17 @@ def test_no_pendulum_turns_faster_than_twenty_radians_per_second(side):
         return unexplained_turn((0.0, 0.01, 0.02), counts, RESOLUTION)
 
     assert steady(20.0) == 0.0
-    assert steady(22.0) == pytest.approx(0.02 - RESOLUTION, abs=RESOLUTION)
+    assert steady(23.0) == pytest.approx(0.03 - 0.012 - RESOLUTION, abs=RESOLUTION)
+
+
+@pytest.mark.parametrize("errors", [(1, -1, 1), (-1, 1, -1), (1, -1, -1), (0, 1, -1)])
+def test_times_that_err_by_a_third_of_a_millisecond_are_no_jump_of_a_fast_swing(errors):
+    # The bottom of a swing-up, at 17 rad/s.
+    times = tuple(0.001 * k + 0.0003 * error for k, error in enumerate(errors))
+    counts = tuple(round(0.017 * k / RESOLUTION) for k in range(3))
+    assert unexplained_turn(times, counts, RESOLUTION) < MAX_COUNT_JUMP
+    slipped = (*counts[:2], counts[2] + round(np.radians(5.0) / RESOLUTION))
+    assert unexplained_turn(times, slipped, RESOLUTION) > MAX_COUNT_JUMP
 
 
 @pytest.mark.parametrize("times", [(0.0, 0.0, 0.001), (0.0, 0.001, 0.001), (0.0, 0.002, 0.001)])

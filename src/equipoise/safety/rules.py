@@ -61,6 +61,8 @@ ANGLE_RULE_LIMIT: Final = radians(paper.PHI_LIMIT_DEG)
 MAX_PENDULUM_RATE: Final = 20.0
 """Maximum plausible rate of a pendulum [rad/s]; a fall from upright reaches 2 sqrt(w2) = 17
 rad/s."""
+MAX_STAMP_ERROR: Final = 0.0003
+"""Maximum error of a count's time stamp [s]: at the bottom of a swing-up 0.3 deg."""
 MAX_PENDULUM_ACCELERATION: Final = 150.0
 """Maximum plausible acceleration of a pendulum [rad/s^2]: gravity 70, its pivot 15, a hand the
 rest."""
@@ -503,7 +505,8 @@ def unexplained_turn(times: Sequence[float], counts: Sequence[int], resolution: 
     """Return the deviation of the newest of three counts from a pendulum's motion [rad].
 
     A pendulum continues the straight line of the two counts before, but for the encoder's
-    resolution and its acceleration, and turns no faster than `MAX_PENDULUM_RATE`.
+    resolution, errors of the times, and its acceleration, and turns no faster than
+    `MAX_PENDULUM_RATE`.
 
     Args:
         times: Times of the counts [s], the oldest first.
@@ -514,7 +517,9 @@ def unexplained_turn(times: Sequence[float], counts: Sequence[int], resolution: 
         Zero for a plausible count; inf where time does not increase.
     """
     steps = [(b - a) * resolution for a, b in pairwise(counts)]
-    return unexplained_step(times, steps, resolution, MAX_PENDULUM_RATE, MAX_PENDULUM_ACCELERATION)
+    rate = min(abs(steps[0]) / max(times[1] - times[0], 1e-9), MAX_PENDULUM_RATE)
+    noise = resolution + 2.0 * MAX_STAMP_ERROR * rate
+    return unexplained_step(times, steps, noise, MAX_PENDULUM_RATE, MAX_PENDULUM_ACCELERATION)
 
 
 def unexplained_step(
