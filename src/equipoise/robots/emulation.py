@@ -101,4 +101,5 @@ class Emulation:
                 last = now
                 self.hardware.advance(now)
                 self._board.press(self.hardware.bench.button)
-                self.terminal.advance(now)
+                # At the time of the angle, which advances in whole milliseconds.
+                self.terminal.advance(self.hardware.bench.now)
