@@ -10,9 +10,9 @@ what happens there. Policies are then evaluated on the same twin, in trials that
     The same table, with the actuator that the rig's own excitation identifies
     (`deploy --identify`).
 `trained for the arm`
-    Tables of several seeds, trained for that actuator.
+    Tables of five seeds, trained for that actuator.
 `trained again`
-    Tables of several seeds, trained for what `refine` finds in the first twenty runs.
+    Tables of five seeds, trained for what `refine` finds in the first twenty runs.
 `goes on`
     Equation (1) goes on with the transitions of the runs, block after block, from the shipped
     Q and its visits; the runs of a block use the table of the block before.
@@ -55,6 +55,7 @@ from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
 from equipoise.rig.series import run_path
 from equipoise.settings import Settings
+from equipoise.simulation.evaluation import exact_interval
 
 WORLDS: Final = {
     "harsh": "",
@@ -106,7 +107,8 @@ def study(name: str, args: argparse.Namespace) -> dict[str, Any]:
         if actuator is None:
             raise RuntimeError("the excitation has not identified the arm")
         rows.append(evaluated("identified", policy, actuator, world, args))
-        rows += trained("trained for the arm", policy, policy.pendulum, actuator, world, args)
+        of_arm = policy.pendulum, actuator
+        rows.append(trained("trained for the arm", policy, *of_arm, world, args))
         table, ends, logs = policy, list[RunEnd](), list[RunLog]()
         tables = new_tables(len(policy.Q), 0)
         tables.Q[:], tables.visits[:] = policy.table, policy.visits
@@ -120,7 +122,7 @@ def study(name: str, args: argparse.Namespace) -> dict[str, Any]:
                 found = inspect(policy, *logs)
                 print(world, found.moves, len(found.warnings), flush=True)
                 of_rig = found.pendulum, found.actuator
-                rows += trained("trained again", policy, *of_rig, world, args)
+                rows.append(trained("trained again", policy, *of_rig, world, args))
             if len(ends) in (BLOCK, 5 * BLOCK, 25 * BLOCK):
                 label = f"goes on, {len(ends)} runs"
                 rows.append(evaluated(label, table, policy.actuator, world, args))
@@ -178,13 +180,14 @@ def trained(
     actuator: eq.Actuator,
     world: str,
     args: argparse.Namespace,
-) -> list[dict[str, Any]]:
-    """Return the results of tables of several seeds, trained for a pendulum and an actuator."""
-    return [
+) -> dict[str, Any]:
+    """Return the sum of the results of several seeds, trained for a pendulum and an actuator."""
+    rows = [
         evaluated(f"{name}, seed {seed}", table, actuator, world, args)
         for seed in range(SEEDS)
         for table in [eq.train(pendulum, policy.arm, actuator=actuator, seed=seed)]
     ]
+    return row_of(name, *(sum(row[part] for row in rows) for part in ("survived", "trials")))
 
 
 def with_table(policy: eq.TabularPolicy, Q: Any) -> eq.TabularPolicy:
@@ -204,13 +207,16 @@ def evaluated(
     )
     summary = evaluation.results.summary()
     print(world, name, summary.survived, summary.trials, flush=True)
+    return row_of(name, summary.survived, summary.trials)
+
+
+def row_of(name: str, survived: int, trials: int) -> dict[str, Any]:
+    """Return a result with its exact interval."""
+    interval = exact_interval(survived, trials)
+    rate = survived / trials
     return {
-        "name": name,
-        "survived": summary.survived,
-        "trials": summary.trials,
-        "rate": summary.rate,
-        "interval": summary.interval,
-    }
+        "name": name, "survived": survived, "trials": trials, "rate": rate, "interval": interval,
+    }  # fmt: skip
 
 
 def draw(results: dict[str, Any]) -> Figure:
