@@ -204,11 +204,9 @@ def _run_on_rig(
             operator = TerminalOperator(output)
             end = run_in_processes(request, out, operator, operator.live, ended=ends.append)
     ends.append(end)
-    series: dict[str, Any] = {}
-    if request.runs > 1:
-        series = summarise(ends)
-        out = run_path(out, len(ends), request.runs)
-    actuator, then = None, command("log explain", out)
+    series: dict[str, Any] = summarise(ends) if request.runs > 1 else {}
+    last = run_path(out, len(ends), request.runs)
+    actuator, then = None, command("log explain", last)
     found = ends[0].identified
     if found is not None:
         actuator = out.with_name(f"{out.stem}-actuator.json")
@@ -226,7 +224,7 @@ def _run_on_rig(
         reason=end.reason,
         survival_s=end.survival,
         upright_s=end.upright,
-        run=out,
+        run=last,
         identified=found and found.summary,
         actuator=actuator,
         stoppable=end.stoppable,

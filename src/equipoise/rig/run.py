@@ -155,7 +155,6 @@ def run_on_rig(
     waiting = DrainingClock(rig.clock, rig.sensor)
     operator = OperatorChannel(operators, recorder, waiting, check_links)
     tell = operator.tell
-
     try:
         tell(OperatorMessage(CONNECTING, f"Connecting to {request.robot}."))
         rig.sensor.connect()
