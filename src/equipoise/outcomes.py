@@ -31,7 +31,7 @@ beyond the encoder's resolution, errors of its time stamps, and gravity."""
 
 
 class Phase(Enum):
-    """Phase of a run on a rig."""
+    """Phase of a run; a simulated one swings up and balances only."""
 
     HOMING = "homing"
     """On the way home, inside the servo stream."""

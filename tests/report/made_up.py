@@ -202,6 +202,7 @@ def swung_up(of, balanced=2.0, cause=Outcome.SURVIVED):
     turned = np.minimum(made.time, 3.0) / 3.0
     made.tables["truth"]["phi"] = (2.0 - turned) * np.pi % (2.0 * np.pi) - np.pi
     made.tables["truth"]["phi_dot"] = np.where(made.time < 3.0, -np.pi / 3.0, 0.0)
+    made.tables["tick"]["state"] = made.time < 5.0 - balanced
     return replace(made, end=RunEnd(outcome=cause, survival=balanced))
 
 

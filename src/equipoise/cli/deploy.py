@@ -93,7 +93,6 @@ def deploy(
         with output.busy("moving the arm"):
             log = eq.excite(arm, pendulum=task.pendulum, duration=length, world=world, seed=seed)
         code, then, inputs = 0, command("identify", out), dict[str, str]()
-        survival = log.survival
     else:
         loaded, actuator = task.read(policy), task.actuator
         setup_of(loaded, world, actuator=actuator)
@@ -112,11 +111,10 @@ def deploy(
             )
         code, then = int(log.outcome != Outcome.SURVIVED), command("log explain", out)
         inputs = {"policy": log.conditions.policy}
-        survival = log.end.survival if log.end is not None else log.survival
     log.save(out, command="deploy", inputs=inputs)
     output.result(
         outcome=log.outcome,
-        survival_s=survival,
+        survival_s=log.survival,
         run=out,
         world=log.conditions.world,
         code=code,

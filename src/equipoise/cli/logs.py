@@ -45,14 +45,12 @@ def explain(output: Output, run: Path) -> None:
     from equipoise.rig.explanation import explain as why
 
     log = eq.RunLog.load(run, damaged=True)
-    causes, end, survival = why(log), log.ending, log.survival
-    if log.end is not None and log.end.survival is not None:
-        survival = log.end.survival
+    causes, end = why(log), log.ending
     then = command("log show", run)
     if end.outcome is Outcome.EXCITED:
         then = command("identify", run)
     if end.outcome in (Outcome.SURVIVED, Outcome.OPERATOR) and len(log.ticks):
-        fields = _balance(log, survival)
+        fields = _balance(log)
     else:
         fields: dict[str, Any] = {
             "cause": causes[0].cause,
@@ -70,7 +68,7 @@ def explain(output: Output, run: Path) -> None:
         warnings=[log.damage],
         outcome=end.outcome,
         reason=describe(end) if end.evidence else None,
-        survival_s=causes[0].time and survival,
+        survival_s=causes[0].time and log.survival,
         **fields,
         phase=None if log.conditions.simulated else log.last_phase and log.last_phase.value,
         log_complete=log.end is not None,
@@ -78,13 +76,8 @@ def explain(output: Output, run: Path) -> None:
     )
 
 
-def _balance(run: "eq.RunLog", survival: float) -> dict[str, Any]:
-    """Return how a run balanced: values that safety rules compare, and their limits.
-
-    Args:
-        run: The log.
-        survival: Duration of the balance [s], which a swing-up may precede.
-    """
+def _balance(run: "eq.RunLog") -> dict[str, Any]:
+    """Return how a run balanced: values that safety rules compare, and their limits."""
     import numpy as np
 
     def extent(values: "npt.NDArray[np.float64]", limit: float | None) -> dict[str, Any]:
@@ -96,11 +89,10 @@ def _balance(run: "eq.RunLog", survival: float) -> dict[str, Any]:
     fraction = (run.conditions.rig or {}).get("speed_fraction")
     limits = np.array([joint.velocity for joint in arm.joints])
     limits *= fraction if isinstance(fraction, float) else 1.0
-    phi = np.degrees(run.estimated_phi[-round(survival / h) :])
     fastest = int(np.argmax(np.abs(dq).max(axis=0) / limits))
     return {
         "x_mm": extent(1e3 * run.estimated_x, 1e3 * paper.X_LIMIT),
-        "phi_deg": extent(phi, paper.PHI_LIMIT_DEG),
+        "phi_deg": extent(np.degrees(run.estimated_phi), paper.PHI_LIMIT_DEG),
         "flange_speed_m_s": extent(run.estimated_x_dot, run.end and run.end.max_speed),
         "joint_speed_rad_s": {"joint": arm.joints[fastest].name}
         | extent(dq[:, fastest], float(limits[fastest])),
@@ -124,8 +116,8 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
 
     Writes a folder, by default named as the log. Headers end in the unit:
     time_s, phi_rad. A truncated log is written as far as it is readable. The
-    film of a run on a rig begins shortly before the release; --from and --to
-    choose another part.
+    film begins shortly before the swing-up, or else the release; --from and
+    --to choose another part.
     """
     from equipoise.film import check_format, write_film
 

@@ -40,7 +40,7 @@ def marks_of(run: RunLog, motion: Motion) -> list[tuple[float, str]]:
         for event in run.events
         if event.name in ("warning", "fault", "failed")
     ]
-    phases = motion.phases or ("release",)
+    phases = motion.phases
     changes = [i for i, phase in enumerate(phases) if i == 0 or phase != phases[i - 1]]
     marks += [(float(motion.time[i]), phases[i]) for i in changes]
     inside = [(min(max(time, first), last), name) for time, name in marks if isfinite(time)]
@@ -69,7 +69,7 @@ class ReplayPage:
         """Whether the position moves by itself."""
         self._lock = threading.RLock()
         rows = [np.degrees(motion.phi), 1e3 * motion.x, motion.u]
-        rows += [1e3 * np.maximum(motion.late, 0.0)] if motion.phases else []
+        rows += [1e3 * np.maximum(motion.late, 0.0)] if np.isfinite(motion.late).any() else []
         self._rows = np.array(rows)
         self._page = RigPage(server, "Replay of a run", run.conditions.arm, len(rows))
         gui, first = server.gui, round(float(motion.time[0]), 2)

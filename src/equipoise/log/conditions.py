@@ -81,7 +81,9 @@ class RunConditions(Value):
     """Reference from the first run of a series; None where this run takes its own."""
     dry_run: bool = False
     """Whether the run omitted the motion of the arm."""
-    phases: tuple[Phase, ...] = Field(default=(Phase.BALANCING,), min_length=1, max_length=64)
+    phases: tuple[Phase, ...] = Field(
+        default=(Phase.BALANCING, Phase.SWINGING_UP), min_length=1, max_length=64
+    )
     """Phases by their number in the ticks' column `state`."""
 
     @property

@@ -1,7 +1,7 @@
 """Motion of arm and pendulum in a run, for films and replays.
 
 The poses of a simulated run are its true states, those of a run on a rig its measurements. Times
-count from the release; in a run on a rig that ended before it, from the first tick.
+count from the release; in a run that ended before it, from the first tick.
 """
 
 from math import isfinite, pi
@@ -12,6 +12,7 @@ import numpy as np
 from equipoise.arrays import Array
 from equipoise.errors import ArtefactError, InputError, RecordingError
 from equipoise.log.run_log import RunLog
+from equipoise.outcomes import Phase
 
 
 class Pose(NamedTuple):
@@ -30,7 +31,7 @@ class Pose(NamedTuple):
     late: float
     """Lateness of the tick [s]; NaN in simulation."""
     phase: str
-    """Phase of a run on a rig; empty in simulation."""
+    """Phase of the run."""
 
 
 class Motion(NamedTuple):
@@ -49,7 +50,7 @@ class Motion(NamedTuple):
     late: Array
     """Lateness [s], shape (n,); NaN in simulation."""
     phases: tuple[str, ...]
-    """Phase of each tick; empty in simulation."""
+    """Phase of each tick."""
     h: float
     """Time between ticks [s]."""
     began: float
@@ -63,17 +64,15 @@ class Motion(NamedTuple):
             RecordingError: No policy ran, a run on a rig ended before its first tick, or the times
                 of the ticks do not increase.
         """
-        conditions, began = run.conditions, _origin(run)
-        tick = run.ticks if conditions.simulated else run.tables["tick"]
+        conditions, began, tick = run.conditions, _origin(run), run.tables["tick"]
         time = np.asarray(tick["time"] - began, np.float64)
         if not (np.isfinite(time).all() and np.all(np.diff(time) > 0.0)):
             raise RecordingError(
                 "the times of the ticks in the log do not increase; give the log as it was written"
             )
         if conditions.simulated:
-            true = truth(run)
-            q, x, phi = true.q, true.x, true.phi
-            late, phases = np.full(len(time), np.nan), ()
+            true = run.tables["truth"] if len(run.tables["truth"]) else tick
+            q, x, phi, late = true["q"], true["x"], true["phi"], np.full(len(time), np.nan)
         else:
             q = _measured_joints(run, time, began)
             arm = conditions.arm
@@ -81,7 +80,7 @@ class Motion(NamedTuple):
             home = arm.kinematics(arm.home_free).position[0]
             x = np.array([pose.position[0] for pose in poses]) - home
             phi, late = _measured_phi(run, time, began), tick["late"]
-            phases = tuple(conditions.phases[state].value for state in tick["state"].tolist())
+        phases = tuple(conditions.phases[state].value for state in tick["state"].tolist())
         phi = np.unwrap(phi)
         if np.isfinite(phi).all():  # upright at the release is zero
             phi -= 2.0 * pi * np.round(phi[int(np.searchsorted(time, 0.0))] / (2.0 * pi))
@@ -91,20 +90,21 @@ class Motion(NamedTuple):
     @property
     def end(self) -> float:
         """End of the motion [s]."""
-        return float(self.time[-1]) + (0.0 if self.phases else self.h)
+        return float(self.time[-1]) + self.h
 
     def part(self, begin: float | None = None, end: float | None = None) -> tuple[float, float]:
         """Return start and end of a part [s].
 
         Args:
-            begin: Start [s]; by default the release, on a rig shortly before it.
+            begin: Start [s]; by default shortly before the swing-up, or else the release.
             end: End [s]; by default that of the motion.
 
         Raises:
             InputError: The part is outside the run, or ends before its start.
         """
         first = float(self.time[0])
-        begin = max(first, -2.0) if begin is None else begin
+        acts = [phase in (Phase.SWINGING_UP.value, Phase.BALANCING.value) for phase in self.phases]
+        begin = max(first, float(self.time[np.argmax(acts)]) - 2.0) if begin is None else begin
         end = self.end if end is None else end
         if not first <= begin <= end <= self.end:
             raise InputError(
@@ -124,14 +124,13 @@ class Motion(NamedTuple):
             phi=float(np.remainder(phi + pi, 2.0 * pi) - pi) if isfinite(phi) else phi,
             u=float(self.u[row]),
             late=float(self.late[row]),
-            phase=self.phases[row] if self.phases else "",
+            phase=self.phases[row],
         )
 
 
 def _origin(run: RunLog) -> float:
-    """Return the release on the run's clock [s], or the first tick of a rig without a release."""
-    if run.conditions.simulated or len(run.ticks):
-        run.require_balancing()
+    """Return the release on the run's clock [s], or the first tick of a run without a release."""
+    if len(run.ticks):
         return run.release
     if not len(run.tables["tick"]):
         raise RecordingError("the run ended before its first tick, there is nothing to show")

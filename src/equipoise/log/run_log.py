@@ -1,9 +1,9 @@
 """Log of a run: the tables of the whole run, and the columns of the balancing.
 
 `tables`, `events` and `end` hold the whole run: on a rig from the connection to rest, in simulation
-from the release on. The other attributes hold the balancing, during which the policy acts: a value
-per tick, with the time since the release. On a rig the encoder's counts are then relative to the
-hanging pendulum, and the true state is unknown.
+from its first tick on. The other attributes hold the balancing, during which the policy acts: a
+value per tick, with the time since the first, the release. On a rig the encoder's counts are then
+relative to the hanging pendulum, and the true state is unknown.
 
 A truncated or damaged log is read up to the first damage, on request: a chunk counts only with its
 checksum, messages only with consecutive sequence numbers.
@@ -159,10 +159,10 @@ class RunLog:
 
     @property
     def survival(self) -> float:
-        """Duration of the balancing [s]; without ticks, of the stream of setpoints."""
-        if len(self.time) or not self.conditions.simulated:
-            return round(len(self.time) * self.conditions.h, 9)
-        return float(np.max(self.stream.time, initial=0.0))
+        """Duration of the balancing [s]; of an excitation, of the stream of setpoints."""
+        if self.outcome is Outcome.EXCITED:
+            return float(np.max(self.stream.time, initial=0.0))
+        return round(len(self.time) * self.conditions.h, 9)
 
     @property
     def digest(self) -> str:
@@ -190,9 +190,8 @@ class RunLog:
 
     @property
     def release(self) -> float:
-        """Time of the release on the run's clock [s]; zero in simulation, and without balancing."""
-        rig = not self.conditions.simulated and len(self.ticks)
-        return float(self.ticks["time"][0]) if rig else 0.0
+        """Time of the release on the run's clock [s]; zero without balancing."""
+        return float(self.ticks["time"][0]) if len(self.ticks) else 0.0
 
     def require_balancing(self) -> None:
         """Reject a run without balancing.
@@ -206,7 +205,7 @@ class RunLog:
 
     @property
     def last_phase(self) -> Phase | None:
-        """Last phase of a run on a rig before it stopped; None before the first tick."""
+        """Last phase of a run before it stopped; None before the first tick."""
         states = reversed(self.tables["tick"]["state"].tolist())
         phases = (self.conditions.phases[state] for state in states)
         return next((phase for phase in phases if phase is not Phase.STOPPING), None)
@@ -258,7 +257,8 @@ class RunLog:
     @cached_property
     def truth(self) -> Any:
         """True state at each tick: attributes as the columns of `truth`; in simulation only."""
-        return self.tables["truth"].view(np.recarray)
+        rows = self.tables["truth"]
+        return (rows[self.phase_ticks(Phase.BALANCING)] if len(rows) else rows).view(np.recarray)
 
     @cached_property
     def stream(self) -> Any:
@@ -294,7 +294,7 @@ class RunLog:
         Their times count from the release.
         """
         rows, h = self.tables[table], self.conditions.h
-        if not self.conditions.simulated:
+        if len(self.tables["tick"]) or not self.conditions.simulated:
             first, last = self.ticks["time"][[0, -1]] if len(self.ticks) else (np.inf, -np.inf)
             rows = rows[(rows["time"] >= first - h) & (rows["time"] <= last + h)]
         rows = rows.copy()

@@ -13,10 +13,10 @@ from equipoise import paper
 from equipoise.arrays import Array
 from equipoise.control.policy import TabularPolicy
 from equipoise.identification.recording import Trajectory, fitted_curve
-from equipoise.log.motion import truth
+from equipoise.log.motion import Motion, truth
 from equipoise.log.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
-from equipoise.outcomes import Outcome
+from equipoise.outcomes import Outcome, Phase
 from equipoise.report import style
 from equipoise.report.style import edges, new_figure, plain, styled, typeset
 from equipoise.simulation.evaluation import Evaluation, TrialResults
@@ -243,20 +243,19 @@ def swing_up(run: RunLog) -> "Figure":
         run: A simulated run that began with a hanging pendulum.
 
     Raises:
-        RecordingError: No policy ran.
+        RecordingError: The run has no ticks.
     """
     from matplotlib.ticker import MultipleLocator
 
-    run.require_balancing()
-    end: Any = run.end  # a simulation has one
-    taken, h = run.survival - end.survival, run.conditions.h
-    first, last = round(taken / h), round((taken + AFTER_SWING_UP) / h)
-    true = truth(run)
-    phi, phi_dot = np.rad2deg(np.unwrap(true.phi)), np.rad2deg(true.phi_dot)
-    phi -= 360.0 * np.round(phi[-1] / 360.0)
-    title = f"handed over after {taken:.2f} s" if end.survival else str(run.outcome)
+    motion, tick = Motion.of(run), run.tables["tick"]
+    true = run.tables["truth"] if len(run.tables["truth"]) else tick
+    first, h = len(run.phase_ticks(Phase.SWINGING_UP)), run.conditions.h
+    taken, last = first * h, first + round(AFTER_SWING_UP / h)
+    time = motion.time - motion.time[0]
+    phi, phi_dot = np.rad2deg(motion.phi), np.rad2deg(true["phi_dot"])
+    title = f"handed over after {taken:.2f} s" if len(run.ticks) else str(run.outcome)
     figure = new_figure(3.8, f"Swing-up: {title}")
-    rows: Any = {"φ [°]": phi, "x [m]": true.x, "u [m/s²]": run.u}
+    rows: Any = {"φ [°]": phi, "x [m]": motion.x, "u [m/s²]": motion.u}
     panels: Any = figure.subplot_mosaic([["plane", name] for name in rows], width_ratios=(3, 4))
     plane = panels.pop("plane")
     angle = np.linspace(phi.min(), phi.max(), 200)
@@ -268,7 +267,7 @@ def swing_up(run: RunLog) -> "Figure":
     ):
         plane.plot(phi[part], phi_dot[part], color=color, label=label)
         for name, panel in panels.items():
-            panel.plot(run.time[part], rows[name][part], color=color)
+            panel.plot(time[part], rows[name][part], color=color)
     plane.plot(phi[first : first + 1], phi_dot[first : first + 1], "o", color=style.VERMILION)
     plane.set_title("dotted: energy of the pendulum at rest upright")
     plane.set_xlabel("φ [°]")

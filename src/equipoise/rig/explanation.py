@@ -109,8 +109,7 @@ def explain(run: RunLog) -> list[Cause]:
     score = 0.2 if busy or end.outcome in SYMPTOMS else 0.95
     causes.append(Cause(end.outcome, score, time, describe(end)))
     regular = end.outcome in (Outcome.SURVIVED, Outcome.OPERATOR, Outcome.EXCITED)
-    swinging = end.outcome is Outcome.NOT_UPRIGHT
-    if balanced and len(run.time) > 0 and not (regular or swinging):
+    if balanced and len(run.time) > 0 and not regular:
         causes += root_causes(run)
     return sorted(causes, key=lambda cause: -cause.score)
 

@@ -119,6 +119,7 @@ def simulate_run(
         ),
         {
             "time": time,
+            "state": np.arange(len(time)) < end.upright,  # swinging up, in the conditions' phases
             **dict(zip(state, rows.observation.T, strict=True)),
             "box": box_indices(rows.observation, boxes),
             "u": rows.u,
