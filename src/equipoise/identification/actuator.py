@@ -11,9 +11,7 @@ shaping law, would depend on the amplitude of the motion.
    more slowly than its drive alone would. A joint weighs by its residual.
 3. Compute intervals from a jackknife over blocks of time, as disturbances are autocorrelated, and
    from the unknown transport jitter.
-4. Select the kind of actuator that leaves least; `ideal` unless another leaves less beyond chance.
-   A log hardly tells a servo with inertia from a linear lag: the intervals of the servo allow for
-   both.
+4. Select the kind of actuator: a lag, unless a servo leaves less beyond chance.
 
 The delay runs from sending a setpoint to its mean effect, independent of the phase of the servo's
 cycles. It includes the return path if the reply times are times of *arrival*.
@@ -75,12 +73,11 @@ BIASES: Final = list(range(LOAD_BIAS, len(START)))
 LAGS: Final = list(range(LAG, LOAD_BIAS))
 """Indices of the lags."""
 FITTED: Final[dict[Kind, list[int]]] = {
-    "ideal": [DELAY, *BIASES],
     "lag": [DELAY, *LAGS, *BIASES],
     "unshaped": [DELAY, T_C, *LAGS, *BIASES],
     "kst": [DELAY, T_C, *LAGS, *BIASES],
 }
-"""Indices of the unknowns of each kind."""
+"""Indices of the unknowns of each kind that a log can have: every drive has inertia."""
 
 JITTER: Final = 1e-3
 """Largest deviation of a setpoint's delay from the mean [s], from the servo's cycle and a quiet
@@ -170,7 +167,7 @@ def identify_actuator(
         measured: Measurement times by the same clock [s] and positions of the free joints [rad],
             shape (p, 7).
         source: Digest of the run log; by default that of the two arrays.
-        kind: Kind of actuator; `auto` selects the one that explains the log.
+        kind: Kind of actuator, but not `ideal`; `auto` selects the one that explains the log.
 
     Returns:
         The actuator, with 95 % intervals, and warnings about a poor fit.
@@ -181,7 +178,7 @@ def identify_actuator(
     """
     log = _read(sent[:, 0], sent[:, 1:], measured[:, 0], measured[:, 1:])
     source = source or DIGEST_PREFIX + sha256(sent.tobytes() + measured.tobytes()).hexdigest()
-    kinds: tuple[Kind, ...] = KINDS if kind == "auto" else (kind,)
+    kinds: tuple[Kind, ...] = tuple(FITTED) if kind == "auto" else (kind,)
     starts: dict[Kind, list[tuple[float, Array]]] = {
         candidate: _search(log, candidate, FITTED[candidate]) for candidate in kinds
     }
@@ -304,8 +301,6 @@ def _search(log: Log, kind: Kind, fitted: list[int]) -> list[tuple[float, Array]
         For each t_c the root mean square fraction of the motion that is left, and the unknowns.
     """
     start, guesses = START.copy(), list[tuple[float, Array]]()
-    if kind == "ideal":
-        start[LAGS] = 0.0
     # A slow servo looks like more delay: cycles of 10 and 25 ms are tried, too.
     for cycle in (CYCLE, 1e-2, 2.5e-2) if T_C in fitted else (CYCLE,):
         row = list[tuple[float, Array]]()
@@ -352,12 +347,12 @@ def _weighted(log: Log, kind: Kind, weights: Array, unknowns: Array) -> Array:
 def _choose(log: Log, fits: Mapping[Kind, JointFit]) -> JointFit:
     """Return the fit of the kind that explains a log.
 
-    Drives have inertia, so a servo is chosen where it leaves less than `ideal`, beyond chance: by
-    2.5 standard errors over blocks of time. The log cannot distinguish a lag that leaves as little
-    as the servo: only the servo's intervals hold both.
+    A servo is chosen where it leaves less than a lag, beyond chance: by 2.5 standard errors over
+    blocks of time.
     """
-    best, block = next(iter(fits.values())), blocks_of_time(log.time, BLOCKS)
-    for richer in (fits[kind] for kind in (*LAWS, "lag") if kind in fits):
+    first, *others = fits.values()
+    best, block = first, blocks_of_time(log.time, BLOCKS)
+    for richer in others:
         weights = richer.weights[:, None]
         squares = (weights * best.residual) ** 2 - (weights * richer.residual) ** 2
         gains = np.bincount(block, weights=squares.sum(axis=0))

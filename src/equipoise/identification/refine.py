@@ -295,7 +295,7 @@ def inspect(policy: TabularPolicy, *logs: RunLog) -> RefinementFindings:
         fits.append(fit)
         warnings += [name + warning for warning in fit.warnings]
         # An ideal arm has no actuator to compare with.
-        if not plant.ideal:
+        if actuator.kind != "ideal":
             try:
                 responses.append(read_response(log, arm, actuator))
             except RecordingError as error:

@@ -453,6 +453,8 @@ class Actuator(Artefact):
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
         times = (self.delay, *self.lags)
+        if self.kind == "ideal" and any(time.value for time in times):
+            raise ValueError("an ideal actuator has no delay and no lag")
         if any(not 0.0 <= time.value <= MAX_RESPONSE_TIME for time in times):
             raise ValueError(f"a delay or lag is not from 0 to {MAX_RESPONSE_TIME:g} s")
         if abs(self.delay.high) > MAX_RESPONSE_TIME:
