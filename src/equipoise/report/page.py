@@ -7,6 +7,7 @@ no file and runs no script; it can be printed, mailed and archived.
 import base64
 import re
 from collections.abc import Callable, Iterator
+from importlib.metadata import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -94,10 +95,12 @@ def page(
         finalize=_printable,
     )
     environment.filters["prose"] = _prose
+    addresses = dict(line.split(", ") for line in metadata("equipoise").get_all("Project-URL", ()))
     return environment.get_template("report.html.j2").render(
         results=results,
         run=results.default.run,
         policy=results.default.policy,
+        repository=addresses["Repository"],
         settings=results.default.policy.settings,
         provenance=provenance,
         images=images,
