@@ -8,6 +8,7 @@ import functools
 import inspect
 import os
 from collections.abc import Callable
+from concurrent.futures import Executor
 from types import UnionType
 from typing import (
     Annotated,
@@ -32,8 +33,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 Duration = Annotated[float, Field(gt=0.0, le=MAX_TRIAL_DURATION)]
 """Length of a run or a recording [s]."""
-Workers = Annotated[int, Field(ge=1)]
-"""Number of threads."""
+Workers = Annotated[int, Field(ge=1)] | Executor
+"""Number of threads, or an executor of other workers."""
 
 
 def checked(function: F) -> F:

@@ -1,14 +1,26 @@
-"""Execution of independent tasks in threads, and their progress.
+"""Execution of independent tasks in threads or on a cluster, and their progress.
 
-A result does not depend on the number of threads. Compiled kernels release the interpreter, so that
-threads use all cores.
+A task is a function of values alone: a result depends neither on the number of workers nor on where
+they are. Compiled kernels release the interpreter, so that threads use all cores. Any executor of
+`concurrent.futures` takes the tasks as well; on a cluster that is Dask's.
 """
 
+import functools
+import logging
 import os
+import platform
 from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager, nullcontext
+from importlib import metadata
 from threading import Lock
-from typing import TypeVar
+from typing import Any, Final, TypeVar
+
+from equipoise.errors import InputError, OutsideError, import_optional
+from equipoise.files import quoted
+
+CONNECT_TIMEOUT: Final = 5.0
+"""Maximum time to connect to a scheduler [s]."""
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -18,14 +30,14 @@ Show = Callable[[str, float | None, str], None]
 
 
 def completed(
-    function: Callable[[Task], Result], tasks: Sequence[Task], workers: int
+    function: Callable[[Task], Result], tasks: Sequence[Task], workers: int | Executor
 ) -> Generator[tuple[int, Result]]:
     """Call a function for each task, and yield the results as they complete.
 
     Args:
-        function: Function of one task, called in any thread.
+        function: Function of one task, called in any thread, or pickled for an executor.
         tasks: Arguments.
-        workers: Number of threads; a single one is the caller's.
+        workers: Number of threads, of which a single one is the caller's; or an executor.
 
     Yields:
         Index of the task, and its result. An error of a task is raised here. After it, or once the
@@ -35,13 +47,114 @@ def completed(
         for i, task in enumerate(tasks):
             yield i, function(task)
         return
-    pool = ThreadPoolExecutor(workers)
+    own = ThreadPoolExecutor(workers) if isinstance(workers, int) else nullcontext(workers)
+    with own as executor:
+        index_of = dict[Future[Result], int]()
+        try:
+            for i, task in enumerate(tasks):
+                index_of[executor.submit(function, task)] = i
+            for future in as_completed(list(index_of)):
+                yield index_of.pop(future), future.result()
+        finally:
+            for future in index_of:
+                future.cancel()
+
+
+@contextmanager
+def open_workers(named: str | None = None) -> Generator[int | Executor]:
+    """Yield the workers that an option names, and release them at the end.
+
+    Args:
+        named: Number of threads (default: one per core); or the address of a Dask scheduler, such
+            as `tcp://HOST:8786`.
+
+    Raises:
+        InputError: It is neither.
+        MissingExtraError: Dask is not installed.
+        OutsideError: No scheduler answers, it is lost, it has no workers, or their packages differ.
+    """
+    threads = available_cores() if named is None else int(named) if named.isdecimal() else 0
+    if threads or named is None:
+        yield threads
+        return
+    if "://" not in named:
+        raise InputError(
+            f"--workers is {quoted(named)}; expected a number of threads, or the address of a Dask "
+            "scheduler such as tcp://HOST:8786"
+        )
+    distributed = import_optional("distributed", "cluster")
+    for logger in ("distributed", "distributed.client"):  # errors are raised as well
+        logging.getLogger(logger).setLevel(logging.CRITICAL)
     try:
-        index_of = {pool.submit(function, task): i for i, task in enumerate(tasks)}
-        for future in as_completed(list(index_of)):
-            yield index_of.pop(future), future.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
+        client = distributed.Client(named, timeout=CONNECT_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise OutsideError(
+            f"no Dask scheduler answers at {quoted(named)}: {error}; start it with: dask scheduler"
+        ) from None
+    with client:
+        if not client.scheduler_info()["workers"]:
+            raise OutsideError(
+                f"the scheduler at {named} has no workers; start one with: dask worker {named}"
+            )
+        try:
+            yield _Cluster(client.get_executor(pure=False))
+        except CancelledError:
+            raise OutsideError(
+                f"the scheduler at {named} is lost; start it again, and repeat the command"
+            ) from None
+        except distributed.KilledWorker as error:
+            raise OutsideError(f"the workers of {named} do not survive a task: {error}") from None
+        except (ImportError, RuntimeError) as error:
+            cause = error.__cause__ or error
+            if not isinstance(cause, ImportError):
+                raise
+            raise OutsideError(
+                f"scheduler or workers at {named} lack a package ({cause}); install there what is "
+                "installed here"
+            ) from None
+
+
+class _Cluster(Executor):
+    """Executor on a cluster whose workers run this version of all that determines a result."""
+
+    def __init__(self, executor: Executor) -> None:
+        """Take Dask's executor."""
+        self._executor = executor
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Any:
+        """Pickle a call, which a scheduler then passes on as bytes, and submit it."""
+        import cloudpickle
+
+        call = cloudpickle.dumps(functools.partial(fn, *args, **kwargs))
+        return self._executor.submit(_run_pickled, call, versions())
+
+
+def _run_pickled(call: bytes, expected: dict[str, str]) -> Any:
+    """Run a call in a worker.
+
+    Raises:
+        OutsideError: The worker has other versions than the sender of the call.
+    """
+    import cloudpickle
+
+    for name, version in versions().items():
+        if version != expected[name]:
+            raise OutsideError(
+                f"the worker on {platform.node()} has {name} {version}, expected "
+                f"{expected[name]}; install the same version there, and start the worker again"
+            )
+    return cloudpickle.loads(call)()
+
+
+@functools.cache
+def versions() -> dict[str, str]:
+    """Return the versions of all that determines the bits of a result, by their packages."""
+    from equipoise.jit import package_digest
+
+    packages = ("equipoise", "mujoco", "numba", "numpy", "scipy")
+    found = {name: metadata.version(name) for name in packages}
+    found["equipoise"] += f" ({package_digest()})"
+    return found
 
 
 def available_cores() -> int:

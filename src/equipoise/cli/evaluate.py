@@ -85,7 +85,7 @@ def evaluate(
     output.warn(chosen.shortfall)
     with_baselines = not trials.no_baselines and claim is None
     total = count * (1 + len(BUILT_IN)) if with_baselines else count
-    with output.progress() as show:
+    with random.open_workers() as workers, output.progress() as show:
         evaluation = eq.evaluate(
             chosen,
             settings,
@@ -93,7 +93,7 @@ def evaluate(
             actuator=task.actuator,
             seed=random.seed,
             with_baselines=with_baselines,
-            workers=random.threads,
+            workers=workers,
             done=counted("evaluate", total, show),
         )
     if out is not None:

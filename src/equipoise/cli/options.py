@@ -30,6 +30,9 @@ from equipoise.model.worlds import named_twins
 from equipoise.settings import RECIPES, Friction
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+    from contextlib import AbstractContextManager
+
     from equipoise.control.policy import TaskPolicy
     from equipoise.files import Artefact
 
@@ -172,19 +175,19 @@ class Task(Options):
 
 
 class Random(Options):
-    """Random numbers and threads."""
+    """Random numbers and workers."""
 
     seed: Seed = 0
     """Master seed; equal seeds give equal results."""
-    workers: Annotated[int | None, Field(ge=1)] = None
-    """Threads; by default one per core. Results do not depend on them."""
+    workers: str | None = None
+    """Number of threads (default: one per core); or a Dask scheduler, tcp://HOST:8786. Results do
+    not depend on it."""
 
-    @property
-    def threads(self) -> int:
-        """Number of threads."""
-        from equipoise.executors import available_cores
+    def open_workers(self) -> "AbstractContextManager[int | Executor]":
+        """Return a context with the threads or the cluster."""
+        from equipoise.executors import open_workers
 
-        return self.workers or available_cores()
+        return open_workers(self.workers)
 
 
 class Page(Options):

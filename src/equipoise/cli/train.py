@@ -67,7 +67,7 @@ def train(
         target = TARGET if settings.selection.every else 0.0
     output.warn(check_task(source, settings, actuator, world=plant.world, target=target))
     out = files.file(output, "policy.json", pendulum, changes.settings)
-    with output.progress() as show:
+    with random.open_workers() as workers, output.progress() as show:
         best = eq.train_to_target(
             source,
             arm,
@@ -77,7 +77,7 @@ def train(
             actuator=actuator,
             world=plant.world,
             seed=random.seed,
-            workers=random.threads,
+            workers=workers,
             show=show,
         )
     inputs = {"pendulum": source.digest, "world": plant.world, "actuator": best.actuator.digest}
@@ -133,7 +133,7 @@ def reproduce(
     arm, settings = opt.read_arm(extent.arm), changes.resolve()
     with_digests(settings.learning)
     out = files.folder(output, Path("equipoise-report"))
-    with output.progress() as show:
+    with random.open_workers() as workers, output.progress() as show:
         results = eq.reproduce(
             out,
             swing=recorded,
@@ -141,7 +141,7 @@ def reproduce(
             settings=settings,
             seed=random.seed,
             quick=extent.quick,
-            workers=random.threads,
+            workers=workers,
             report=show,
         )
         show("report", None, "")

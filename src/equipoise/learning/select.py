@@ -7,14 +7,17 @@ survive is exact (Clopper & Pearson 1934).
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final
 
 import numpy as np
 
 from equipoise import paper
+from equipoise.arguments import Workers
 from equipoise.arrays import Array
 from equipoise.control.policy import Checkpoint, TabularPolicy, TargetTest, table_kernel
 from equipoise.errors import InputError
+from equipoise.executors import completed
 from equipoise.model.grid import TRUNCATED, make_grid
 from equipoise.model.random import SELECTION, TARGET_TEST
 from equipoise.model.worlds import MODEL
@@ -35,7 +38,7 @@ def score_tables(
     candidates: Sequence[tuple[int, Array]],
     *,
     seed: int,
-    workers: int = 1,
+    workers: Workers = 1,
     done: Callable[[float], None] = lambda _: None,
 ) -> list[Checkpoint]:
     """Score candidates on common trials.
@@ -45,37 +48,35 @@ def score_tables(
         candidates: Number of training episodes of each, and its accelerations [m/s^2], shape
             (boxes,).
         seed: Master seed of the trials.
-        workers: Number of threads; the result does not depend on it.
+        workers: Number of threads, or an executor; the result does not depend on it.
         done: Called with the number of trials that have just finished.
     """
-    rule = setup.settings.selection
-    boxes = make_grid(setup.settings.boxes, setup.pendulum.parameters().k)
     simulation = PlantSimulation(MODEL, setup, seed=seed, stream=SELECTION)
-    results: list[Checkpoint] = []
-    for episodes, u_of_box in candidates:
-        trials = simulation.draw(rule.trials)
-        simulation.run(
-            table_kernel(u_of_box, boxes),
-            trials,
-            range(rule.trials),
-            duration=rule.duration,
-            workers=workers,
-            done=done,
-        )
-        mean_duration = float(np.mean(trials.steps)) * setup.h
-        rms_x = float(np.sqrt(np.sum(trials.sum_x2) / np.sum(trials.steps)))
-        score = mean_duration / rule.duration - RMS_X_WEIGHT * rms_x / paper.X_LIMIT
-        results.append(
-            Checkpoint(
-                episodes=episodes,
-                trials=rule.trials,
-                survived=int(np.sum(trials.cause == TRUNCATED)),
-                mean_duration=mean_duration,
-                rms_x=rms_x,
-                score=score,
-            )
-        )
-    return results
+    scored: dict[int, Checkpoint] = {}
+    for i, checkpoint in completed(partial(_score_table, simulation), candidates, workers):
+        scored[i] = checkpoint
+        done(checkpoint.trials)
+    return [scored[i] for i in range(len(candidates))]
+
+
+def _score_table(simulation: PlantSimulation, candidate: tuple[int, Array]) -> Checkpoint:
+    """Score a candidate: its number of training episodes, and its accelerations [m/s^2]."""
+    (episodes, u_of_box), setup = candidate, simulation.setup
+    rule, boxes = setup.settings.selection, make_grid(setup.settings.boxes, simulation.pendulum.k)
+    trials = simulation.draw(rule.trials)
+    rows = range(rule.trials)
+    simulation.run(table_kernel(u_of_box, boxes), trials, rows, duration=rule.duration)
+    mean_duration = float(np.mean(trials.steps)) * setup.h
+    rms_x = float(np.sqrt(np.sum(trials.sum_x2) / np.sum(trials.steps)))
+    score = mean_duration / rule.duration - RMS_X_WEIGHT * rms_x / paper.X_LIMIT
+    return Checkpoint(
+        episodes=episodes,
+        trials=rule.trials,
+        survived=int(np.sum(trials.cause == TRUNCATED)),
+        mean_duration=mean_duration,
+        rms_x=rms_x,
+        score=score,
+    )
 
 
 def measure_survival(
@@ -83,7 +84,7 @@ def measure_survival(
     *,
     target: float,
     confidence: float = 0.95,
-    workers: int = 1,
+    workers: Workers = 1,
     done: Callable[[float], None] = lambda _: None,
 ) -> TargetTest:
     """Test a policy in held-out trials on the plant of its training.
@@ -92,7 +93,7 @@ def measure_survival(
         policy: The policy; its settings give number and length of the trials.
         target: Required probability to survive a trial.
         confidence: Confidence of the lower bound.
-        workers: Number of threads; the result does not depend on it.
+        workers: Number of threads, or an executor; the result does not depend on it.
         done: Called with the number of trials that have just finished.
     """
     rule = policy.settings.selection

@@ -62,7 +62,8 @@ def train(
         world: World of the episodes: `model`, the compiled plant; or a twin, or an address of
             CoppeliaSim, one episode after the other. Selection and test run on the plant.
         seed: Master seed.
-        workers: Number of threads of the trials; the result does not depend on it.
+        workers: Number of threads of the trials, or an executor; the result does not depend on
+            it.
         show: Called with the progress of the stages `train` and `select`.
 
     Returns:
@@ -144,7 +145,8 @@ def train_to_target(
         actuator: Actuator of the arm; as in `train`.
         world: World of the episodes; as in `train`.
         seed: Master seed of the first attempt.
-        workers: Number of threads of the trials; the result does not depend on it.
+        workers: Number of threads of the trials, or an executor; the result does not depend on
+            it.
         show: Called with the progress of the stages `train`, `select` and `test`.
 
     Returns:

@@ -79,7 +79,8 @@ def reproduce(
         settings: Resolved settings (default: `Settings()`); the literal recipe takes its trials.
         seed: Master seed.
         quick: Whether it runs with fewer episodes and trials (`QUICK`).
-        workers: Number of threads (default: all cores); the results do not depend on it.
+        workers: Number of threads (default: all cores), or an executor; the results do not depend
+            on it.
         report: Called with the progress, also from other threads.
 
     Raises:
@@ -136,7 +137,7 @@ def reproduce(
 
 
 def measure(
-    policy: TabularPolicy, world: str, title: str, seed: int, workers: int, report: Show
+    policy: TabularPolicy, world: str, title: str, seed: int, workers: Workers, report: Show
 ) -> RecipeResults:
     """Evaluate a policy in the world of its training and on the twin, and record a run.
 
@@ -145,7 +146,7 @@ def measure(
         world: World of its training; the baselines run on the plant, `model`, alone.
         title: Prefix of the names of the stages.
         seed: Master seed of trials and run.
-        workers: Number of threads.
+        workers: Number of threads, or an executor.
         report: Called with the progress.
     """
 

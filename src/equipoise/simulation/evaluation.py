@@ -238,7 +238,8 @@ def evaluate(
             policy's; in `ideal` always the ideal one).
         seed: Master seed of the trials.
         with_baselines: Run the baselines on the same trials.
-        workers: Number of threads for compiled policies; the result does not depend on it.
+        workers: Number of threads for compiled policies, or an executor such as Dask's; the result
+            does not depend on it.
         done: Callback; receives the number of trials that have just finished; from Python, parts
             of one.
 

@@ -6,6 +6,8 @@ which Python drives tick by tick. Both ways run the same kernels with the same r
 by (seed, trial, tick): a trial has the same bits either way.
 """
 
+import functools
+import pickle
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -14,6 +16,7 @@ from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 
+from equipoise.arguments import Workers
 from equipoise.arm.arm import Arm
 from equipoise.arrays import Array
 from equipoise.control.control_step import ControllerParams, ControllerState
@@ -37,6 +40,9 @@ from equipoise.simulation.trials import Trial, Trials, draw_trials
 
 Done = Callable[[float], None]
 """Callback; receives the number of trials that have just finished; from Python, parts of one."""
+MAX_TASKS: Final = 1000
+"""Maximum number of tasks that other workers get for one run, each some milliseconds of overhead
+and a step of the progress."""
 PROGRESS: Final = 100
 """Steps between two reports of progress: some seconds in a slow world."""
 
@@ -156,6 +162,11 @@ class Simulation(ABC):
         self.max_speed = setup.settings.plant.max_speed or inf
         """Limit of the flange's speed [m/s]; inf without a limit."""
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the inputs; a process sets up the simulation once, for all tasks."""
+        inputs = type(self), self.world, self.setup, self.seed, self.stream
+        return _set_up, (pickle.dumps(inputs),)
+
     @abstractmethod
     def loop(self) -> ClosedLoop:
         """Return a closed loop for `reset`."""
@@ -177,7 +188,7 @@ class Simulation(ABC):
         rows: Sequence[int],
         *,
         duration: float,
-        workers: int = 1,
+        workers: Workers = 1,
         done: Done = lambda _: None,
     ) -> None:
         """Run trials: compiled if policy and world are, otherwise from Python, one by one.
@@ -187,12 +198,22 @@ class Simulation(ABC):
             trials: Conditions, from `draw`; receives the results.
             rows: Rows of the trials to run.
             duration: Length of a trial [s].
-            workers: Number of threads for compiled trials; the results do not depend on it.
+            workers: Number of threads for compiled trials, or an executor for them; the results do
+                not depend on it.
             done: Called with the number of trials that have just finished.
+
+        Raises:
+            InputError: No swing-up can be, or end with the policy; or an executor is given for
+                trials that run from Python.
         """
         self._check_start(policy)
         kernel = policy if isinstance(policy, PolicyKernel) else policy.kernel
         if kernel is None or not self.PIECE:
+            if not isinstance(workers, int):
+                raise InputError(
+                    "only compiled trials run on a cluster; policies and worlds in Python run "
+                    "here, one trial after the other; leave out --workers"
+                )
             loop = self.loop()
             acting = self.acting(policy, loop)
             for row in rows:
@@ -200,11 +221,16 @@ class Simulation(ABC):
                 trials.steps[row], trials.cause[row], trials.sum_x2[row] = end[:3]
                 trials.upright[row], trials.end[row] = end.upright, loop.state()
             return
-        fraction = -(-len(rows) // (self.BATCH * workers)) * self.BATCH
-        size = min(self.PIECE, max(fraction, 1))
-        pieces = [rows[first : first + size] for first in range(0, len(rows), size)]
-        run = partial(self.run_piece, kernel, trials, duration=duration)
-        for i, _ in completed(run, pieces, workers):
+        if isinstance(workers, int):
+            fraction = -(-len(rows) // (self.BATCH * workers)) * self.BATCH
+            size = min(self.PIECE, max(fraction, 1))
+        else:
+            size = max(self.PIECE, -(-len(rows) // (self.BATCH * MAX_TASKS)) * self.BATCH)
+        pieces = [list(rows[first : first + size]) for first in range(0, len(rows), size)]
+        parts = [Trials._make(column[piece] for column in trials) for piece in pieces]
+        for i, ended in completed(partial(_run_part, self, kernel, duration), parts, workers):
+            for column, result in zip(trials, ended, strict=True):
+                column[pieces[i]] = result
             done(len(pieces[i]))
 
     def acting(self, policy: TaskPolicy | PolicyKernel, loop: ClosedLoop) -> Policy:
@@ -249,6 +275,21 @@ class Simulation(ABC):
             raise SettingsError(
                 "plant.linearised is true, and a linearised pendulum does not hang; start by hand"
             )
+
+
+@functools.lru_cache(maxsize=8)
+def _set_up(inputs: bytes) -> Simulation:
+    """Set up a pickled simulation."""
+    kind, world, setup, seed, stream = pickle.loads(inputs)
+    return kind(world, setup, seed=seed, stream=stream)
+
+
+def _run_part(
+    simulation: Simulation, kernel: PolicyKernel, duration: float, trials: Trials
+) -> Trials:
+    """Run all of some trials, and return them with their results."""
+    simulation.run_piece(kernel, trials, range(len(trials.number)), duration)
+    return trials
 
 
 def predicted(loop: ClosedLoop) -> Array:
