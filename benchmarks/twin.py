@@ -12,13 +12,13 @@ world can evaluate the same policies.
 
 import argparse
 import json
-import time
+from concurrent.futures import Executor
 from pathlib import Path
 from statistics import median
 
 from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import TabularPolicy
-from equipoise.executors import available_cores
+from equipoise.executors import completed, open_workers
 from equipoise.identification.actuator import identify_run
 from equipoise.learning.train import ATTEMPTS, train_to_target
 from equipoise.model.actuator import Actuator, shipped_actuator
@@ -41,8 +41,15 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--json", type=Path, help="file of the results")
+    parser.add_argument("--workers", help="threads, or a Dask scheduler, tcp://HOST:8786")
     args = parser.parse_args()
-    arm, cores = iiwa(args.arm), available_cores()
+    with open_workers(args.workers) as workers:
+        measure(args, workers)
+
+
+def measure(args: argparse.Namespace, workers: int | Executor) -> None:
+    """Do what the command line asks for, on some workers."""
+    arm = iiwa(args.arm)
     settings = resolve(
         overrides=[
             f"evaluation.trials={args.trials}",
@@ -57,34 +64,35 @@ def main() -> None:
     elif world not in (MODEL, IDEAL):
         actuator = identify_run(excite(arm, args.world, pendulum, seed=0))
         actuator.save(file, command="identify")
+
+    def of_seed(task: tuple[int, TabularPolicy | None]) -> tuple[TabularPolicy, Evaluation]:
+        """Train a seed, if its policy is missing, and evaluate the policy."""
+        seed, policy = task
+        if policy is None:
+            how = {"attempts": args.attempts, "actuator": actuator, "seed": seed}
+            policy = train_to_target(pendulum, arm, settings, **how)
+        return policy, evaluate(policy, settings, world=world, with_baselines=False)
+
+    lengths = f"{args.trials}x{args.duration:g}s"
+    seeds = range(args.seeds)
+    policies = [args.out / f"policy-{seed}.json" for seed in seeds]
+    names = [f"evaluation-{world.replace(':', '-')}-{lengths}-{seed}.json" for seed in seeds]
+    evaluations = [args.out / name for name in names]
+    tasks = [
+        (seed, TabularPolicy.load(policies[seed]) if policies[seed].exists() else None)
+        for seed in seeds
+        if not evaluations[seed].exists()
+    ]
+    for i, (policy, evaluation) in completed(of_seed, tasks, workers):
+        seed, known = tasks[i]
+        if known is None:
+            inputs = {"actuator": actuator.digest}
+            policy.save(policies[seed], command="train", inputs=inputs)
+        evaluation.save(evaluations[seed], command="evaluate", inputs={"policy": policy.digest})
+        print(f"seed {seed}: {evaluation}", flush=True)
     rows: list[dict] = []
-    for seed in range(args.seeds):
-        begin = time.perf_counter()
-        file = args.out / f"policy-{seed}.json"
-        if not file.exists():
-            policy = train_to_target(
-                pendulum,
-                arm,
-                settings,
-                attempts=args.attempts,
-                actuator=actuator,
-                seed=seed,
-                workers=cores,
-            )
-            policy.save(file, command="train", inputs={"actuator": actuator.digest})
-        policy, trained = TabularPolicy.load(file), time.perf_counter() - begin
-        lengths = f"{args.trials}x{args.duration:g}s"
-        file = args.out / f"evaluation-{world.replace(':', '-')}-{lengths}-{seed}.json"
-        if not file.exists():
-            evaluation = evaluate(
-                policy,
-                settings,
-                world=args.world,
-                with_baselines=False,
-                workers=cores,
-            )
-            evaluation.save(file, command="evaluate", inputs={"policy": policy.digest})
-        summary = Evaluation.load(file).results.summary()
+    for seed in seeds:
+        summary = Evaluation.load(evaluations[seed]).results.summary()
         row = {
             "seed": seed,
             "survived": summary.survived,
@@ -92,14 +100,9 @@ def main() -> None:
             "median_s": summary.median,
         }
         rows.append(row)
-        test = policy.test
-        more = {
-            "causes": summary.outcomes,
-            "own_test": None if test is None else test.model_dump(mode="json"),
-            "train_s": round(trained),
-            "all_s": round(time.perf_counter() - begin),
-        }
-        print(json.dumps(row | more), flush=True)
+        test = TabularPolicy.load(policies[seed]).test
+        own_test = None if test is None else test.model_dump(mode="json")
+        print(json.dumps(row | {"causes": summary.outcomes, "own_test": own_test}), flush=True)
     survived, trials = sum(row["survived"] for row in rows), args.seeds * args.trials
     total = {
         "world": args.world,

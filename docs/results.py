@@ -3,10 +3,12 @@
     python docs/results.py                   # render the pages
     python docs/results.py --check           # name each text that differs from the file
     python docs/results.py run compare map   # run the commands of sections, store, render
+    python docs/results.py run ladder --workers tcp://HOST:8786              # on a cluster
 
 A section of the file is one command: `command`, `commit` and `date` of its run, and `values`. The
 command runs in a shell at the root of the repository and writes its values to $JSON. Its other
-files belong in the folder build/$COMMIT, so that no run reuses those of other code.
+files belong in the folder build/$COMMIT, so that no run reuses those of other code. $WORKERS is the
+option `--workers`, or empty; no value depends on it.
 
 A mark is a comment without spaces, so that it counts no words:
 
@@ -128,8 +130,13 @@ def rounded(number: str) -> float:
     return float(f"{float(number):.6g}")
 
 
-def run(command: str) -> dict[str, Any]:
-    """Run the command of a section; return what the section holds then."""
+def run(command: str, workers: str) -> dict[str, Any]:
+    """Run the command of a section; return what the section holds then.
+
+    Args:
+        command: The command.
+        workers: Option of the command in place of its $WORKERS.
+    """
     git = ("git", "-C", str(ROOT))
     commit = subprocess.check_output([*git, "rev-parse", "--short", "HEAD"], text=True).strip()
     code = ("src", "experiments", "benchmarks")
@@ -137,7 +144,7 @@ def run(command: str) -> dict[str, Any]:
     (ROOT / "build" / commit).mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory() as folder:
         written = Path(folder) / "values.json"
-        environment = os.environ | {"JSON": str(written), "COMMIT": commit}
+        environment = os.environ | {"JSON": str(written), "COMMIT": commit, "WORKERS": workers}
         ended = subprocess.run(command, shell=True, cwd=ROOT, env=environment)
         if ended.returncode:
             sys.exit(f"exit code {ended.returncode} of {command}")
@@ -150,14 +157,16 @@ def main() -> None:
     """Do what the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--check", action="store_true", help="write nothing")
+    parser.add_argument("--workers", metavar="tcp://HOST:8786", help="Dask scheduler of a cluster")
     parser.add_argument("names", nargs="*", metavar="run SECTION", help="by default all sections")
     args = parser.parse_args()
     results = json.loads(FILE.read_text())
     verb, *names = args.names or ["render"]
     if args.names and (verb != "run" or not results.keys() >= set(names)):
         parser.error(f"expected run and sections of {', '.join(results)}")
+    workers = f"--workers {args.workers}" if args.workers else ""
     for name in names or results if verb == "run" else ():
-        section = run(results[name]["command"])
+        section = run(results[name]["command"], workers)
         results = json.loads(FILE.read_text())  # edited while the command ran
         write(results := results | {name: section})
     wrong: list[str] = []

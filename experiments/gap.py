@@ -21,6 +21,7 @@ authors' robot::
 import argparse
 import json
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from math import degrees, radians
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,7 +31,7 @@ from matplotlib.figure import Figure
 from scipy.stats import t as student
 
 import equipoise as eq
-from equipoise.executors import available_cores
+from equipoise.executors import open_workers
 from equipoise.model.worlds import CLEAN, EFFECTS, WORLDS, TwinSettings, World
 from equipoise.simulation.twin.servo_model import equivalent_actuator
 
@@ -84,6 +85,8 @@ class Study(NamedTuple):
     """The twin."""
     evaluation: dict[str, float]
     """Number and length of the trials of each point."""
+    workers: int | Executor
+    """Number of threads of the trials, or a cluster."""
 
     def survival(self, controller: str, world: TwinSettings | None) -> tuple[float, ...]:
         """Return the survival of each trial of a controller [s].
@@ -103,7 +106,7 @@ class Study(NamedTuple):
         if world is not None and not is_paper and controller != "training actuator":
             known = identified_on(self.policy.actuator, self.twin.settings, world)
         there = "model" if world is None else World(self.twin.name, world)
-        args = {"with_baselines": False, "workers": available_cores()}
+        args = {"with_baselines": False, "workers": self.workers}
         result = eq.evaluate(table, settings, world=there, actuator=known, **args)
         return result.results.survival
 
@@ -246,14 +249,21 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="8 trials of 20 s, without worlds")
     parser.add_argument("--json", type=Path, help="file for the results")
     parser.add_argument("--out", default="gap.png", help="figure")
+    parser.add_argument("--workers", help="threads, or a Dask scheduler, tcp://HOST:8786")
     args = parser.parse_args()
+    with open_workers(args.workers) as workers:
+        measure(args, workers)
+
+
+def measure(args: argparse.Namespace, workers: int | Executor) -> None:
+    """Do what the command line asks for, on some workers."""
     policy = eq.TabularPolicy.load(args.policy) if args.policy else eq.shipped_policy()
     settings = eq.resolve("paper", overrides=args.set)
-    paper = eq.train(policy.pendulum, policy.arm, settings, workers=available_cores())
+    paper = eq.train(policy.pendulum, policy.arm, settings, workers=workers)
     length = {"trials": args.trials, "duration": args.duration}
     if args.quick:
         length = {"trials": min(args.trials, 8), "duration": min(args.duration, 20.0)}
-    study = Study(policy, paper, eq.read_world(args.world), length)
+    study = Study(policy, paper, eq.read_world(args.world), length, workers)
     delay, zero = curves(study, "transport", DELAYS), curves(study, "zero_offset", ZEROS)
     paper_effects = effects(study)
     draw(delay, zero, paper_effects.changes).savefig(args.out, dpi=150)

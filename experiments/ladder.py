@@ -17,7 +17,7 @@ import numpy as np
 
 import equipoise as eq
 from equipoise.control.policy import tick_policy
-from equipoise.executors import available_cores, completed
+from equipoise.executors import completed, open_workers
 from equipoise.model.grid import TRUNCATED
 from equipoise.model.random import TEST
 from equipoise.settings import changed
@@ -118,38 +118,42 @@ def main() -> None:
     parser.add_argument("--worlds", nargs="+", default=["twin:nominal", "twin:harsh"])
     parser.add_argument("--set", action="append", default=[], help="a setting of every rung")
     parser.add_argument("--json", type=Path, help="file for the results")
+    parser.add_argument("--workers", help="threads, or a Dask scheduler, tcp://HOST:8786")
     args = parser.parse_args()
-    pendulum, arm = eq.shipped_pendulum(), eq.iiwa(7)
     length = {"evaluation.trials": args.trials, "evaluation.duration": args.duration}
-    rows: list[dict[str, Any]] = []
-    for name, rung in rungs(args.set).items():
-        settings = changed(rung, length)
+    settings_of = {name: changed(rung, length) for name, rung in rungs(args.set).items()}
+
+    def results(task: tuple[str, int]) -> tuple[list[Summary], int]:
+        """Train on a rung with a seed; return summaries by world, and the pushes withstood."""
+        settings, seed = settings_of[task[0]], task[1]
+        policy = eq.train(eq.shipped_pendulum(), eq.iiwa(7), settings, seed=seed)
         # A controller that predicts nothing assumes an arm without delay.
         known = eq.shipped_actuator() if settings.controller.predict else None
+        how: dict[str, Any] = {"actuator": known, "seed": seed, "with_baselines": False}
+        evaluations = (eq.evaluate(policy, settings, world=w, **how) for w in args.worlds)
+        summaries = [evaluation.results.summary() for evaluation in evaluations]
+        return summaries, withstood(policy, known, args.trials)
 
-        def results(
-            seed: int, settings: eq.Settings = settings, known: eq.Actuator | None = known
-        ) -> tuple[list[Summary], int]:
-            policy = eq.train(pendulum, arm, settings, seed=seed)
-            how: dict[str, Any] = {"actuator": known, "seed": seed, "with_baselines": False}
-            evaluations = (eq.evaluate(policy, settings, world=w, **how) for w in args.worlds)
-            summaries = [evaluation.results.summary() for evaluation in evaluations]
-            return summaries, withstood(policy, known, args.trials)
-
-        seed_results = [
-            result for _, result in completed(results, range(args.seeds), available_cores())
-        ]
-        summaries = zip(*(result for result, _ in seed_results), strict=True)
-        by_world = zip(args.worlds, summaries, strict=True)
-        row = {world.removeprefix("twin:"): tested(list(result)) for world, result in by_world}
-        pushed = sum(balanced for _, balanced in seed_results) / (args.seeds * args.trials)
-        rows.append({"name": name, "seeds": args.seeds, "pushed": pushed} | row)
-        fractions = (
-            f"{world} {of['fraction']:.1%} ({of['median']:.1f} s)" for world, of in row.items()
-        )
-        print(f"{name}: {', '.join(fractions)}, pushed {pushed:.1%}", flush=True)
+    tasks = [(name, seed) for name in settings_of for seed in range(args.seeds)]
+    found: dict[str, list[tuple[list[Summary], int]]] = {name: [] for name in settings_of}
+    rows: dict[str, dict[str, Any]] = {}
+    with open_workers(args.workers) as workers:
+        for i, result in completed(results, tasks, workers):
+            name = tasks[i][0]
+            found[name].append(result)
+            if len(found[name]) < args.seeds:
+                continue
+            summaries = zip(*(summaries for summaries, _ in found[name]), strict=True)
+            by_world = zip(args.worlds, summaries, strict=True)
+            row = {world.removeprefix("twin:"): tested(list(result)) for world, result in by_world}
+            pushed = sum(balanced for _, balanced in found[name]) / (args.seeds * args.trials)
+            rows[name] = {"name": name, "seeds": args.seeds, "pushed": pushed} | row
+            fractions = (
+                f"{world} {of['fraction']:.1%} ({of['median']:.1f} s)" for world, of in row.items()
+            )
+            print(f"{name}: {', '.join(fractions)}, pushed {pushed:.1%}", flush=True)
     if args.json:
-        args.json.write_text(json.dumps({"rows": rows}, indent=1))
+        args.json.write_text(json.dumps({"rows": [rows[name] for name in settings_of]}, indent=1))
 
 
 if __name__ == "__main__":

@@ -20,6 +20,8 @@ If 5 s were the longest of m attempts, P(E | T) of a policy is
 import argparse
 import json
 from collections.abc import Sequence
+from concurrent.futures import Executor
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +30,7 @@ from matplotlib.figure import Figure
 
 import equipoise as eq
 from equipoise import paper
-from equipoise.executors import available_cores, completed
+from equipoise.executors import completed, open_workers
 from equipoise.model.random import TEST
 from equipoise.model.worlds import World
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
@@ -219,21 +221,29 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--json", type=Path, help="file for the results")
     parser.add_argument("--out", default="literal.png", help="figure")
+    parser.add_argument("--workers", help="threads, or a Dask scheduler, tcp://HOST:8786")
     args = parser.parse_args()
-    settings, cores = eq.resolve("paper", overrides=args.set), available_cores()
+    with open_workers(args.workers) as workers:
+        measure(args, workers)
+
+
+def measure(args: argparse.Namespace, workers: int | Executor) -> None:
+    """Do what the command line asks for, on some workers."""
+    settings = eq.resolve("paper", overrides=args.set)
 
     def of_seed(seed: int) -> tuple[eq.TabularPolicy, Ends]:
         policy = eq.train(eq.shipped_pendulum(), eq.iiwa(7), settings, seed=seed)
         return policy, run(policy, "ideal", args.ideal_trials, args.duration)
 
-    trained = dict(completed(of_seed, range(args.seeds), cores))
+    trained = dict(completed(of_seed, range(args.seeds), workers))
     policies, ends = zip(*(trained[i] for i in range(args.seeds)), strict=True)
     ideal = summary(ends)
     print(f"simulation: {ideal}", flush=True)
 
     def everywhere(world: str | World) -> list[Ends]:
         """Run all policies in a world."""
-        ended = completed(lambda one: run(one, world, args.trials, args.duration), policies, cores)
+        ran = partial(run, world=world, trials=args.trials, duration=args.duration)
+        ended = completed(ran, policies, workers)
         return [ends for _, ends in sorted(ended, key=lambda item: item[0])]
 
     twin = summary(everywhere("twin:nominal"))

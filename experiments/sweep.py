@@ -4,15 +4,19 @@ Each trial trains with other settings on several seeds and tests the policies; i
 fraction of all tests that survived. The tests vary the plant as the common settings (`--set`) say,
 so that all trials are tested alike even where they train on different variations. The best trial of
 many is best by chance, too: the finalists train and are tested again on seeds that the search has
-not seen. With `--storage` a sweep continues, on any number of machines::
+not seen. With `--storage` a sweep continues, and several processes share it. SQLite is for one
+machine: it locks a file, which network drives do not do reliably. Several machines share a server,
+PostgreSQL or Optuna's gRPC proxy. With `--workers` the seeds of a trial run on a cluster::
 
     python experiments/sweep.py --vary learning.gamma=0.9:0.999 --storage sqlite:///sweep.sqlite3
+    python experiments/sweep.py --vary learning.gamma=0.9:0.999 --storage grpc://HOST:13000
     python experiments/sweep.py --vary learning.alpha_minimum=0.001:0.1:log \
         --vary 'boxes.x=[[-0.07, 0.07], [-0.1, 0.1]]'
 """
 
 import argparse
 import json
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +25,15 @@ import optuna
 from matplotlib.figure import Figure
 
 import equipoise as eq
-from equipoise.executors import available_cores, completed
+from equipoise.executors import completed, open_workers
 
 SEEDS = 1000
 """First seed of the search; the finalists have the seeds from twice that number on."""
+STORAGE_HELP = (
+    "database of Optuna: sqlite:///FILE for one machine, as it locks a file; for several a server, "
+    "postgresql://HOST/NAME, or grpc://HOST:13000, Optuna's proxy"
+)
+"""Help text of `--storage`."""
 
 
 def suggested(trial: optuna.Trial, ranges: dict[str, str]) -> list[str]:
@@ -48,7 +57,9 @@ def suggested(trial: optuna.Trial, ranges: dict[str, str]) -> list[str]:
     return overrides
 
 
-def fraction_survived(overrides: list[str], seeds: range, args: argparse.Namespace) -> float:
+def fraction_survived(
+    overrides: list[str], seeds: range, args: argparse.Namespace, workers: int | Executor
+) -> float:
     """Train with settings on each seed, and return the fraction of all tests that survived.
 
     Raises:
@@ -65,7 +76,15 @@ def fraction_survived(overrides: list[str], seeds: range, args: argparse.Namespa
         result = eq.evaluate(policy, tested, world=args.world, seed=seed, with_baselines=False)
         return result.results.summary().rate
 
-    return float(np.mean([result for _, result in completed(fraction, seeds, available_cores())]))
+    return float(np.mean([result for _, result in sorted(completed(fraction, seeds, workers))]))
+
+
+def storage_of(address: str | None) -> optuna.storages.BaseStorage | str | None:
+    """Return the storage of `--storage`: an address of a database, or `grpc://HOST:PORT`."""
+    if address is None or not address.startswith("grpc://"):
+        return address
+    host, _, port = address.removeprefix("grpc://").partition(":")
+    return optuna.storages.GrpcStorageProxy(host=host, port=int(port or 13000))
 
 
 def draw(study: optuna.Study) -> Figure:
@@ -100,28 +119,42 @@ def main() -> None:
     parser.add_argument("--world", default="model", help="world of the tests")
     parser.add_argument("--tests", type=int, default=200, help="tests of each policy")
     parser.add_argument("--duration", type=float, default=60.0, help="length of a test [s]")
-    parser.add_argument("--storage", help="database of Optuna, e.g. sqlite:///sweep.sqlite3")
+    parser.add_argument("--storage", help=STORAGE_HELP)
+    parser.add_argument("--workers", help="threads, or a Dask scheduler, tcp://HOST:8786")
     parser.add_argument("--json", type=Path, help="file for the finalists")
     parser.add_argument("--out", default="sweep.png", help="figure")
     args = parser.parse_args()
+    with open_workers(args.workers) as workers:
+        search(args, workers)
+
+
+def search(args: argparse.Namespace, workers: int | Executor) -> None:
+    """Do what the command line asks for, on some workers."""
     ranges = dict(text.split("=", 1) for text in args.vary)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(
         direction="maximize",
         study_name="sweep",
-        sampler=optuna.samplers.TPESampler(seed=0),
-        storage=args.storage,
+        # Processes that share a storage must not try the same values.
+        sampler=optuna.samplers.TPESampler(
+            seed=None if args.storage else 0, constant_liar=bool(args.storage)
+        ),
+        storage=storage_of(args.storage),
         load_if_exists=True,
     )
 
     def value(trial: optuna.Trial) -> float:
         overrides = suggested(trial, ranges)
         try:
-            return fraction_survived(overrides, range(SEEDS, SEEDS + args.seeds), args)
+            return fraction_survived(overrides, range(SEEDS, SEEDS + args.seeds), args, workers)
         except eq.EquipoiseError as error:
             raise optuna.TrialPruned(str(error)) from None
 
-    study.optimize(value, n_trials=max(args.trials - len(study.trials), 0))
+    study.optimize(
+        value,
+        n_trials=max(args.trials - len(study.trials), 0),
+        callbacks=[optuna.study.MaxTrialsCallback(args.trials, states=None)],
+    )
     done = study.get_trials(states=[optuna.trial.TrialState.COMPLETE])
     if not done:
         raise SystemExit("no trial has valid settings; check --vary and --set")
@@ -129,7 +162,7 @@ def main() -> None:
     finalists: list[dict[str, Any]] = []
     for trial in sorted(done, key=lambda trial: -trial.value)[: args.finalists]:
         final = fraction_survived(
-            [f"{name}={value}" for name, value in trial.params.items()], fresh, args
+            [f"{name}={value}" for name, value in trial.params.items()], fresh, args, workers
         )
         row = {"name": trial.number, "searched": trial.value, "final": final}
         finalists.append(row | {"settings": trial.params})

@@ -19,6 +19,7 @@ is the result::
 
 import argparse
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from itertools import pairwise, product
 from math import radians
 from pathlib import Path
@@ -28,7 +29,7 @@ import numpy as np
 import equipoise as eq
 from equipoise import paper
 from equipoise.control.baselines import lqr_gains
-from equipoise.executors import available_cores
+from equipoise.executors import open_workers
 from equipoise.learning.select import score_tables
 from equipoise.settings import BoxSettings
 from equipoise.simulation import setup_of
@@ -95,7 +96,7 @@ def search_table(
     *,
     generations: int = 40,
     tables: int = 128,
-    workers: int = 1,
+    workers: int | Executor = 1,
 ) -> eq.TabularPolicy:
     """Search for the best table of a grid.
 
@@ -104,7 +105,7 @@ def search_table(
         starts: Tables to begin with, accelerations of each box [m/s^2], shape (boxes,).
         generations: Number of generations.
         tables: Number of tables of a generation.
-        workers: Number of threads; the result does not depend on it.
+        workers: Number of threads, or an executor; the result does not depend on it.
 
     Returns:
         The policy with the best table: Q is 1 for the action of a box, and 0 for the others.
@@ -150,15 +151,16 @@ def main() -> None:
     parser.add_argument("--tables", type=int, default=128, help="tables of a generation")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--out", type=Path, default=Path("best-table.json"))
+    parser.add_argument("--workers", help="threads, or a Dask scheduler, tcp://HOST:8786")
     args = parser.parse_args()
     settings = eq.resolve(args.recipe, overrides=args.set)
-    workers = available_cores()
-    learned = eq.train(eq.shipped_pendulum(), eq.iiwa(7), settings, workers=workers)
     size = {"generations": args.generations, "tables": args.tables}
-    searched = search_table(learned, [learned.u_of_box], workers=workers, **size)
-    for name, policy in (("learned", learned), ("searched", searched)):
-        summary = eq.evaluate(policy, with_baselines=False, workers=workers).results.summary()
-        print(f"{name}: {summary.survived} of {summary.trials} trials survived")
+    with open_workers(args.workers) as workers:
+        learned = eq.train(eq.shipped_pendulum(), eq.iiwa(7), settings, workers=workers)
+        searched = search_table(learned, [learned.u_of_box], workers=workers, **size)
+        for name, policy in (("learned", learned), ("searched", searched)):
+            summary = eq.evaluate(policy, with_baselines=False, workers=workers).results.summary()
+            print(f"{name}: {summary.survived} of {summary.trials} trials survived")
     searched.save(args.out, command="table_search")
 
 

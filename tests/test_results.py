@@ -74,7 +74,7 @@ def test_a_mark_that_would_print_nothing_is_refused(page, message):
 def test_a_run_stores_what_the_command_writes_with_its_commit(tmp_path, monkeypatch):
     monkeypatch.setattr(results, "FILE", tmp_path / "results.json")
     command = """echo '{"rate": 0.123456789, "n": 7, "at": "'$COMMIT'"}' > $JSON"""
-    section = results.run(command)
+    section = results.run(command, "")
     assert section["command"] == command
     assert section["values"] == {"rate": 0.123457, "n": 7, "at": section["commit"]}
     results.write({"a": section})
