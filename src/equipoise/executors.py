@@ -9,6 +9,7 @@ import functools
 import logging
 import os
 import platform
+import re
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager, nullcontext
@@ -77,7 +78,7 @@ def open_workers(named: str | None = None) -> Generator[int | Executor]:
     if threads or named is None:
         yield threads
         return
-    if "://" not in named:
+    if not re.fullmatch(r"(tcp|tls)://\S+:\d{1,5}", named):
         raise InputError(
             f"--workers is {quoted(named)}; expected a number of threads, or the address of a Dask "
             "scheduler such as tcp://HOST:8786"
@@ -87,7 +88,7 @@ def open_workers(named: str | None = None) -> Generator[int | Executor]:
         logging.getLogger(logger).setLevel(logging.CRITICAL)
     try:
         client = distributed.Client(named, timeout=CONNECT_TIMEOUT, set_as_default=False)
-    except (OSError, ValueError) as error:
+    except OSError as error:
         raise OutsideError(
             f"no Dask scheduler answers at {quoted(named)}: {error}; start it with: dask scheduler"
         ) from None

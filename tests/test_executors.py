@@ -1,0 +1,283 @@
+"""Executors: workers beside the threads of this process, up to a cluster as a user starts it."""
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import psutil
+import pytest
+
+import equipoise as eq
+from equipoise.errors import InputError, OutsideError, SettingsError
+from equipoise.executors import completed, open_workers
+from equipoise.settings import changed
+from tests.program import wait_until
+
+ROOT = Path(__file__).parents[1]
+FULL = pytest.mark.full
+SHORT = {"evaluation.trials": 70, "evaluation.duration": 3.0}
+SLOW = ("evaluate", "--trials=100000", "--no-baselines", "--json")
+"""A command of minutes."""
+
+
+def test_a_task_runs_in_any_executor_and_none_is_left_after_an_error():
+    begun = []
+
+    def task(number):
+        begun.append(number)
+        if number == 1:
+            raise ValueError(number)
+        time.sleep(0.05)
+        return number
+
+    with ThreadPoolExecutor(1) as executor:
+        assert sorted(completed(task, [5, 7], executor)) == [(0, 5), (1, 7)]
+        with pytest.raises(ValueError, match="1"):
+            list(completed(task, range(100), executor))
+        assert executor.submit(int).result() == 0  # the executor is its owner's
+    assert max(begun) < 10
+
+
+def test_results_do_not_depend_on_the_executor(quick_settings, pendulum):
+    policy = eq.shipped_policy()
+    args = {"settings": changed(policy.settings, SHORT), "world": "model", "seed": 3}
+    with ThreadPoolExecutor(2) as executor:
+        assert eq.evaluate(policy, **args, workers=executor) == eq.evaluate(policy, **args)
+        trained = eq.train(pendulum, settings=quick_settings, workers=executor)
+        assert trained == eq.train(pendulum, settings=quick_settings)
+
+
+def test_a_policy_in_python_is_refused():
+    with ThreadPoolExecutor(1) as executor, pytest.raises(InputError, match="only compiled"):
+        eq.evaluate(lambda observation: 24.0 * observation[2], workers=executor)
+
+
+@pytest.mark.parametrize("named", ["0", "-1", "two", "tcp://", "http://host:1", "tcp://host"])
+def test_a_wrong_name_of_workers_is_refused(named):
+    with pytest.raises(InputError, match="expected a number of threads"), open_workers(named):
+        pass
+
+
+@FULL
+def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch):
+    monkeypatch.setattr("equipoise.executors.CONNECT_TIMEOUT", 0.5)
+    message = "no Dask scheduler answers at 'tcp://127.0.0.1:9'"
+    with pytest.raises(OutsideError, match=message), open_workers("tcp://127.0.0.1:9"):
+        pass
+
+
+class Cluster:
+    """A scheduler and its workers, as a user starts them."""
+
+    def __init__(self, stack, folder):
+        self.stack, self.folder = stack, folder
+        self.file = folder / "scheduler.json"
+
+    def start(self, *words, path=""):
+        """Start a part; its packages are found in `path` first."""
+        paths = os.pathsep.join(filter(None, [str(path), os.environ.get("PYTHONPATH", "")]))
+        with (self.folder / f"{words[0]}.log").open("a") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "dask", *words, "--scheduler-file", str(self.file)],
+                env=os.environ | {"PYTHONPATH": paths},
+                cwd=self.folder,
+                stdout=log,
+                stderr=log,
+            )
+        self.stack.callback(end, process)
+        return process
+
+    def scheduler(self, path=""):
+        words = ("--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0")
+        process = self.start("scheduler", *words, path=path)
+        wait_until(lambda: self.file.exists() and self.file.read_text(), "scheduler")
+        self.address = json.loads(self.file.read_text())["address"]
+        from distributed import Client
+
+        self.client = self.stack.enter_context(Client(self.address, set_as_default=False))
+        return process
+
+    def worker(self, path=""):
+        known = len(self.client.scheduler_info(n_workers=-1)["workers"])
+        process = self.start("worker", "--nthreads", "1", "--no-dashboard", path=path)
+        self.client.wait_for_workers(known + 1, timeout=60)
+        return process
+
+    def tasks(self):
+        """The tasks that the scheduler has, and those that its workers run."""
+        known = self.client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks))
+        return known, sum(map(len, self.client.processing().values()))
+
+
+def end(process):
+    """End a process and its children."""
+    with contextlib.suppress(psutil.NoSuchProcess):
+        for one in [*psutil.Process(process.pid).children(recursive=True), process]:
+            one.kill()
+    process.wait()
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    pytest.importorskip("distributed", reason="Dask is not installed (extra cluster)")
+    with contextlib.ExitStack() as stack:
+        yield Cluster(stack, tmp_path)
+
+
+@pytest.fixture
+def two_workers(cluster):
+    cluster.scheduler_process = cluster.scheduler()
+    cluster.workers = [cluster.worker(), cluster.worker()]
+    return cluster
+
+
+@FULL
+@pytest.mark.parametrize("world", ["ideal", "model", "twin:nominal"])
+def test_a_cluster_gives_the_bits_of_one_machine(two_workers, world):
+    policy, finished = eq.shipped_policy(), []
+    args = {"settings": changed(policy.settings, SHORT), "world": world, "seed": 3}
+    hanging = args | {
+        "settings": changed(args["settings"], {"evaluation.start": "hanging"}),
+        "with_baselines": False,
+    }
+    with open_workers(two_workers.address) as workers:
+        found = eq.evaluate(policy, **args, workers=workers, done=finished.append)
+        assert found == eq.evaluate(policy, **args, workers=2)
+        assert eq.evaluate(policy, **hanging, workers=workers) == eq.evaluate(policy, **hanging)
+    assert sum(finished) == 5 * 70
+
+
+@FULL
+def test_eight_seeds_train_alike_on_a_cluster(two_workers, quick_settings, pendulum):
+    def train(seed):
+        return eq.train(pendulum, settings=quick_settings, seed=seed)
+
+    with open_workers(two_workers.address) as workers:
+        found = dict(completed(train, range(8), workers))
+        selected = eq.train_to_target(
+            pendulum, settings=quick_settings, target=0.5, attempts=1, workers=workers
+        )
+    assert found == dict(completed(train, range(8), 2))
+    assert selected == eq.train_to_target(pendulum, settings=quick_settings, target=0.5, attempts=1)
+
+
+@FULL
+def test_the_ladder_climbs_alike_on_a_cluster(two_workers):
+    short = ("learning.episodes=40", "selection.every=20", "selection.trials=4")
+    words = [word for setting in short for word in ("--set", setting)]
+    words += ["--seeds", "2", "--trials", "2", "--duration", "0.5"]
+    for name, more in (("here", []), ("there", ["--workers", two_workers.address])):
+        script = [sys.executable, str(ROOT / "experiments" / "ladder.py")]
+        subprocess.run([*script, *words, *more, "--json", f"{name}.json"], check=True)
+    assert Path("here.json").read_text() == Path("there.json").read_text()
+
+
+@FULL
+def test_a_killed_worker_costs_time_alone(two_workers):
+    policy = eq.shipped_policy()
+    settings = changed(policy.settings, {"evaluation.trials": 1000})
+    ended = []
+
+    def kill(_):
+        if not ended:
+            ((worker, number), _) = two_workers.client.run(os.getpid).items()
+            ended.append(bool(two_workers.client.processing()[worker]))
+            os.kill(number, signal.SIGKILL)
+
+    args = {"settings": settings, "with_baselines": False}
+    with open_workers(two_workers.address) as workers:
+        found = eq.evaluate(policy, **args, workers=workers, done=kill)
+    assert ended == [True]
+    assert found == eq.evaluate(policy, **args, workers=2)
+
+
+@contextlib.contextmanager
+def slow_command(cluster):
+    """A command of minutes on a cluster, whose tasks run."""
+    command = subprocess.Popen(
+        [sys.executable, "-m", "equipoise", *SLOW, "--workers", cluster.address],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        wait_until(lambda: all(cluster.tasks()), "task")
+        time.sleep(1.0)
+        yield command
+    finally:
+        command.kill()
+
+
+@FULL
+def test_a_lost_scheduler_ends_the_command_with_one_error(two_workers):
+    with slow_command(two_workers) as command:
+        two_workers.scheduler_process.kill()
+        out, error = command.communicate(timeout=10.0)
+    assert (command.returncode, out) == (3, "")
+    assert error == (
+        f"error: the scheduler at {two_workers.address} is lost; start it again, and repeat the "
+        "command\n"
+    )
+
+
+@FULL
+def test_ctrl_c_leaves_no_task(two_workers):
+    with slow_command(two_workers) as command:
+        command.send_signal(signal.SIGINT)
+        _, error = command.communicate(timeout=10.0)
+    assert (command.returncode, error) == (130, "interrupted\n")
+    wait_until(lambda: two_workers.tasks() == (0, 0), "end of the tasks", 10.0)
+
+
+def evaluate_on(cluster):
+    settings = changed(eq.shipped_policy().settings, SHORT)
+    with open_workers(cluster.address) as workers:
+        eq.evaluate(settings=settings, world="model", workers=workers)
+
+
+@FULL
+def test_a_cluster_without_workers_is_an_error(cluster):
+    cluster.scheduler()
+    with pytest.raises(OutsideError, match="has no workers; start one with: dask worker tcp://"):
+        evaluate_on(cluster)
+
+
+@FULL
+def test_a_worker_with_other_kernels_is_an_error(cluster, tmp_path):
+    shutil.copytree(Path(eq.__file__).parent, tmp_path / "other" / "equipoise")
+    with (tmp_path / "other" / "equipoise" / "paper.py").open("a") as file:
+        file.write("# another version\n")
+    cluster.scheduler()
+    cluster.worker(tmp_path / "other")
+    with pytest.raises(OutsideError, match=r"worker on \S+ has equipoise .* install the same"):
+        evaluate_on(cluster)
+
+
+@FULL
+@pytest.mark.parametrize("which", ["scheduler", "worker"])
+def test_a_scheduler_or_worker_without_the_package_is_an_error(cluster, tmp_path, which):
+    (tmp_path / "none").mkdir()
+    (tmp_path / "none" / "equipoise.py").write_text(
+        "raise ModuleNotFoundError(\"No module named 'equipoise'\", name='equipoise')"
+    )
+    cluster.scheduler(tmp_path / "none" if which == "scheduler" else "")
+    cluster.worker(tmp_path / "none" if which == "worker" else "")
+    with pytest.raises(OutsideError, match="lack a package .*'equipoise'.* install"):
+        evaluate_on(cluster)
+
+
+@FULL
+def test_an_error_of_a_task_is_raised_here(two_workers):
+    with (
+        open_workers(two_workers.address) as workers,
+        pytest.raises(InputError, match="nope") as error,
+    ):
+        list(completed(eq.resolve, ["nope"], workers))
+    assert type(error.value) is SettingsError
