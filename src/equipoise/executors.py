@@ -93,25 +93,32 @@ def open_workers(named: str | None = None) -> Generator[int | Executor]:
             f"no Dask scheduler answers at {quoted(named)}: {error}; start it with: dask scheduler"
         ) from None
     with client:
-        if not client.scheduler_info()["workers"]:
-            raise OutsideError(
-                f"the scheduler at {named} has no workers; start one with: dask worker {named}"
-            )
         try:
+            found = client.run(versions, on_error="return")
+            if not found:
+                raise OutsideError(
+                    f"the scheduler at {named} has no workers; start one with: dask worker {named}"
+                )
+            for worker, theirs in found.items():
+                if isinstance(theirs, Exception):
+                    raise OutsideError(
+                        f"the worker {worker} lacks a package: {theirs}; install there what is "
+                        "installed here, and start it again"
+                    )
+                _compare(f"the worker {worker}", theirs, versions())
             yield _Cluster(client.get_executor(pure=False))
-        except CancelledError:
+        except (CancelledError, distributed.client.ClosedClientError):
             raise OutsideError(
                 f"the scheduler at {named} is lost; start it again, and repeat the command"
             ) from None
         except distributed.KilledWorker as error:
             raise OutsideError(f"the workers of {named} do not survive a task: {error}") from None
-        except (ImportError, RuntimeError) as error:
-            cause = error.__cause__ or error
-            if not isinstance(cause, ImportError):
+        except RuntimeError as error:
+            if not isinstance(error.__cause__, ImportError):
                 raise
             raise OutsideError(
-                f"scheduler or workers at {named} lack a package ({cause}); install there what is "
-                "installed here"
+                f"the scheduler at {named} lacks a package: {error.__cause__}; install there what "
+                "is installed here, and start it again"
             ) from None
 
 
@@ -131,20 +138,21 @@ class _Cluster(Executor):
 
 
 def _run_pickled(call: bytes, expected: dict[str, str]) -> Any:
-    """Run a call in a worker.
-
-    Raises:
-        OutsideError: The worker has other versions than the sender of the call.
-    """
+    """Run a call in a worker, which may have joined later, if its versions are those expected."""
     import cloudpickle
 
-    for name, version in versions().items():
-        if version != expected[name]:
-            raise OutsideError(
-                f"the worker on {platform.node()} has {name} {version}, expected "
-                f"{expected[name]}; install the same version there, and start the worker again"
-            )
+    _compare(f"the worker on {platform.node()}", versions(), expected)
     return cloudpickle.loads(call)()
+
+
+def _compare(worker: str, found: dict[str, str], expected: dict[str, str]) -> None:
+    """Raise OutsideError if a worker has other versions than the sender of its tasks."""
+    for name, version in expected.items():
+        if found[name] != version:
+            raise OutsideError(
+                f"{worker} has {name} {found[name]}, expected {version}; install there what is "
+                "installed here, and start it again"
+            )
 
 
 @functools.cache
