@@ -75,6 +75,7 @@ CONTENTS = {
         "/docs/how-to/bring-an-arm",
         "/docs/how-to/bring-a-world",
         "/docs/how-to/coppeliasim",
+        "/docs/how-to/scale",
         "/hardware/README",
         "/firmware/README",
     ],

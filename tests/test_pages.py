@@ -29,7 +29,7 @@ SHELL = re.compile(r"\s*(?:&&|\|\||;|\||\n)\s*(?:do\s)?")
 OTHERS = {
     *("python", "pip", "make", "pre-commit", "jupyter", "jupytext", "docker", "podman"),
     *("sudo", "printf", "echo", "mkdir", "cd", "true", "for", "done", "."),
-    "arduino-cli",
+    *("arduino-cli", "dask", "ssh"),
 }
 """Commands of other programs, whose options nothing here checks."""
 PYTHON_HOMES = {
@@ -94,6 +94,7 @@ ELSEWHERE = {
     r"pip install|pytest|pre-commit|make install|venv": "the environment that runs this",
     r"jupyter|jupytext": "tests/test_course.py opens the notebooks",
     r"sudo|printf|arduino-cli|list_ports": "changes or asks this computer's hardware",
+    r"dask |tcp://": "needs a cluster: tests/test_executors.py",
     r"coppeliasim": "needs CoppeliaSim: tests/simulation/test_coppeliasim.py",
     r"kst://|serial://|doctor|fr3\.(toml|json)": "needs a rig: tests/robots, tests/rig, tests/cli",
     r"benchmarks/|experiments/": "tests/test_bench.py, tests/test_experiments.py",
@@ -121,6 +122,7 @@ RUN = (
     "docs/how-to/franka.md",
     "docs/how-to/learn-from-the-robot.md",
     "docs/how-to/replay.md",
+    "docs/how-to/scale.md",
     "docs/how-to/your-own-pendulum.md",
     "docs/reference/command-line.md",
 )
