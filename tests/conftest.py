@@ -1,6 +1,5 @@
 """Values that tests of several rooms share."""
 
-import fcntl
 import os
 import signal
 from importlib.util import find_spec
@@ -96,6 +95,8 @@ def recordings():
 @pytest.fixture(scope="session")
 def rig_log(tmp_path_factory):
     """The log of a whole run on an emulated rig: home, self-test, lift, 1.5 s of balancing."""
+    import fcntl  # not on Windows, where no rig runs
+
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:  # the workers share one
         folder = folder.parent

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import sys
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -14,6 +15,7 @@ from equipoise.files import (
     Artefact,
     Value,
     read_document,
+    reserved,
     value_digest,
 )
 from equipoise.identification.recording import read_swing
@@ -183,3 +185,9 @@ def test_a_disk_that_fails_leaves_what_was_there_and_nothing_else(tmp_path, monk
         GAUGE.save(path, command="test")
     assert [file.name for file in tmp_path.iterdir()] == ["gauge.json"]
     assert path.read_text() == "before"
+
+
+def test_without_file_locks_no_name_is_reserved(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    with pytest.raises(OutsideError, match="in WSL 2: see"), reserved([tmp_path / "run.mcap"]):
+        raise AssertionError

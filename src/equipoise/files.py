@@ -368,9 +368,18 @@ def reserved(paths: Iterable[Path], *, replace: bool = False) -> Generator[None]
 
 
 def lock(file: BinaryIO) -> bool:
-    """Lock a file until it is closed; return whether no other process had locked it."""
-    import fcntl
+    """Lock a file until it is closed; return whether no other process had locked it.
 
+    Raises:
+        OutsideError: The system is Windows.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        raise OutsideError(
+            "Equipoise has no file locks on Windows; run this command in WSL 2: see "
+            "docs/how-to/trouble.md"
+        ) from None
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
