@@ -6,6 +6,7 @@ site and in a viewer of the repository. Links to files of code lead to pages tha
 
 import ast
 import re
+import sys
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from importlib.metadata import version as version_of
@@ -24,6 +25,8 @@ from sphinx import addnodes
 from sphinx.application import Sphinx
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.append(str(ROOT))
+from course.notebooks import colab  # noqa: E402
 
 project = "Equipoise"
 author = "The Equipoise developers"
@@ -36,6 +39,8 @@ include_patterns = [
     "README.md",
     "CHANGELOG.md",
     "CONTRIBUTING.md",
+    "RELEASING.md",
+    "SECURITY.md",
     "benchmarks/README.md",
     "course/README.md",
     "firmware/README.md",
@@ -100,7 +105,7 @@ CONTENTS = {
         "/docs/reference/e-line",
         "/benchmarks/README",
     ],
-    "Project": ["/CONTRIBUTING", "/CHANGELOG", f"/{DECISIONS}"],
+    "Project": ["/CONTRIBUTING", "/SECURITY", "/RELEASING", "/CHANGELOG", f"/{DECISIONS}"],
 }
 """Pages by part, in the order of the side bar."""
 
@@ -124,6 +129,7 @@ html_extra_path = ["site/index.html"]
 pygments_style = "friendly"
 
 MARK = re.compile(r"<!--[=/]\S*?-->|<!--table=\S*?-->\n")
+NOTEBOOK = re.compile(r"\[[^\]]*\]\((\d_\w+)\.py\)")
 LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)#:]+)\)")
 BACKTICKS = re.compile(r"(:[\w:]+:)?(?<!`)`([^`]+)`(?!`)(\w*)")
 NAME = re.compile(r"[A-Za-z_][\w.]*")
@@ -143,6 +149,8 @@ def add_contents(app: Sphinx, docname: str, source: list[str]) -> None:
         return link[1] if folder.is_dir() else link[0]
 
     source[0] = LINK.sub(freed, MARK.sub("", source[0]))
+    if docname == "course/README":
+        source[0] = NOTEBOOK.sub(lambda name: f"{name[0]} ([Colab]({colab(name[1])}))", source[0])
     if docname == root_doc:
         for part, pages in CONTENTS.items():
             lines = "\n".join(pages)

@@ -1,11 +1,9 @@
-"""The notebooks of the course run; each check says *not solved* before its solution, *right* after.
+"""The notebooks run as built; each check says *not solved* before its solution, *right* after.
 
 A wrong answer is refused with a hint: the first notebook has one for each exercise.
 """
 
 import re
-import shutil
-from pathlib import Path
 
 import pytest
 
@@ -13,9 +11,10 @@ pytestmark = pytest.mark.full
 
 jupytext = pytest.importorskip("jupytext", reason="jupytext is not installed (extra course)")
 nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed (extra course)")
+notebooks = pytest.importorskip("course.notebooks")
 
-COURSE = Path(__file__).parents[1] / "course"
-NOTEBOOKS = sorted(path.stem for path in COURSE.glob("[0-9]_*.py"))
+FIRST = "0_first_balance"
+NOTEBOOKS = sorted(path.stem for path in notebooks.COURSE.glob("[1-9]_*.py"))
 LONGEST = 600.0
 """Time for a cell [s]."""
 WRONG = (
@@ -30,8 +29,8 @@ SAYS = re.compile(r"Exercise (\d+): (.*)")
 
 def with_answers(name, wrong=()):
     """Return a notebook that checks each exercise as it is, with wrong answers, and solved."""
-    book = jupytext.read(COURSE / f"{name}.py")
-    found = jupytext.read(COURSE / "solutions" / f"{name}.py").cells
+    book = notebooks.built(name)
+    found = jupytext.read(notebooks.COURSE / "solutions" / f"{name}.py").cells
     solutions = [
         cell for cell in found if cell.cell_type == "code" and "Solutions of" not in cell.source
     ]
@@ -56,16 +55,38 @@ def with_answers(name, wrong=()):
 
 def run(book, folder, answers):
     """Run a notebook; its checks say the answers to each exercise, and a figure is shown."""
-    shutil.copy(COURSE / "checks.py", folder)
-    nbclient.NotebookClient(
-        book, timeout=LONGEST, kernel_name="python3", resources={"metadata": {"path": str(folder)}}
-    ).execute()
-    outputs = [output for cell in book.cells for output in cell.get("outputs", ())]
+    outputs = executed(book, folder)
     said = [found for output in outputs for found in SAYS.findall(output.get("text", ""))]
     assert len(said) >= 3 * len(answers)
     for i, (_, text) in enumerate(said):
         assert text.startswith(answers[i % len(answers)])
     assert any("image/png" in output.get("data", {}) for output in outputs)
+
+
+def executed(book, folder):
+    """Execute a notebook in an empty folder; return what its cells show."""
+    nbclient.NotebookClient(
+        book, timeout=LONGEST, kernel_name="python3", resources={"metadata": {"path": str(folder)}}
+    ).execute()
+    return [output for cell in book.cells for output in cell.get("outputs", ())]
+
+
+@pytest.mark.compiled_only
+def test_the_first_notebook_shows_a_film_of_what_it_trained(tmp_path, monkeypatch):
+    monkeypatch.delenv("MPLBACKEND", raising=False)
+    outputs = executed(notebooks.built(FIRST), tmp_path)
+    assert "survived\n" in [output.get("text") for output in outputs]
+    kinds = [kind for output in outputs for kind in output.get("data", {})]
+    assert kinds.count("image/png") == 2
+    assert "image/webp" in kinds
+
+
+def test_colab_opens_each_notebook_in_the_repository_of_the_project():
+    home = notebooks.PROJECT["urls"]["Repository"]
+    address = home.replace("github.com", "colab.research.google.com/github")
+    assert address != home
+    for name in (FIRST, *NOTEBOOKS):
+        assert f"]({address}/blob/notebooks/{name}.ipynb)" in notebooks.built(name).cells[0].source
 
 
 @pytest.mark.compiled_only
