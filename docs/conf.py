@@ -73,6 +73,7 @@ CONTENTS = {
         "/docs/how-to/replay",
         "/docs/how-to/learn-from-the-robot",
         "/docs/how-to/real-time",
+        "/docs/how-to/trouble",
         "/docs/how-to/change-the-reward",
         "/docs/how-to/bring-an-algorithm",
         "/docs/how-to/bring-a-policy",

@@ -1,5 +1,6 @@
 """Commands and Python of every page: all are valid, all that need no other machine are run."""
 
+import ast
 import os
 import re
 import shlex
@@ -86,6 +87,18 @@ def test_the_map_of_the_paper_names_what_exists():
         assert hasattr(import_module(module.removesuffix(".__init__")), name), (name, link)
         # The site jumps to the line where it is defined.
         assert re.search(rf"^(?:(?:def|class) )?{name}\b", path.read_text(), re.M), (name, link)
+
+
+def test_the_page_for_trouble_quotes_what_the_code_prints():
+    printed = []
+    for path in (ROOT / "src").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            parts = node.values if isinstance(node, ast.JoinedStr) else [node]
+            printed += ["".join(str(getattr(part, "value", "")) for part in parts)]
+    for _, text in blocks("docs/how-to/trouble.md", "text"):
+        for message in text.splitlines():
+            quoted = re.compile(".*".join(map(re.escape, message.split("..."))))
+            assert any(map(quoted.search, printed)), message
 
 
 # The commands themselves.
