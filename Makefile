@@ -13,7 +13,7 @@ COVERING = $(patsubst %,tests/safety/test_%.py,rules trial monitors stop) \
 PLUGINS = $(wildcard plugins/*/tests)
 
 .DEFAULT_GOAL := help
-.PHONY: help install check lint quick plain cover test full test-all slow docs generated hardware pictures screenshots results demo bench
+.PHONY: help install check lint quick portable plain cover test full test-all slow docs generated hardware pictures screenshots results demo bench
 
 help:  ## list these words
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -31,6 +31,9 @@ lint:  ## format, lint, types and imports
 
 quick:  ## the tests of the lower rooms
 	$(PYTHON) -m pytest -q $(QUICK)
+
+portable:  ## the tests that macOS and Windows run: simulation and learning, without a rig, from Python
+	$(PYTHON) -m pytest -q tests/model tests/control tests/learning tests/simulation
 
 plain:  ## tests of model and control without compilation: the kernels as the Python that one reads
 	NUMBA_DISABLE_JIT=1 $(PYTHON) -m pytest -q -m 'not slow and not compiled_only' tests/model \
@@ -54,9 +57,10 @@ slow:  ## the full statistics
 	$(PYTHON) -m pytest -m slow
 	$(PYTHON) -m pytest -m slow $(PLUGINS)
 
-docs:  ## the documentation site, in build/site; a warning or a broken link is an error
+docs:  ## the site and the notebooks, in build/site; a warning or a broken link is an error
 	rm -rf build/site
 	sphinx-build --quiet --fail-on-warning --keep-going -c docs . build/site
+	$(PYTHON) course/notebooks.py build/site/course
 	$(PYTHON) docs/check_site.py build/site
 
 generated:  ## write the kinematics of the iiwas again; git must see no difference
