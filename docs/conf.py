@@ -43,6 +43,7 @@ include_patterns = [
     "SECURITY.md",
     "benchmarks/README.md",
     "course/README.md",
+    "examples/README.md",
     "firmware/README.md",
     "hardware/README.md",
     "docs/**",
@@ -60,6 +61,7 @@ CONTENTS = {
         "/docs/tutorial",
         "/docs/how-to/play",
         "/course/README",
+        "/examples/README",
     ],
     "How-to": [
         "/docs/how-to/your-own-pendulum",

@@ -8,7 +8,8 @@ import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 PIPELINE = "pipeline.py"  # docs/tutorial.md links it
-LONG = (PIPELINE, "train_and_evaluate.py")
+LONG = (PIPELINE, "train_and_evaluate.py", "lqr.py", "mpc.py", "swing_up.py", "arm_from_a_urdf.py")
+PICTURED = ("lqr", "mpc", "delay_of_a_log", "swing_up", "arm_from_a_urdf")
 SAY = {
     PIPELINE: "200 of 200 trials survived 60 s",
     "identify_a_swing.py": "w2 = m g l / I",
@@ -17,6 +18,11 @@ SAY = {
     "policy_table.py": "    -10     10     50    inf",
     "foxglove.py": "open it in Foxglove",
     "deploy_on_the_twin.py": "twin:nominal: survived 20 of 20 s",
+    "lqr.py": "LQR: survived after 10 s",
+    "mpc.py": "MPC: survived after 10 s",
+    "delay_of_a_log.py": "a setpoint acts after 10.0 ms (95 %: 9.9 to 10.1 ms), by the law kst",
+    "swing_up.py": "from hanging: survived",
+    "arm_from_a_urdf.py": "elbow 6, 6 joints: survived after 10 s",
 }
 
 
@@ -43,3 +49,4 @@ def test_every_example_is_run():
 )
 def test_an_example_needs_no_file_and_says_what_it_should(example, name):
     assert SAY[name] in example(name)
+    assert [path.stem for path in Path().glob("*.png")] == [name[:-3]] * (name[:-3] in PICTURED)

@@ -19,7 +19,7 @@ from tests.cli.conftest import parse
 from tests.reference.onnx_network import FLOAT, linear_network
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("benchmarks", "course", "firmware", "hardware")
+FOLDERS = ("benchmarks", "course", "examples", "firmware", "hardware")
 PAGES = sorted(
     path.relative_to(ROOT).as_posix()
     for pattern in ("*.md", "docs/**/*.md", *(f"{name}/*.md" for name in FOLDERS))
