@@ -38,7 +38,8 @@ def plant():
 @pytest.fixture(scope="module", params=["ideal", "lag", "kst"])
 def any_plant(request):
     """One plant with each kind of actuator."""
-    actuator = Actuator.assumed(request.param, delay=0.0125, lag=0.015)
+    behind = {} if request.param == "ideal" else {"delay": 0.0125, "lag": 0.015}
+    actuator = Actuator.assumed(request.param, **behind)
     return make_loop_params(ARM, SETTINGS, paper.STEP, PENDULUM, actuator)
 
 
