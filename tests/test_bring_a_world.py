@@ -90,6 +90,14 @@ def test_it_is_a_world_of_environments():
     assert np.array_equal(first, again)
 
 
+def test_it_has_no_lanes_but_gymnasiums_own_vector_form():
+    name = "equipoise.envs:equipoise/Balance-v0"
+    with pytest.raises(InputError, match="own_world:Windy.*vectorization_mode='sync'"):
+        gym.make_vec(name, 2, world="own_world:Windy")
+    envs = gym.make_vec(name, 2, "sync", world="own_world:Windy")
+    assert envs.reset(seed=3)[0].shape == (2, 4)
+
+
 def test_a_registered_world_is_found_by_its_name(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(tmp_path)
     named = tomllib.loads(BLOCKS["toml"])["project"]["entry-points"][simulation.GROUP]

@@ -1,4 +1,7 @@
-"""The Gymnasium environments: Gymnasium's own checks, and the bits of the trials of `evaluate`."""
+"""The Gymnasium environments: Gymnasium's own checks, and the bits of the trials of `evaluate`.
+
+The vector environment must equal Gymnasium's own vector form of the single one.
+"""
 
 import copy
 import pickle
@@ -8,9 +11,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
 
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, OutsideError
+from equipoise.learning.rewards import centred
 from equipoise.model.random import TEST
 from equipoise.settings import resolve
 from equipoise.simulation import TrialRecorder, run_trial, setup_of, simulate
@@ -208,3 +213,165 @@ def test_a_reward_that_fails_is_one_sentence(reward):
     environment.reset(seed=SEED)
     with pytest.raises(InputError, match="the reward raised .*; correct it"):
         environment.step([0.0])
+
+
+# Many at once
+
+LANES = {"ideal": 3, "model": 19, "twin:nominal": 2}
+"""Number of lanes by world: on the plant more than a block, and less."""
+
+
+def assert_same(ours, theirs):
+    """Compare results of the two forms bit for bit; an info where it has a value."""
+    if not isinstance(ours, dict):
+        np.testing.assert_array_equal(ours, theirs)
+        return
+    assert ours.keys() == theirs.keys()
+    for key in ours:
+        if key.startswith("_"):
+            np.testing.assert_array_equal(ours[key], theirs[key])
+        elif isinstance(ours[key], dict):
+            assert_same(ours[key], theirs[key])
+        else:
+            rows = np.flatnonzero(theirs[f"_{key}"])
+            assert [str(ours[key][i]) for i in rows] == [str(theirs[key][i]) for i in rows]
+            assert ours[key].dtype == theirs[key].dtype
+            assert ours[key].shape == theirs[key].shape
+
+
+def alike(world, lanes, mode, **arguments):
+    """Return the two vector forms, after a reset."""
+    sync = {"vector_kwargs": {"autoreset_mode": mode}}
+    ours = gym.make_vec(NAME, lanes, world=world, autoreset_mode=mode, **arguments)
+    theirs = gym.make_vec(NAME, lanes, "sync", world=world, **sync, **arguments)
+    assert ours.metadata["autoreset_mode"] is mode
+    for space in ("action_space", "single_action_space", "observation_space"):
+        assert getattr(ours, space) == getattr(theirs, space)
+    for seed in (None, SEED) if lanes == 3 else (SEED,):
+        ours.reset(), theirs.reset()
+        for one, other in zip(ours.reset(seed=seed), theirs.reset(seed=seed), strict=True):
+            if seed is not None:
+                assert_same(one, other)
+    return ours, theirs
+
+
+@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_each_lane_has_the_bits_of_a_single_environment_in_all_its_episodes(world, mode):
+    lanes = LANES[world]
+    ours, theirs = alike(world, lanes, mode, max_episode_steps=30)
+    rng, ends = np.random.default_rng(0), np.zeros(2)
+    x, x_dot, phi, phi_dot = ours.reset()[0].T
+    theirs.reset()
+    for _ in range(200):
+        u = 2.0 * x + 3.0 * x_dot + 25.0 * phi + 2.0 * phi_dot
+        u[::2] = rng.uniform(-4.0, 4.0, len(u[::2]))  # beyond the limit, too
+        results = ours.step(u[:, None])
+        for one, other in zip(results, theirs.step(u[:, None]), strict=True):
+            assert_same(one, other)
+        x, x_dot, phi, phi_dot = results[0].T
+        ends += results[2].sum(), results[3].sum()
+    assert (ends >= 2).all()  # failures and truncations
+    ours.reset(), theirs.reset()  # the next episode of each, in the midst of one
+    assert_same(ours.step(u[:, None])[0], theirs.step(u[:, None])[0])
+    ours.close(), theirs.close()
+
+
+def test_more_lanes_than_one_thread_takes_are_equal_to_few():
+    few, many = (gym.make_vec(NAME, lanes, world="ideal") for lanes in (5, 300))
+    few.reset(seed=SEED), many.reset(seed=SEED)
+    for _ in range(60):
+        ours, theirs = few.step(np.full((5, 1), 0.5)), many.step(np.full((300, 1), 0.5))
+        for one, other in zip(ours[:4], theirs[:4], strict=True):
+            np.testing.assert_array_equal(one, other[:5])
+    many.close()
+
+
+def test_lanes_swing_up_and_take_discrete_actions_and_other_rewards_as_single_ones_do():
+    def reward(state, u, next_state, failed):
+        return next_state.phi - state.phi + 10.0 * u + 100.0 * failed
+
+    hanging = resolve(overrides=["evaluation.start=hanging"])
+    for arguments in ({"reward": reward}, {"reward": centred}, {"settings": hanging}):
+        ours, theirs = alike("ideal", 3, AutoresetMode.NEXT_STEP, discrete=True, **arguments)
+        rng = np.random.default_rng(1)
+        for _ in range(60):
+            actions = rng.integers(0, 8, 3)
+            for one, other in zip(ours.step(actions), theirs.step(actions), strict=True):
+                assert_same(one, other)
+
+
+def test_a_pendulum_that_a_lane_swung_up_may_fall_once_it_has_stood():
+    settings = resolve(overrides=["evaluation.start=hanging"])
+    envs = gym.make_vec(NAME, 1, world="model", settings=settings)
+    one = make("model", settings=settings).unwrapped
+    agent = one.simulation.acting(shipped_policy(), one._loop)
+    observations, _ = envs.reset(seed=SEED)
+    agent.reset()
+    for _ in range(1000):
+        observations, _, failed, *_ = envs.step([[agent.act(observations[0])]])
+        assert not failed
+    assert agent.balancing
+    steps = 0
+    while not failed:
+        *_, failed, _, info = envs.step([[2.0]])
+        steps += 1
+    assert steps < 100
+    assert info["outcome"] == ["angle"]
+
+
+def test_gymnasiums_wrappers_take_the_vector_environment():
+    envs = gym.make_vec(NAME, 4, world="ideal", max_episode_steps=20)
+    assert envs.spec.kwargs["vectorization_mode"] == "vector_entry_point"
+    wrapped = gym.wrappers.vector.RecordEpisodeStatistics(
+        gym.wrappers.vector.RescaleAction(envs, -1.0, 1.0)
+    )
+    wrapped.reset(seed=SEED)
+    for _ in range(20):
+        _, _, failed, late, info = wrapped.step(wrapped.action_space.sample())
+    assert (failed | late).any()
+    assert info["episode"]["l"].max() <= 20
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        ({"num_envs": 0}, "num_envs is 0; expected"),
+        ({"max_episode_steps": 0}, "max_episode_steps is 0; expected"),
+        ({"autoreset_mode": AutoresetMode.DISABLED}, "leave it out"),
+        ({"render_mode": "rgb_array"}, "leave it out"),
+        ({"reward": lambda *_: None}, "cannot be compiled"),
+        ({"reward": print}, "expected a function"),
+    ],
+)
+def test_lanes_that_cannot_be_are_one_sentence(arguments, error):
+    with pytest.raises(InputError, match=error):
+        gym.make_vec(NAME, **arguments)
+
+
+def test_steps_and_resets_that_lanes_cannot_take_are_one_sentence():
+    envs = gym.make_vec(NAME, 2, world="ideal")
+    with pytest.raises(InputError, match="no episodes are running"):
+        envs.step(np.zeros((2, 1)))
+    with pytest.raises(InputError, match="options"):
+        envs.reset(options={"trial": 1})
+    envs.reset(seed=SEED)
+    for actions in (np.zeros(3), np.full((2, 1), np.inf), "left", None):
+        with pytest.raises(InputError, match="the action is"):
+            envs.step(actions)
+    discrete = gym.make_vec(NAME, 2, world="ideal", discrete=True)
+    discrete.reset()
+    with pytest.raises(InputError, match="the action is"):
+        discrete.step(np.array([0, 8]))
+
+
+def test_a_reward_that_fails_in_a_lane_is_one_sentence():
+    def reward(state, u, next_state, failed):
+        if u < 1.0:
+            raise ValueError("too hard")
+        return 0.0
+
+    envs = gym.make_vec(NAME, 2, world="ideal", reward=reward)
+    envs.reset(seed=SEED)
+    with pytest.raises(InputError, match="the reward raised ValueError.*too hard"):
+        envs.step(np.zeros((2, 1)))

@@ -1,29 +1,33 @@
-"""Gymnasium environment of the balancing task, `equipoise/Balance-v0`.
+"""Gymnasium environments of the balancing task, `equipoise/Balance-v0`: one, and many at once.
 
-`gymnasium.make("equipoise.envs:equipoise/Balance-v0")` imports this module, which registers it.
+`gymnasium.make("equipoise.envs:equipoise/Balance-v0")` imports this module, which registers it;
+`gymnasium.make_vec` takes the same name.
 """
 
 from collections.abc import Callable
-from math import inf, isfinite, nan
-from typing import Any, Final
+from math import inf, nan
+from typing import Annotated, Any, Final
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.utils import EzPickle
-from pydantic import ValidationError
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from pydantic import Field, ValidationError
 
 from equipoise import paper
 from equipoise.arguments import checked
 from equipoise.arm.arm import Arm
 from equipoise.arm.urdf import read_arm
-from equipoise.arrays import Array
+from equipoise.arrays import Array, IntArray, Records
 from equipoise.control.controller import Observation
 from equipoise.errors import InputError
 from equipoise.files import Count, Seed, StrPath, Value, first_fault, quoted
 from equipoise.film import RigRenderer
 from equipoise.learning import rewards
+from equipoise.learning.choice import compile_reward
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, read_actuator
 from equipoise.model.grid import TRUNCATED
 from equipoise.model.pendulum import Pendulum, read_pendulum
@@ -32,15 +36,22 @@ from equipoise.model.worlds import MODEL, World
 from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.settings import Settings
 from equipoise.simulation import Setup, Trial, predicted, simulate, world_class
+from equipoise.simulation.lanes import Lanes, upright_ticks
 from equipoise.user_code import user_code
 
 Reward = Callable[[Observation, float, Observation, bool], float]
 """Reward of a step: `reward(state, u, next_state, failed)`; the states are predicted ones."""
 
-UPRIGHT_TIME: Final = 1.0
-"""Time within the failure angle after which a pendulum that was swung up may fail [s]."""
+Flags = npt.NDArray[np.bool_]
+"""Truth values."""
 ID: Final = "equipoise/Balance-v0"
 """Name of the environment for `gymnasium.make`."""
+MAX_STEPS: Final = 6000
+"""Number of steps of an episode, unless `max_episode_steps` is given."""
+ACTIONS: Final = np.array(paper.ACTIONS)
+"""Accelerations of the discrete actions [m/s^2]."""
+OUTCOMES: Final = np.array(["", *TRIAL_OUTCOMES[1:]], object)
+"""`outcome` of a step by the code that kernels return."""
 
 
 class _Options(Value):
@@ -160,14 +171,13 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
             paper.STEP,
         )
         self.reward = reward
-        self._discrete = discrete
         self.render_mode = render_mode
         self._renderer: RigRenderer | None = None
         self.observation_space = spaces.Box(-inf, inf, (4,), np.float64)
         self.action_space: gym.Space[Any] = spaces.Box(-paper.U_MAX, paper.U_MAX, (1,), np.float64)
         if discrete:
             self.action_space = spaces.Discrete(len(paper.ACTIONS))
-        self._seed, self._number, self._u, self._within = -1, 0, 0.0, 0
+        self._seed, self._number, self._u, self._upright = -1, 0, 0.0, 0
         self._state: Observation | None = None
         self.simulation = simulate(world, self.task, seed=0, stream=ENVIRONMENT)
         self._loop = self.simulation.loop()
@@ -188,9 +198,10 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
             self._number = -1
         self._number += 1
         self._loop.reset(self._trial(options or {}))
-        self._within = 0
-        self._u, self._state = 0.0, Observation(*predicted(self._loop).tolist())
-        return predicted(self._loop), self._info("")
+        self._upright = 0
+        observation = predicted(self._loop)
+        self._u, self._state = 0.0, Observation(*observation.tolist())
+        return observation, self._info("")
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Advance by one tick with the acceleration u [m/s^2], at most that of the paper.
@@ -201,27 +212,17 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
         """
         if self._state is None:
             raise InputError("no episode is running: it has failed or not begun; call env.reset()")
-        try:
-            if self._discrete:
-                u = paper.ACTIONS[int(action)] if self.action_space.contains(action) else nan
-            else:
-                u = float(np.float64(action).item())
-        except (TypeError, ValueError):
-            u = nan
-        if not isfinite(u):
-            raise InputError(f"the action is {quoted(action)}; expected one of {self.action_space}")
-        u = min(max(u, -paper.U_MAX), paper.U_MAX)
+        u = float(accelerations(action, self.action_space))
         cause, self._u = self._loop.step(u), u
         if not self._loop.balancing:
-            within = abs(float(self._loop.state()[2])) < paper.PHI_LIMIT
-            self._within = self._within + 1 if within else 0
-            self._loop.balancing = self._within * self._loop.params.h >= UPRIGHT_TIME
-        failed, after = cause != TRUNCATED, Observation(*predicted(self._loop).tolist())
+            phi, h = float(self._loop.state()[2]), self._loop.params.h
+            self._upright, self._loop.balancing = upright_ticks(self._upright, phi, h)
+        failed, observation = cause != TRUNCATED, predicted(self._loop)
+        after = Observation(*observation.tolist())
         with user_code("the reward"):
             reward = float(self.reward(self._state, u, after, failed))
         self._state = None if failed else after
-        info = self._info(TRIAL_OUTCOMES[cause] if failed else "")
-        return predicted(self._loop), reward, failed, False, info
+        return observation, reward, failed, False, self._info(OUTCOMES[cause])
 
     def render(self) -> npt.NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]  # Gymnasium's type is wider
         """Return a picture of the rig, shape (480, 640, 3); None without a render mode.
@@ -260,10 +261,166 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
         return {"time": loop.now, "outcome": outcome, "state": loop.state()}
 
 
+class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, npt.NDArray[Any]]):
+    """Balance many pendulums at once: `gymnasium.make_vec(...)` with the name of `BalanceEnv`.
+
+    ## Description
+
+    Each lane is a `BalanceEnv` with its observations, actions, rewards and ends of an episode; an
+    array has one row for each. After `reset(seed=s)`, lane i has the bits of a `BalanceEnv` after
+    `reset(seed=s + i)`, in later episodes, too, whatever the number of lanes and of cores.
+
+    Kernels advance the lanes on all cores, sixteen at a time in the worlds `ideal` and `model`. For
+    a world whose trials run from Python give `vectorization_mode="sync"` or `"async"`.
+
+    ## Episode End
+
+    `autoreset_mode` is one of Gymnasium's. With `AutoresetMode.NEXT_STEP` a lane begins its next
+    episode in the step after the end, without regard to its action. With `SAME_STEP` it does so in
+    the same step, with the last observation in `info["final_obs"]` and its info in
+    `info["final_info"]`.
+
+    ## Arguments
+
+    | argument | default | meaning |
+    | --- | --- | --- |
+    | `num_envs` | 1 | number of lanes |
+    | `max_episode_steps` | 6000 | number of steps after which an episode is truncated |
+    | `autoreset_mode` | `NEXT_STEP` | see above |
+    | others | | those of `BalanceEnv`, but for `render_mode` |
+
+    The reward is compiled with Numba, as for the training of a table.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012  (the type of Gymnasium)
+        "render_modes": [],
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    @checked
+    def __init__(
+        self,
+        num_envs: Annotated[int, Field(ge=1)] = 1,
+        world: str | World = MODEL,
+        *,
+        max_episode_steps: Annotated[int, Field(ge=1)] = MAX_STEPS,
+        autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
+        **arguments: Any,
+    ) -> None:
+        """Set up the lanes; the arguments are in the description of the class.
+
+        Raises:
+            InputError: An argument cannot be used, or the reward cannot be compiled.
+            SettingsError: The world does not exist.
+            ArmError: The twin does not know the masses of the arm.
+        """
+        if autoreset_mode is AutoresetMode.DISABLED or arguments.get("render_mode") is not None:
+            raise InputError(
+                "got a render_mode or autoreset_mode=AutoresetMode.DISABLED, which lanes do not "
+                "have; leave it out, or give vectorization_mode='sync'"
+            )
+        env = BalanceEnv(world, **arguments)
+        self.num_envs = num_envs
+        self.single_observation_space = env.observation_space
+        self.single_action_space = env.action_space
+        self.observation_space = batch_space(env.observation_space, num_envs)
+        self.action_space = batch_space(env.action_space, num_envs)
+        self.metadata = {**self.metadata, "autoreset_mode": autoreset_mode}
+        reward, own = compile_reward(env.reward), env.reward in rewards.REWARDS.values()
+        self._lanes = Lanes(env.simulation, num_envs, reward, own)
+        self._h, self._max_steps = env.task.h, max_episode_steps
+        self._over: IntArray | None = None
+
+    @checked
+    def reset(
+        self, *, seed: Seed | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        """Release the pendulums, and return the first observations and their info.
+
+        Args:
+            seed: Master seed of lane 0; lane i has `seed` + i.
+            options: None.
+
+        Raises:
+            InputError: There are options.
+        """
+        if options:
+            raise InputError("lanes take no options; replay a trial with gymnasium.make(...)")
+        super().reset(seed=seed)
+        if seed is None and self._over is None:
+            seed = int(self.np_random.integers(2**31))
+        rows = np.arange(self.num_envs)
+        self._over = rows[:0]
+        values = self._lanes.release(rows, seed)
+        return values["observation"], self._info(values, rows >= 0)
+
+    def step(self, actions: Array) -> tuple[Array, Array, Flags, Flags, dict[str, Any]]:
+        """Advance all lanes by one tick.
+
+        Args:
+            actions: An action for each lane, as in `action_space`.
+
+        Raises:
+            InputError: The actions have another shape or are not finite, no episodes are running,
+                or the reward raised an error.
+        """
+        if self._over is None:
+            raise InputError("no episodes are running; call envs.reset()")
+        u = accelerations(actions, self.action_space)
+        with user_code("the reward"):
+            values = self._lanes.step(u, self._over)
+        failed, late = values["cause"] != TRUNCATED, values["tick"] >= self._max_steps
+        ended, shown, info = failed | late, values, {}
+        self._over = np.flatnonzero(ended)
+        if self._over.size and self.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP:
+            last = np.full(self.num_envs, None, object)
+            for i in self._over:
+                last[i] = values["observation"][i]
+            info = {"final_obs": last, "final_info": self._info(values, ended)}
+            info |= {"_final_obs": ended, "_final_info": ended}
+            shown, self._over = self._lanes.release(self._over), self._over[:0]
+        info |= self._info(shown, np.ones_like(ended))
+        return shown["observation"], values["reward"], failed, late, info
+
+    def close_extras(self, **_: Any) -> None:
+        """End the threads."""
+        self._lanes.pool.shutdown()
+
+    def _info(self, values: Records, rows: Flags) -> dict[str, Any]:
+        """Return the info of some rows, in the form of Gymnasium."""
+        info = {"time": values["tick"] * self._h, "state": values["state"]}
+        info["outcome"] = OUTCOMES[values["cause"]]
+        return info | {f"_{key}": rows for key in info}
+
+
+def accelerations(actions: Any, space: gym.Space[Any]) -> Array:
+    """Return the accelerations of an action, or of one for each lane, within the paper's [m/s^2].
+
+    Raises:
+        InputError: They have another shape than those of the space, or are not finite.
+    """
+    shape, dtype = space.shape, space.dtype
+    try:
+        if dtype == np.int64:
+            u = ACTIONS[np.asarray(actions)] if space.contains(actions) else np.array(nan)
+        else:
+            u = np.asarray(actions, np.float64).reshape(shape[:-1] if shape else ())
+    except (TypeError, ValueError):
+        u = np.array(nan)
+    if not np.isfinite(u).all():
+        raise InputError(f"the action is {quoted(actions)}; expected one of {space}")
+    return np.minimum(np.maximum(u, -paper.U_MAX), paper.U_MAX)
+
+
 def register() -> None:
     """Register the environment with Gymnasium, unless it is registered already."""
     if ID not in gym.registry:
-        gym.register(ID, entry_point="equipoise.envs:BalanceEnv", max_episode_steps=6000)
+        gym.register(
+            ID,
+            entry_point="equipoise.envs:BalanceEnv",
+            vector_entry_point="equipoise.envs:BalanceVectorEnv",
+            max_episode_steps=MAX_STEPS,
+        )
 
 
 register()

@@ -91,19 +91,28 @@ def compile_functions(settings: LearningSettings) -> tuple[Any, Any, bool]:
         SettingsError: The name is unknown.
     """
     algorithm, reward = load_algorithm(settings), _load(settings.reward, "reward", REWARDS)
-    if not callable(reward):
-        raise InputError(
-            f"{settings.reward} is of type {type(reward).__name__}, expected a function "
-            "reward(state, u, next_state, failed); give one"
-        )
-    state = Observation(0.0, 0.0, 0.0, 0.0)
     transition = Transition(0, 0, 0.0, 0, False, False, 0.0, 0.0, 0)
     params = UpdateParams(0.0, 0.0, 0.0, 0.0, False)
     kinds = map(numba.typeof, (new_tables(1, algorithm.tables), transition, params))
     update = _compiled(algorithm.update, tuple(kinds))
-    result, kinds = numba.float64, map(numba.typeof, (state, 0.0, state, False))
-    reward = _compiled(getattr(reward, "py_func", reward), result(*kinds))
-    return update, reward, ":" not in settings.algorithm + settings.reward
+    return update, compile_reward(reward), ":" not in settings.algorithm + settings.reward
+
+
+def compile_reward(reward: Any) -> Any:
+    """Return a reward of the project or of a user, callable in kernels.
+
+    Raises:
+        InputError: It is no function, or cannot be compiled.
+    """
+    function = getattr(reward, "py_func", reward)
+    if not inspect.isfunction(function):
+        raise InputError(
+            f"the reward is of type {type(reward).__name__}, expected a function "
+            "reward(state, u, next_state, failed); give one"
+        )
+    state = Observation(0.0, 0.0, 0.0, 0.0)
+    kinds = map(numba.typeof, (state, 0.0, state, False))
+    return _compiled(function, numba.float64(*kinds))
 
 
 def _load(name: str, option: str, known: Mapping[str, Any]) -> Any:

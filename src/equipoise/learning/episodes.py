@@ -19,7 +19,6 @@ import numpy as np
 from equipoise import paper
 from equipoise.arrays import Array, IntArray, Records, fields, new_records, rows_of
 from equipoise.control.control_step import LANES, Observed
-from equipoise.control.controller import Observation
 from equipoise.control.policy import LearningPoint
 from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import InputError
@@ -54,6 +53,7 @@ from equipoise.simulation.plant import (
     box_of,
     copy_lane,
     draw_noise,
+    observed,
 )
 from equipoise.user_code import user_code
 
@@ -218,12 +218,6 @@ def step_in_world(loop: ClosedLoop, config: TrainingConfig, running: Episodes, l
     seen = batch.controller.observation
     batch.cause[0] = loop.step(float(batch.controller.u[0]))
     seen.x[0], seen.x_dot[0], seen.phi[0], seen.phi_dot[0] = predicted(loop)
-
-
-@inlined
-def observed(state: Observed, n: int) -> Observation:
-    """Return the observation of lane `n`."""
-    return Observation(state.x[n], state.x_dot[n], state.phi[n], state.phi_dot[n])
 
 
 def episode_loop(

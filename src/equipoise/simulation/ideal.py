@@ -16,15 +16,16 @@ from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import SettingsError
 from equipoise.jit import call, inlined, kernel
 from equipoise.model.worlds import IDEAL, MODEL, World
-from equipoise.simulation.interface import ClosedLoop, Setup, Simulation
+from equipoise.simulation.interface import ClosedLoop, Setup, SideBySide, Simulation
 from equipoise.simulation.plant import (
     BatchState,
     DomainRandomization,
     LoopParams,
-    draw_noise,
+    draw_uniform,
     make_loop_params,
     measure,
     scaled,
+    to_normal,
 )
 from equipoise.simulation.trials import Trial, Trials, trial_loop
 
@@ -41,7 +42,7 @@ class PlantWorld(NamedTuple):
     batch_size: int
     """Number of trials that run side by side."""
     seed: int
-    """Seed of the noise."""
+    """Seed of the trials."""
     stream: int
     """Stream of the noise: selection or test."""
     swing_up: SwingUp
@@ -63,17 +64,23 @@ def place(
 
 
 @inlined
-def advance(world: PlantWorld, tick: IntArray, number: IntArray, lanes: int) -> None:
+def advance(
+    world: PlantWorld, seed: IntArray, tick: IntArray, number: IntArray, lanes: int
+) -> None:
     """Advance the first lanes by one step, with the u of their controllers.
 
     Args:
         world: Changed in place.
+        seed: Seed of the noise of each lane.
         tick: Number of steps of each lane.
         number: Number of the trial of each lane.
         lanes: Number of lanes.
     """
     batch = world.states[0]
-    draw_noise(batch.controller.noise, world.seed, tick, number, world.stream, lanes)
+    noise = batch.controller.noise
+    for n in range(lanes):
+        draw_uniform(noise, seed[n], tick[n], number[n], world.stream, n)
+    to_normal(noise, lanes)
     call(world.plant.step, (world.plant, batch, lanes))
 
 
@@ -116,6 +123,11 @@ class PlantSimulation(Simulation):
         world = world._replace(swing_up=self.law_for(world.swing_up, policy))
         run_trials(world, policy, trials, np.array(rows, np.int64), max_steps)
 
+    def side_by_side(self, count: int) -> SideBySide:
+        """Return worlds for lanes that advance together."""
+        worlds = [self.world_of(BATCH_SIZE) for _ in range(0, count, BATCH_SIZE)]
+        return worlds, place, advance, lambda *_: None
+
     def world_of(self, batch_size: int) -> PlantWorld:
         """Return the world of some trials that run side by side."""
         states = new_records(BatchState)
@@ -137,15 +149,16 @@ class PlantLoop(ClosedLoop):
         """Allocate the state."""
         self._simulation, self._world = simulation, simulation.world_of(1)
         self._batch = fields(self._world.states, BatchState)
-        self._number, self._tick = np.zeros((2, 1), np.int64)
+        self._seed, self._tick, self._number = np.zeros((3, 1), np.int64)
         self.params, self.controller = simulation.params.controller, self._batch.controller
         self.pendulum = simulation.pendulum
 
     def reset(self, trial: Trial) -> None:
         """Release the pendulum under the conditions of a trial."""
         own, simulation = trial.variation, self._simulation
-        self._number[0], self._tick[0], self.now, self.tracked = trial.number, 0, 0.0, 0.0
-        self._world = self._world._replace(seed=simulation.seed, stream=simulation.stream)
+        self._seed[0], self._number[0], self._tick[0] = simulation.seed, trial.number, 0
+        self.now, self.tracked = 0.0, 0.0
+        self._world = self._world._replace(stream=simulation.stream)
         self.pendulum = scaled(simulation.pendulum, own.inertia_factor, own.friction_factor)
         self.zero = own.zero if self.params.has_sensor else None
         place_alone(self._world, own, trial.start, 0)
@@ -153,7 +166,7 @@ class PlantLoop(ClosedLoop):
     def step(self, u: float) -> int:
         """Advance by one tick with u [m/s^2], and return the cause of the failure."""
         self.controller.u[0] = u
-        advance_alone(self._world, self._tick, self._number, 1)
+        advance_alone(self._world, self._seed, self._tick, self._number, 1)
         self._tick += 1
         self.now = float(self._tick[0]) * self.params.h
         self.tracked = float(self._batch.u_tracked[0])

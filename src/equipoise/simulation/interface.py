@@ -31,6 +31,7 @@ from equipoise.control.swing_up import (
 )
 from equipoise.errors import InputError, SettingsError
 from equipoise.executors import completed
+from equipoise.files import quoted
 from equipoise.model.actuator import Actuator
 from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED
 from equipoise.model.pendulum import Pendulum, PendulumParameters
@@ -128,6 +129,12 @@ class Setup(NamedTuple):
     """Time between ticks [s]."""
 
 
+SideBySide = tuple[list[Any], Callable[..., None], Callable[..., None], Callable[..., object]]
+"""Worlds whose lanes advance together (`equipoise.simulation.lanes`): a list of them; the functions
+`place` and `advance` of `trial_loop`; and `prepare(rows, seeds, numbers, variations)`, which is
+called before lanes are placed at the start of trials."""
+
+
 class Simulation(ABC):
     """A simulated world with the inputs of its trials.
 
@@ -170,6 +177,17 @@ class Simulation(ABC):
     @abstractmethod
     def loop(self) -> ClosedLoop:
         """Return a closed loop for `reset`."""
+
+    def side_by_side(self, count: int) -> SideBySide:
+        """Return worlds for lanes that advance together.
+
+        Raises:
+            InputError: The trials of this world are not compiled.
+        """
+        raise InputError(
+            f"the world {quoted(self.name)} runs from Python, so that it has no lanes; give "
+            "vectorization_mode='sync' or 'async'"
+        )
 
     def draw(self, count: int, first: int = 0) -> Trials:
         """Draw the conditions of `count` trials from number `first` on."""

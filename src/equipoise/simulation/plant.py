@@ -37,6 +37,7 @@ from equipoise.control.control_step import (
     pivot_velocity,
     wrapped,
 )
+from equipoise.control.controller import Observation
 from equipoise.control.swing_up import SwingUpState
 from equipoise.elementary import BATCH_SIZE, sincos
 from equipoise.jit import call, compilable, inlined, pointer
@@ -442,11 +443,23 @@ def draw_noise(
         lanes: Number of lanes.
     """
     for n in range(lanes):
-        w0, w1, w2, w3 = philox(seed, tick[n], index[n], 0, stream)
-        v0, v1, _, _ = philox(seed, tick[n], index[n], 0, stream + 1)
-        noise[0, n], noise[1, n] = uniform(w0, 1.0, 0.0), turn(w1)
-        noise[2, n], noise[3, n] = uniform(w2, 1.0, 0.0), turn(w3)
-        noise[4, n], noise[5, n] = uniform(v0, 1.0, 0.0), turn(v1)
+        draw_uniform(noise, seed, tick[n], index[n], stream, n)
+    to_normal(noise, lanes)
+
+
+@inlined
+def draw_uniform(noise: Array, seed: int, tick: int, index: int, stream: int, n: int) -> None:
+    """Write the uniform numbers and angles of lane `n`, from which `to_normal` makes its noise."""
+    w0, w1, w2, w3 = philox(seed, tick, index, 0, stream)
+    v0, v1, _, _ = philox(seed, tick, index, 0, stream + 1)
+    noise[0, n], noise[1, n] = uniform(w0, 1.0, 0.0), turn(w1)
+    noise[2, n], noise[3, n] = uniform(w2, 1.0, 0.0), turn(w3)
+    noise[4, n], noise[5, n] = uniform(v0, 1.0, 0.0), turn(v1)
+
+
+@inlined
+def to_normal(noise: Array, lanes: int) -> None:
+    """Turn the uniform numbers and angles of the first lanes into standard normal numbers."""
     # Loops with few arrays and formulas: a compiler vectorises no large one.
     for i in range(0, 6, 2):
         for n in range(lanes):
@@ -461,6 +474,12 @@ def copy_lane(rows: IntArray, source: int, target: int) -> None:
     """Copy one lane to another, to fill the gap of a finished one; `rows` from `rows_of`."""
     for i in range(len(rows)):
         rows[i, target] = rows[i, source]
+
+
+@inlined
+def observed(state: Observed, n: int) -> Observation:
+    """Return the observation or the true state of lane `n`."""
+    return Observation(state.x[n], state.x_dot[n], state.phi[n], state.phi_dot[n])
 
 
 @inlined

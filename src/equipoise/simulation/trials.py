@@ -107,7 +107,8 @@ def trial_loop(place: Callable[..., None], advance: Callable[..., None]) -> Call
 
     Args:
         place: Places a lane at the start of a trial: `place(world, variation, start, n)`.
-        advance: Advances the first lanes by a step: `advance(world, tick, number, lanes)`.
+        advance: Advances the first lanes by a step: `advance(world, seed, tick, number, lanes)`,
+            all but the world and the number of lanes as arrays.
     """
 
     def run_trials(
@@ -128,6 +129,7 @@ def trial_loop(place: Callable[..., None], advance: Callable[..., None]) -> Call
         swings = batch.swing_up
         balancing, swing_steps = batch.controller.balancing, round(law.time_limit / law.h)
         row = np.zeros(world.batch_size, np.int64)
+        seed = np.full(world.batch_size, world.seed)
         number = np.zeros(world.batch_size, np.int64)
         tick = np.zeros(world.batch_size, np.int64)
         upright = np.zeros(world.batch_size, np.int64)
@@ -161,7 +163,7 @@ def trial_loop(place: Callable[..., None], advance: Callable[..., None]) -> Call
                     u[n] = act(policy, x, x_dot, phi, phi_dot, chance)
                 else:
                     u[n] = swings.u[n]
-            advance(world, tick, number, lanes)
+            advance(world, seed, tick, number, lanes)
             for n in range(lanes - 1, -1, -1):
                 tick[n] += 1
                 if balancing[n] == 0:

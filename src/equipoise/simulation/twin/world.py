@@ -38,7 +38,7 @@ from equipoise.safety.trial import (
     trial_safety,
     trial_violation,
 )
-from equipoise.simulation.interface import ClosedLoop, Measurement, Setup, Simulation
+from equipoise.simulation.interface import ClosedLoop, Measurement, Setup, SideBySide, Simulation
 from equipoise.simulation.plant import DomainRandomization, failure, scaled
 from equipoise.simulation.trials import Trial, Trials, draw_trials, trial_loop
 from equipoise.simulation.twin.physics import TICK
@@ -115,11 +115,12 @@ def _read_truth(world: TwinWorld) -> None:
 
 
 @inlined
-def step(world: TwinWorld, tick: IntArray, number: IntArray, lanes: int) -> None:
+def step(world: TwinWorld, seed: IntArray, tick: IntArray, number: IntArray, lanes: int) -> None:
     """Send the setpoints for u; at the end of the step observe, and decide about a failure.
 
     Args:
         world: The state of its controller holds u; changed in place.
+        seed: Not used: the twin knows its seed.
         tick: Not used: the twin counts its milliseconds, and knows the number of its trial.
         number: Not used.
         lanes: Not used: there is one.
@@ -208,6 +209,18 @@ class TwinSimulation(Simulation):
         """Return a closed loop for `reset`."""
         return TwinLoop(self)
 
+    def side_by_side(self, count: int) -> SideBySide:
+        """Return worlds for lanes that advance together."""
+        loops = [self.loop() for _ in range(count)]
+
+        def prepare(*columns: Array) -> None:
+            for i, seed, number, variation in zip(*map(np.ndarray.tolist, columns), strict=True):
+                self.seed, own = seed, DomainRandomization(*variation)
+                loops[i].prepare(Trial(number, (0.0, 0.0, 0.0, 0.0), own))
+
+        worlds = [loop.prepare(self.draw(1).trial(0)) for loop in loops]
+        return worlds, release, step, prepare
+
     def run_piece(
         self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
     ) -> None:
@@ -258,7 +271,7 @@ class TwinLoop(ClosedLoop):
     def step(self, u: float) -> int:
         """Advance by one tick with u [m/s^2], and return the cause of the failure."""
         self.controller.u[0], x_dot = u, float(self._state.state.x_dot[0])
-        step_alone(self._world, self._unused, self._unused, 1)
+        step_alone(self._world, self._unused, self._unused, self._unused, 1)
         moved = float(self._state.state.x_dot[0]) - x_dot
         self.tracked, self.now = moved / self.params.h, self._twin.now
         return int(self._state.cause[0])
