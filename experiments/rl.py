@@ -1,51 +1,40 @@
-"""Train DQN, PPO and SAC of Stable-Baselines3 on the environment, and write them as ONNX files.
+"""Train DQN and SAC of Stable-Baselines3 on the environment, and write them as ONNX files.
 
 The hyperparameters are in `experiments/rl/*.yml`, in the form of RL Zoo, which can train from them
 too. Each network is written with its scaling, so that it takes the observation and returns the
 acceleration in SI units; `compare.py` runs the files beside the tables::
 
     python -m pip install '.[rl]'
-    python experiments/rl.py --out rl                     # dqn.onnx, ppo.onnx, sac.onnx, rl.json
+    python experiments/rl.py --out rl              # dqn.onnx and sac.onnx, a .json beside each
+    python experiments/ppo.py --out rl             # ppo.onnx, in one file without this library
     python experiments/compare.py rl/dqn.onnx rl/ppo.onnx rl/sac.onnx
 
-A training uses the world `model` and the paper's reward, as the tables do, and one thread.
+A training uses the world `model` and the paper's reward, as the tables do, and one thread. Both
+algorithms learn from single steps, so that they use a single environment; PPO learns from many
+episodes at once, those of the vector environment.
 """
 
 import argparse
-import json
-import math
-import os
-import sys
 import time
+from functools import partial
 from importlib import import_module
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
 import gymnasium as gym
 import numpy as np
-import onnx
-import onnxruntime
 import stable_baselines3
 import torch
 import yaml
+from ppo import PACKAGES, SCALE, export, record, refuse_existing
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
 
 import equipoise.envs  # noqa: F401  (registers the environments)
 from equipoise import paper
-from equipoise.files import write_atomically
 
 HERE: Final = Path(__file__).parent
-ALGORITHMS: Final = ("dqn", "ppo", "sac")
-SCALE: Final = (paper.X_LIMIT, 0.5, paper.PHI_LIMIT, 1.0)
-"""Units of the network's input: the limits of x [m] and phi [rad], 0.5 m/s, and 1 rad/s."""
-PACKAGES: Final = ("stable-baselines3", "torch", "onnx", "onnxruntime", "gymnasium", "numpy")
-SAMPLES: Final = 1000
-"""Number of observations on which an exported network is compared with its policy."""
-TOLERANCE: Final = 1e-4
-"""Difference of u between network and policy that counts [m/s^2]: both compute in single
-precision."""
+ALGORITHMS: Final = ("dqn", "sac")
 DIFFERENT: Final = 5
 """Largest number of observations in which they may differ: DQN's two best values may be equal to
 rounding, and then either action is right."""
@@ -84,13 +73,8 @@ class Network(torch.nn.Module):
         if self.discrete:
             best = self.policy.q_net(scaled).argmax(dim=1)
             return self.actions[best].reshape(1, 1)
-        if hasattr(self.policy, "actor"):
-            # Without its distribution, which PyTorch cannot export.
-            action = torch.tanh(self.policy.actor.get_action_dist_params(scaled)[0])
-        else:
-            features = self.policy.mlp_extractor.forward_actor(scaled)
-            action = self.policy.action_net(features)
-        return paper.U_MAX * torch.clamp(action, -1.0, 1.0)
+        # Without its distribution, which PyTorch cannot export.
+        return paper.U_MAX * torch.tanh(self.policy.actor.get_action_dist_params(scaled)[0])
 
 
 def hyperparameters(algorithm: str) -> tuple[str, dict[str, Any]]:
@@ -131,29 +115,15 @@ def train(algorithm: str, steps: int | None, seed: int) -> tuple[BaseAlgorithm, 
     return model, time.perf_counter() - begin
 
 
-def export(model: BaseAlgorithm, path: Path) -> int:
-    """Write a policy as ONNX; return the number of observations in which the file differs."""
-    network = Network(model).eval()
-    torch.onnx.export(network, (torch.zeros(1, 4),), str(path), external_data=False)
-    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    name = session.get_inputs()[0].name
-    rng, different = np.random.default_rng(0), 0
-    for _ in range(SAMPLES):
-        row = (rng.uniform(-1.0, 1.0, (1, 4)) * SCALE).astype(np.float32)
-        computed = np.asarray(session.run(None, {name: row})[0]).item()
-        action = model.predict(row / np.array(SCALE, np.float32), deterministic=True)[0].item()
-        wanted = paper.ACTIONS[action] if network.discrete else paper.U_MAX * action
-        different += abs(computed - wanted) > TOLERANCE
-    return different
+def u_of(model: BaseAlgorithm, observation: np.ndarray) -> float:
+    """Return u of a model [m/s^2] for an observation, shape (1, 4)."""
+    action = model.predict(observation / np.array(SCALE, np.float32), deterministic=True)[0].item()
+    discrete = isinstance(model.action_space, gym.spaces.Discrete)
+    return paper.ACTIONS[action] if discrete else paper.U_MAX * action
 
 
-def parameters(path: Path) -> int:
-    """Return the number of parameters of an exported network."""
-    return sum(math.prod(tensor.dims) for tensor in onnx.load(str(path)).graph.initializer)
-
-
-def main() -> int:
-    """Train and export; return the exit code."""
+def main() -> None:
+    """Train and export."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("rl"), help="folder to write")
     parser.add_argument("--only", choices=ALGORITHMS, action="append", help="repeatable")
@@ -161,36 +131,21 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     torch.set_num_threads(1)
-    args.out.mkdir(parents=True, exist_ok=True)
     for algorithm in args.only or ALGORITHMS:
-        path, record = (args.out / f"{algorithm}.{end}" for end in ("onnx", "json"))
-        if path.exists() or record.exists():
-            print(f"error: {path} or {record} exists; give another --out", file=sys.stderr)
-            return 2
+        path = args.out / f"{algorithm}.onnx"
+        refuse_existing(path)
         model, wall = train(algorithm, args.steps, args.seed)
-        different = export(model, path)
-        if different > DIFFERENT:
-            print(
-                f"error: {path} differs from its policy in {different} of {SAMPLES} observations, "
-                f"expected at most {DIFFERENT}; check the exporter's messages",
-                file=sys.stderr,
-            )
-            return 1
+        different = export(Network(model).eval(), path, partial(u_of, model), DIFFERENT)
         facts = {
             "algorithm": algorithm,
             "environment": hyperparameters(algorithm)[0],
             "steps": int(model.num_timesteps),
             "seed": args.seed,
             "train_s": wall,
-            "parameters": parameters(path),
             "different": different,
-            "versions": {name: version(name) for name in PACKAGES},
-            "cores": len(os.sched_getaffinity(0)),
         }
-        write_atomically(record, json.dumps(facts, indent=1) + "\n")
-        print(f"{algorithm}: {facts['steps']:,} steps in {wall:.0f} s, wrote {path}")
-    return 0
+        record(path, ("stable-baselines3", *PACKAGES), facts)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
