@@ -18,10 +18,11 @@ The peers are optimised as far as Python allows. Each does the same piece of wor
 each round, and the rounds alternate, so that a processor that warms up or is shared slows all of
 them alike. Compilation and imports come before the first round.
 
-Last, trainings run side by side on several cores::
+Last, trainings run side by side on several cores, and on all of them the vector environment, with
+the whole arm behind the actuator, beside CartPole's, which Gymnasium computes with NumPy::
 
     python benchmarks/bench.py            # a table
-    python benchmarks/bench.py --json     # steps_per_second and ratios, by name
+    python benchmarks/bench.py --json     # steps_per_second and ratios by name, and more
 """
 
 import argparse
@@ -36,6 +37,7 @@ from bisect import bisect
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
 from math import radians
 from pathlib import Path
@@ -46,6 +48,7 @@ import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.arm.arm import Arm
+from equipoise.control.baselines import lqr_gains
 from equipoise.control.policy import shipped_policy
 from equipoise.elementary import fma
 from equipoise.executors import available_cores
@@ -92,6 +95,11 @@ TRIAL_COUNT: Final = 64
 TRIAL_TIME: Final = 10.0
 """Length of a trial [s]."""
 TWIN_TRIALS: Final = 2
+LANES: Final = "equipoise.envs:equipoise/Balance-v0"
+WIDTHS: Final = (16, 64, 1024)
+"""Numbers of lanes of the vector environments."""
+LANE_STEPS: Final = 65_536
+"""Steps of all their lanes together in a round."""
 ROUNDS: Final = 5
 PEER_STEPS: Final = 32_000
 """Steps of a peer in a round: some tenths of a second."""
@@ -116,6 +124,8 @@ class Benchmark(NamedTuple):
     """The core that all ran on; None where the system cannot say."""
     scaling: dict[int, float]
     """Speed of trainings side by side on a number of cores, relative to one core."""
+    lanes: dict[int, tuple[float, float]]
+    """Steps per second of our vector environment and of CartPole's, by the number of lanes."""
 
     @property
     def steps_per_second(self) -> dict[str, float]:
@@ -163,7 +173,8 @@ def benchmark(pendulum: Pendulum, arm: Arm, settings: Settings) -> Benchmark:
     with _one_core() as core:
         rates, missing = race(prepare)
     _print_to_stderr("side by side")
-    return Benchmark(rates, missing, core, scaling(training, available_cores()))
+    side_by_side = scaling(training, available_cores())
+    return Benchmark(rates, missing, core, side_by_side, vector_environments(pendulum))
 
 
 def race(prepare: dict[str, Callable[[], Work]]) -> tuple[dict[str, Rate], dict[str, str]]:
@@ -219,6 +230,11 @@ def table(result: Benchmark) -> "Table":
     ]
     cores = ", ".join(f"{n}: {speed:.2f}" for n, speed in result.scaling.items())
     notes += [f"speed of trainings side by side, by the number of cores: {cores}"]
+    notes += [
+        f"vector environments of {n} lanes on all cores: ours {ours / 1e3:,.0f}, CartPole "
+        f"{peer / 1e3:,.0f}, ratio {ours / peer:.2f}"
+        for n, (ours, peer) in result.lanes.items()
+    ]
     notes += [f"{name} is left out: {why}" for name, why in result.missing.items()]
     view = Table(title="Thousand steps per second", caption="\n".join(notes))
     view.add_column()
@@ -476,6 +492,43 @@ def cart_pole_work(steps: int = PEER_STEPS) -> Work:
     return work
 
 
+def vector_environments(pendulum: Pendulum) -> dict[int, tuple[float, float]]:
+    """Return steps per second of our vector environment and of CartPole's, by number of lanes.
+
+    The LQR balances the arms, and a PD law the carts, so that few episodes fail.
+    """
+    gains = np.array(lqr_gains(pendulum.parameters(), paper.STEP))
+    peers: dict[str, Callable[[Array], Any]] = {
+        LANES: lambda seen: (seen @ gains)[:, None],
+        "CartPole-v1": lambda seen: (seen[:, 2] + seen[:, 3] > 0.0).astype(np.int64),
+    }
+    speeds: dict[int, tuple[float, float]] = {}
+    for width in WIDTHS:
+        prepare = {n: partial(vector_work, n, act, width) for n, act in peers.items()}
+        rates, missing = race(prepare)
+        if not missing:
+            speeds[width] = rates[LANES].median, rates["CartPole-v1"].median
+    return speeds
+
+
+def vector_work(name: str, act: Callable[[Array], Any], width: int) -> Work:
+    """Return the work of a vector environment: steps of its lanes, from where they were.
+
+    Raises:
+        ImportError: Gymnasium is not installed.
+    """
+    envs = import_module("gymnasium").make_vec(name, width, "vector_entry_point")
+    seen, _ = envs.reset(seed=0)
+
+    def work() -> int:
+        nonlocal seen
+        for _ in range(LANE_STEPS // width):
+            seen, *_ = envs.step(act(seen))
+        return LANE_STEPS // width * width
+
+    return work
+
+
 def _print_to_stderr(text: str) -> None:
     print(text, file=sys.stderr)
 
@@ -550,6 +603,7 @@ def summary(result: Benchmark) -> dict[str, object]:
         "operations": OPERATIONS,
         "share_of_peak": result.fractions,
         "scaling": result.scaling,
+        "lanes": result.lanes,
         "missing": result.missing,
         "processor": _processor(),
     }

@@ -148,12 +148,9 @@ def train(steps: int, seed: int) -> tuple[Policy, int, float]:
                 for network in (policy, critic):
                     nn.utils.clip_grad_norm_(network.parameters(), MAX_GRADIENT)
                 optimiser.step()
-        lengths = TICKS * LANES / max(float(ended.sum()), 1.0)
         if (update + 1) % 10 == 0:
-            message = (
-                f"update {update + 1} of {updates}: an episode ends every {lengths:,.0f} steps"
-            )
-            print(message, file=sys.stderr)
+            often = f"{failed.sum():,.0f} of {real.sum():,} steps failed"
+            print(f"update {update + 1} of {updates}: {often}", file=sys.stderr)
     envs.close()
     return policy.eval(), updates * TICKS * LANES, time.perf_counter() - begin
 

@@ -21,7 +21,7 @@ from equipoise import paper
 from equipoise.arguments import checked
 from equipoise.arm.arm import Arm
 from equipoise.arm.urdf import read_arm
-from equipoise.arrays import Array, IntArray, Records
+from equipoise.arrays import Array, Records
 from equipoise.control.controller import Observation
 from equipoise.errors import InputError
 from equipoise.files import Count, Seed, StrPath, Value, first_fault, quoted
@@ -329,7 +329,7 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, npt.NDArray[Any]]):
         reward, own = compile_reward(env.reward), env.reward in rewards.REWARDS.values()
         self._lanes = Lanes(env.simulation, num_envs, reward, own)
         self._h, self._max_steps = env.task.h, max_episode_steps
-        self._over: IntArray | None = None
+        self._all, self._over = np.ones(num_envs, np.bool_), None
 
     @checked
     def reset(
@@ -352,7 +352,7 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, npt.NDArray[Any]]):
         rows = np.arange(self.num_envs)
         self._over = rows[:0]
         values = self._lanes.release(rows, seed)
-        return values["observation"], self._info(values, rows >= 0)
+        return values["observation"], self._info(values, self._all)
 
     def step(self, actions: Array) -> tuple[Array, Array, Flags, Flags, dict[str, Any]]:
         """Advance all lanes by one tick.
@@ -379,7 +379,7 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, npt.NDArray[Any]]):
             info = {"final_obs": last, "final_info": self._info(values, ended)}
             info |= {"_final_obs": ended, "_final_info": ended}
             shown, self._over = self._lanes.release(self._over), self._over[:0]
-        info |= self._info(shown, np.ones_like(ended))
+        info |= self._info(shown, self._all)
         return shown["observation"], values["reward"], failed, late, info
 
     def close_extras(self, **_: Any) -> None:
@@ -388,9 +388,9 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, npt.NDArray[Any]]):
 
     def _info(self, values: Records, rows: Flags) -> dict[str, Any]:
         """Return the info of some rows, in the form of Gymnasium."""
-        info = {"time": values["tick"] * self._h, "state": values["state"]}
-        info["outcome"] = OUTCOMES[values["cause"]]
-        return info | {f"_{key}": rows for key in info}
+        time, outcome = values["tick"] * self._h, OUTCOMES[values["cause"]]
+        info = {"time": time, "state": values["state"], "outcome": outcome}
+        return info | {"_time": rows, "_state": rows, "_outcome": rows}
 
 
 def accelerations(actions: Any, space: gym.Space[Any]) -> Array:
