@@ -35,19 +35,13 @@ SCALE: Final = (paper.X_LIMIT, 0.5, paper.PHI_LIMIT, 1.0)
 """Units of the network's input: the limits of x [m] and phi [rad], 0.5 m/s, and 1 rad/s."""
 NAME: Final = "equipoise.envs:equipoise/Balance-v0"
 PACKAGES: Final = ("torch", "onnx", "onnxruntime", "gymnasium", "numpy")
-STEPS: Final = 1_000_000
-"""Number of steps of all lanes together, unless `--steps` is given."""
 LANES: Final = 64
 TICKS: Final = 128
 """Number of steps of each lane between two updates."""
-EPISODE_STEPS: Final = 1000
-"""Number of steps after which an episode is truncated: 10 s."""
 EPOCHS: Final = 8
 """Number of passes over the steps in an update."""
 BATCH: Final = 1024
 """Number of steps for a gradient."""
-WIDTH: Final = 64
-"""Number of units in each of the two hidden layers."""
 RATE: Final = 1e-3
 """Learning rate at the beginning; it falls to zero."""
 GAMMA: Final = 0.99
@@ -56,18 +50,15 @@ LAMBDA: Final = 0.95
 """Decay of the advantage estimator."""
 CLIP: Final = 0.2
 """Largest change of a probability ratio that an update rewards."""
-MAX_GRADIENT: Final = 0.5
-"""Norm at which a gradient is cut."""
 SAMPLES: Final = 1000
 """Number of observations on which an exported network is compared with its policy."""
 TOLERANCE: Final = 1e-4
-"""Difference of u between network and policy that counts [m/s^2]: both compute in single
-precision."""
+"""Difference of u that counts [m/s^2]: both compute in single precision."""
 
 
 def perceptron(outputs: int, gain: float) -> nn.Sequential:
     """Return a network with two hidden layers, and orthogonal weights at the beginning."""
-    sizes = (len(SCALE), WIDTH, WIDTH, outputs)
+    sizes = (len(SCALE), 64, 64, outputs)
     layers: list[nn.Module] = []
     for i, scale in enumerate((2**0.5, 2**0.5, gain)):
         layer = nn.Linear(sizes[i], sizes[i + 1])
@@ -99,11 +90,11 @@ class Policy(nn.Module):
 def train(steps: int, seed: int) -> tuple[Policy, int, float]:
     """Train a policy; return it, the number of steps and the wall time [s]."""
     torch.manual_seed(seed)
-    envs = gym.make_vec(NAME, LANES, world="model", max_episode_steps=EPISODE_STEPS)
+    envs = gym.make_vec(NAME, LANES, world="model", max_episode_steps=1000)
     policy, critic = Policy(), perceptron(1, 1.0)
     optimiser = torch.optim.Adam([*policy.parameters(), *critic.parameters()], RATE, eps=1e-5)
     seen = torch.zeros(TICKS + 1, LANES, len(SCALE))
-    actions, log_p, rewards, failed, ended = torch.zeros(5, TICKS, LANES)
+    actions, log_p, rewards, failed = torch.zeros(4, TICKS, LANES)
     over = torch.zeros(TICKS + 1, LANES)  # whether the episode of a lane ended a step ago
     updates = -(-steps // (TICKS * LANES))
 
@@ -120,17 +111,14 @@ def train(steps: int, seed: int) -> tuple[Policy, int, float]:
                 chosen = policy.distribution(seen[t])
                 actions[t] = chosen.sample()
                 log_p[t] = chosen.log_prob(actions[t])
-                u = paper.U_MAX * actions[t].numpy()[:, None]
-                observed, reward, fell, late, _ = envs.step(u)
+                u = paper.U_MAX * actions[t, :, None]
+                observed, reward, fell, late, _ = envs.step(u.numpy())
                 seen[t + 1], rewards[t] = scaled(observed), torch.from_numpy(reward)
                 failed[t], over[t + 1] = torch.from_numpy(fell), torch.from_numpy(fell | late)
-            ended = over[1:]
             values = critic(seen)[..., 0]
-            errors = rewards + GAMMA * values[1:] * (1.0 - failed) - values[:-1]
-            advantages, later = torch.zeros(TICKS, LANES), torch.zeros(LANES)
-            for t in reversed(range(TICKS)):
-                later = errors[t] + GAMMA * LAMBDA * (1.0 - ended[t]) * later
-                advantages[t] = later
+            advantages = rewards + GAMMA * values[1:] * (1.0 - failed) - values[:-1]
+            for t in reversed(range(TICKS - 1)):
+                advantages[t] += GAMMA * LAMBDA * (1.0 - over[t + 1]) * advantages[t + 1]
             targets = advantages + values[:-1]
         # A lane whose episode is over begins the next one, whatever its action: no step to learn.
         real = over[:-1] == 0.0
@@ -145,8 +133,7 @@ def train(steps: int, seed: int) -> tuple[Policy, int, float]:
                 loss = loss + 0.5 * (critic(states)[:, 0] - wanted).square().mean()
                 optimiser.zero_grad()
                 loss.backward()
-                for network in (policy, critic):
-                    nn.utils.clip_grad_norm_(network.parameters(), MAX_GRADIENT)
+                nn.utils.clip_grad_norm_(optimiser.param_groups[0]["params"], 0.5)
                 optimiser.step()
         if (update + 1) % 10 == 0:
             often = f"{failed.sum():,.0f} of {real.sum():,} steps failed"
@@ -192,22 +179,16 @@ def record(path: Path, packages: tuple[str, ...], facts: dict[str, Any]) -> None
     print(f"{facts['steps']:,} steps in {facts['train_s']:.0f} s, wrote {path}")
 
 
-def refuse_existing(path: Path) -> None:
-    """End with an error if a network, or its record, exists."""
-    for existing in (path, path.with_suffix(".json")):
-        if existing.exists():
-            sys.exit(f"error: {existing} exists; give another --out")
-
-
 def main() -> None:
     """Train and export."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("rl"), help="folder to write")
-    parser.add_argument("--steps", type=int, default=STEPS, help="steps of all lanes together")
+    parser.add_argument("--steps", type=int, default=300_000, help="steps of all lanes together")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     path = args.out / "ppo.onnx"
-    refuse_existing(path)
+    if path.exists():
+        sys.exit(f"error: {path} exists; give another --out")
     torch.set_num_threads(1)
     policy, steps, wall = train(args.steps, args.seed)
     different = export(policy, path, lambda row: policy(torch.from_numpy(row)).detach())

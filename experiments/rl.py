@@ -15,6 +15,7 @@ episodes at once, those of the vector environment.
 """
 
 import argparse
+import sys
 import time
 from functools import partial
 from importlib import import_module
@@ -26,7 +27,7 @@ import numpy as np
 import stable_baselines3
 import torch
 import yaml
-from ppo import PACKAGES, SCALE, export, record, refuse_existing
+from ppo import PACKAGES, SCALE, export, record
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
 
@@ -133,7 +134,8 @@ def main() -> None:
     torch.set_num_threads(1)
     for algorithm in args.only or ALGORITHMS:
         path = args.out / f"{algorithm}.onnx"
-        refuse_existing(path)
+        if path.exists():
+            sys.exit(f"error: {path} exists; give another --out")
         model, wall = train(algorithm, args.steps, args.seed)
         different = export(Network(model).eval(), path, partial(u_of, model), DIFFERENT)
         facts = {

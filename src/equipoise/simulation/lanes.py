@@ -128,7 +128,7 @@ def compiled_lanes(
             lane.state[i] = observed(batch.state, n)[i]
 
     read = compilable(read)
-    return kernel(release, cached=cached), kernel(step, cached=cached)
+    return kernel(release), kernel(step, cached=cached)
 
 
 class Lanes:
