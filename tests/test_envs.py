@@ -338,8 +338,8 @@ def test_gymnasiums_wrappers_take_the_vector_environment():
     [
         ({"num_envs": 0}, "num_envs is 0; expected"),
         ({"max_episode_steps": 0}, "max_episode_steps is 0; expected"),
-        ({"autoreset_mode": AutoresetMode.DISABLED}, "leave it out"),
-        ({"render_mode": "rgb_array"}, "leave it out"),
+        ({"autoreset_mode": AutoresetMode.DISABLED}, "autoreset_mode is .*; expected"),
+        ({"render_mode": "rgb_array"}, "render_mode is 'rgb_array'; expected"),
         ({"reward": lambda *_: None}, "cannot be compiled"),
         ({"reward": print}, "expected a function"),
     ],

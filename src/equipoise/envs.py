@@ -6,7 +6,7 @@
 
 from collections.abc import Callable
 from math import inf, nan
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import gymnasium as gym
 import numpy as np
@@ -42,6 +42,8 @@ from equipoise.user_code import user_code
 Reward = Callable[[Observation, float, Observation, bool], float]
 """Reward of a step: `reward(state, u, next_state, failed)`; the states are predicted ones."""
 
+NEXT_STEP: Final = AutoresetMode.NEXT_STEP
+"""Reset of a lane in the step after the end of its episode, as of Gymnasium's own environments."""
 Flags = npt.NDArray[np.bool_]
 """Truth values."""
 ID: Final = "equipoise/Balance-v0"
@@ -287,15 +289,12 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, npt.NDArray[Any]]):
     | `num_envs` | 1 | number of lanes |
     | `max_episode_steps` | 6000 | number of steps after which an episode is truncated |
     | `autoreset_mode` | `NEXT_STEP` | see above |
-    | others | | those of `BalanceEnv`, but for `render_mode` |
+    | others | | those of `BalanceEnv`; lanes draw no pictures |
 
     The reward is compiled with Numba, as for the training of a table.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012  (the type of Gymnasium)
-        "render_modes": [],
-        "autoreset_mode": AutoresetMode.NEXT_STEP,
-    }
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": NEXT_STEP}  # noqa: RUF012  (the type of Gymnasium)
 
     @checked
     def __init__(
@@ -304,7 +303,8 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, npt.NDArray[Any]]):
         world: str | World = MODEL,
         *,
         max_episode_steps: Annotated[int, Field(ge=1)] = MAX_STEPS,
-        autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
+        autoreset_mode: Literal[AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP] = NEXT_STEP,
+        render_mode: None = None,
         **arguments: Any,
     ) -> None:
         """Set up the lanes; the arguments are in the description of the class.
@@ -314,11 +314,6 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, npt.NDArray[Any]]):
             SettingsError: The world does not exist.
             ArmError: The twin does not know the masses of the arm.
         """
-        if autoreset_mode is AutoresetMode.DISABLED or arguments.get("render_mode") is not None:
-            raise InputError(
-                "got a render_mode or autoreset_mode=AutoresetMode.DISABLED, which lanes do not "
-                "have; leave it out, or give vectorization_mode='sync'"
-            )
         env = BalanceEnv(world, **arguments)
         self.num_envs = num_envs
         self.single_observation_space = env.observation_space
