@@ -214,7 +214,7 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
         """
         if self._state is None:
             raise InputError("no episode is running: it has failed or not begun; call env.reset()")
-        u = float(accelerations(action, self.action_space))
+        u = min(max(float(accelerations(action, self.action_space)), -paper.U_MAX), paper.U_MAX)
         cause, self._u = self._loop.step(u), u
         if not self._loop.balancing:
             phi, h = float(self._loop.state()[2]), self._loop.params.h
@@ -383,20 +383,20 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, npt.NDArray[Any]]):
 
     def _info(self, values: Records, rows: Flags) -> dict[str, Any]:
         """Return the info of some rows, in the form of Gymnasium."""
-        time, outcome = values["tick"] * self._h, OUTCOMES[values["cause"]]
-        info = {"time": time, "state": values["state"], "outcome": outcome}
-        return info | {"_time": rows, "_state": rows, "_outcome": rows}
+        time, outcome = values["tick"] * self._h, OUTCOMES.take(values["cause"])
+        masks = {"_time": rows, "_state": rows, "_outcome": rows}
+        return {"time": time, "state": values["state"], "outcome": outcome, **masks}
 
 
 def accelerations(actions: Any, space: gym.Space[Any]) -> Array:
-    """Return the accelerations of an action, or of one for each lane, within the paper's [m/s^2].
+    """Return the acceleration of an action, or of one for each lane [m/s^2].
 
     Raises:
         InputError: They have another shape than those of the space, or are not finite.
     """
-    shape, dtype = space.shape, space.dtype
+    shape = space.shape
     try:
-        if dtype == np.int64:
+        if space.dtype is not None and space.dtype.kind == "i":
             u = ACTIONS[np.asarray(actions)] if space.contains(actions) else np.array(nan)
         else:
             u = np.asarray(actions, np.float64).reshape(shape[:-1] if shape else ())
@@ -404,7 +404,7 @@ def accelerations(actions: Any, space: gym.Space[Any]) -> Array:
         u = np.array(nan)
     if not np.isfinite(u).all():
         raise InputError(f"the action is {quoted(actions)}; expected one of {space}")
-    return np.minimum(np.maximum(u, -paper.U_MAX), paper.U_MAX)
+    return u
 
 
 def register() -> None:

@@ -108,7 +108,7 @@ def compiled_lanes(
             batch, own = world.states[0], lanes[begin : begin + world.batch_size]
             memory = batch.controller
             for n in range(len(own)):
-                memory.u[n] = u[begin + n]
+                memory.u[n] = min(max(u[begin + n], -paper.U_MAX), paper.U_MAX)
             advance(world, own.seed, own.tick, own.number, len(own))
             for n in range(len(own)):
                 lane = own[n]
@@ -147,13 +147,15 @@ class Lanes:
             InputError: The trials of this world are not compiled.
         """
         worlds, place, advance, self._prepare = simulation.side_by_side(count)
-        self._release, self._step = compiled_lanes(place, advance, reward, cached)
+        self._release, step = compiled_lanes(place, advance, reward, cached)
         self._simulation = simulation
         self._lanes: Records = np.zeros(count, record_type(Lane))
+        self._numbers = self._lanes.view(np.int64)
         self._start, self._variation = np.zeros((count, WINDOW, 4)), np.zeros((count, WINDOW, 5))
         self._worlds = listed(worlds[0])
         for world in worlds[1:]:
             append(self._worlds, world)
+        self._step = functools.partial(step, self._worlds, self._lanes, simulation.setup.h)
         threads = max(1, min(available_cores(), len(worlds) // WORLDS_PER_THREAD))
         self.pool = ThreadPoolExecutor(threads)
         """Threads; to be shut down."""
@@ -185,16 +187,16 @@ class Lanes:
         """Advance the lanes by one tick, and return a `Lane` of each.
 
         Args:
-            u: Acceleration of each flange along x [m/s^2], shape (n,).
+            u: Acceleration of each flange along x, at most that of the paper counts [m/s^2],
+                shape (n,).
             over: Lanes that begin their next episode instead.
         """
-        run = functools.partial(self._step, self._worlds, self._lanes, self._simulation.setup.h)
-        others = [self.pool.submit(run, *ends, u) for ends in self._others]
-        run(*self._own, u)
+        others = [self.pool.submit(self._step, *ends, u) for ends in self._others]
+        self._step(*self._own, u)
         for other in others:
             other.result()
         return self.release(over) if over.size else self._copy()
 
     def _copy(self) -> Records:
         """Return a copy of the lanes, made at once instead of field by field."""
-        return self._lanes.view(np.int64).copy().view(self._lanes.dtype)
+        return self._numbers.copy().view(self._lanes.dtype)
