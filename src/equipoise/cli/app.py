@@ -21,7 +21,7 @@ group = partial(
 app = group(
     name="equipoise",
     help="Teach a robot arm to balance an inverted pendulum: identify, train, evaluate, deploy.",
-    epilog="Begin with: equipoise reproduce --quick",
+    epilog="Begin with: equipoise reproduce",
 )
 rig = group(help="Check, emulate and use a rig: doctor, emulate, record.")
 log = group(help="Read the log of a run: show, explain, export.")
