@@ -168,7 +168,7 @@ def test_eight_seeds_train_alike_on_a_cluster(two_workers, quick_settings, pendu
     assert selected == eq.train_to_target(pendulum, settings=quick_settings, target=0.5, attempts=1)
 
 
-@FULL
+@pytest.mark.slow
 def test_the_ladder_climbs_alike_on_a_cluster(two_workers):
     short = ("learning.episodes=40", "selection.every=20", "selection.trials=4")
     words = [word for setting in short for word in ("--set", setting)]
