@@ -29,9 +29,9 @@ class Run(Options):
     seed: opt.Seed = 0
     """Seed of the simulation."""
     start: Start | None = None
-    """hand: released by a hand (default); hanging: the arm swings it up."""
+    """hand: released by hand (default); hanging: the arm swings it up."""
     excite: bool = False
-    """Move every joint about home instead, the pendulum hanging."""
+    """Move every joint about home instead, with the pendulum hanging."""
 
 
 class OnRig(Options):
@@ -40,9 +40,9 @@ class OnRig(Options):
     dry_run: bool = False
     """Do everything except move."""
     max_speed: Annotated[float | None, Field(gt=0.0, le=2.0)] = None
-    """Stop where the flange reaches this speed [m/s]."""
+    """Stop when the flange reaches this speed [m/s]."""
     identify: bool = False
-    """Identify the arm before the balance, and use its response."""
+    """Identify the arm before it balances, and use its response."""
     runs: Annotated[int, Field(ge=1, le=10_000)] = 1
     """Number of runs in a row, with --start hanging: after a fall the arm begins the next one."""
 
@@ -60,18 +60,18 @@ def deploy(
 ) -> None:
     """Run a policy once, on a digital twin or on a rig, and write the log (run.mcap).
 
-    POLICY is from equipoise train, or another that evaluate takes; by default
-    the shipped table. With --robot or --rig it runs on a rig: pre-flight
-    checks, a checklist that is acknowledged by typing, the move to home, a
-    self-test, the release or swing-up of the pendulum, balancing, rest. Press
-    any key to stop. Exit code 3: robot or encoder failed.
+    POLICY is any policy that evaluate takes; by default the shipped table. With
+    --robot or --rig it runs on a rig: pre-flight checks, a checklist that you
+    acknowledge by typing, the move to home, a self-test, the release or
+    swing-up of the pendulum, balancing, rest. Press any key to stop. Exit code
+    1: the pendulum fell. Exit code 3: robot or encoder failed.
 
-    With --runs a fall, or a run that survived, leads to the next run, without a
-    hand: run-001.mcap and so on, and run-series.json. Every other end is the
-    last.
+    With --runs, a fall or a run that survived leads to the next run without a
+    hand: run-001.mcap and so on, and run-series.json. Any other end ends the
+    series.
 
-    With --excite the arm moves by itself, and equipoise identify makes an
-    actuator of the log. Exit code 1: the pendulum fell.
+    With --excite the simulated arm moves without a policy, and equipoise
+    identify fits an actuator to the log.
     """
     on_a_rig = rig != opt.Rig()
     if run.excite and (policy or on_a_rig or task.actuator or task.settings):
@@ -238,7 +238,7 @@ def console(output: Output, *, page: opt.Page) -> None:
     """Show the runs on this computer in the browser, with all buttons, until Ctrl-C.
 
     Open the printed address, token included. The console shows each run on a
-    robot, real or of rig emulate, that you start on this computer; log show
+    real robot or on rig emulate that is started on this computer; log show
     replays a run in virtual time. STOP and the space bar stop the arm. A run
     does not depend on the console.
     """

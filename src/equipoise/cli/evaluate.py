@@ -24,7 +24,7 @@ class Trials(Options):
     """ideal: the paper's plant; model: with the actuator; twin:NAME ({worlds}); twin:FILE; or
     coppeliasim://HOST:PORT."""
     start: Start | None = None
-    """hand: released by a hand (default); hanging: the arm swings it up, then the trial begins."""
+    """hand: released by hand (default); hanging: the arm swings it up, then the trial begins."""
     trials: Annotated[int | None, Field(ge=1)] = None
     """Number of trials; by default 200, or as --claim needs."""
     duration: float | None = None
@@ -49,12 +49,12 @@ def evaluate(
 
     POLICY is a table from equipoise train, a network (.onnx), Python
     MODULE:NAME, lqr, lqr-snapped, pd or random; by default the shipped table.
-    Four baselines run the same trials. A file is written with --out alone. Exit
+    Four baselines run the same trials. Without --out no file is written. Exit
     code 1: the median trial ended early.
 
     --claim grants or refuses a claim at 95 % confidence, by an exact bound. It
     determines the number of trials, and leaves out the baselines. Exit code 1:
-    refused.
+    the claim is refused.
     """
     from equipoise.control.bound_policy import BUILT_IN
     from equipoise.executors import counted
@@ -138,9 +138,9 @@ def play(
     """Balance the twin in the browser: push it, change the rig.
 
     SCENE is balance (default), why-it-falls, zero-error, friction or lqr.
-    POLICY is one of yours, to choose on the page. Open the printed address.
-    Everyone who has it plays with the same pendulum. It runs until Ctrl-C.
-    Needs no robot and no recording.
+    POLICY adds one of yours to the page. Open the printed address; everyone
+    who has it plays with the same pendulum. Runs until Ctrl-C, and needs no
+    robot and no recording.
     """
     from equipoise.console.play import SCENES, PlayPage
     from equipoise.console.web import serving

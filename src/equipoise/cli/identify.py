@@ -53,10 +53,10 @@ def identify(
 ) -> None:
     """Identify a pendulum from a free swing, or an arm's response from a run log.
 
-    A swing is CSV with time_s (or time_ms, time_us) and one of theta_rad,
-    theta_deg, counts, rate_rad_s. It gives the pendulum (pendulum.json), and
-    figure 2 of the paper: the recording and its fit. A log (MCAP, from
-    equipoise deploy --excite) gives the actuator (actuator.json).
+    A swing is a CSV file with time_s (or time_ms, time_us) and one of theta_rad,
+    theta_deg, counts, rate_rad_s. From it come the pendulum (pendulum.json) and
+    figure 2 of the paper, the recording and its fit. From a log (MCAP, from
+    equipoise deploy --excite) comes the actuator (actuator.json).
     """
     if recording.suffix.lower() == ".mcap":
         _identify_actuator(output, recording, files)
@@ -114,8 +114,8 @@ def refine(output: Output, policy: Path, runs: list[Path], *, files: opt.Files) 
     """Compare logs of runs with the model of a policy, and write what has changed.
 
     POLICY is the table that ran, RUNS are logs from equipoise deploy, on one rig.
-    Identifies w2 and the actuator again, and writes those that left their
-    intervals: the pendulum (refined.json), and the actuator beside it.
+    Identifies w2 and the actuator again, and writes what has left its
+    interval: the pendulum (refined.json), and the actuator next to it.
     """
     from equipoise.identification.refine import inspect
     from equipoise.log.run_log import load_run

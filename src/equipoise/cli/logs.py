@@ -19,7 +19,7 @@ def show(output: Output, run: Path, *, page: opt.Page) -> None:
     """Replay a run in the browser: the arm in 3-D, plots, events, until Ctrl-C.
 
     Open the printed address, token included. The page plays the run at 0.1 to 4
-    times its speed, steps by a tick, and jumps to events. A truncated log is
+    times its speed, steps by ticks, and jumps to events. A truncated log is
     shown as far as it is readable.
     """
     from equipoise.console.replay import ReplayPage
@@ -37,8 +37,8 @@ def explain(output: Output, run: Path) -> None:
     """Explain why a run ended, or how well it balanced.
 
     Examines release, pushes, delay, the encoder's zero, commands and safety
-    rules: causes with their evidence, the most likely first, and advice. Of a
-    run that survived, or that the operator ended: motion and limits.
+    rules. Prints causes with their evidence, the most likely first, and advice;
+    for a run that survived or that the operator ended, motion and limits.
     A truncated log is read as far as it is readable.
     """
     from equipoise.outcomes import Outcome, describe
@@ -105,19 +105,19 @@ class Film(Options):
     video: Path | None = None
     """Write a film instead, .mp4 or .webp."""
     from_: float | None = None
-    """Begin the film here [s], from the release on."""
+    """Start of the film [s], counted from the release."""
     to: float | None = None
-    """End the film here [s], from the release on."""
+    """End of the film [s], counted from the release."""
 
 
 @verb
 def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
     """Write each table of a run log as a CSV file, or film the run.
 
-    Writes a folder, by default named as the log. Headers end in the unit:
+    Writes a folder, by default named after the log. Headers end in the unit:
     time_s, phi_rad. A truncated log is written as far as it is readable. The
-    film begins shortly before the swing-up, or else the release; --from and
-    --to choose another part.
+    film begins shortly before the swing-up or the release; --from and --to
+    select another part.
     """
     from equipoise.film import check_format, write_film
 

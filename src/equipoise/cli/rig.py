@@ -28,7 +28,7 @@ class Measurement(Options):
 
 @verb
 def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
-    """Check whether machine and rig are fit for a run, and advise a fix.
+    """Check whether machine and rig are fit for a run, and suggest fixes.
 
     Nothing moves; the robot's answers are timed at rest. Exit code 1: not fit.
     """
@@ -84,7 +84,7 @@ class Emulated(Options):
     port: opt.Port | None = None
     """Port of a KST server (default: 30001); 0 selects a free one."""
     encoder_link: Path | None = None
-    """Further name of the encoder's terminal."""
+    """Additional path of the encoder's pseudo-terminal."""
     seed: opt.Seed = 0
     """Seed of all random numbers."""
 
@@ -94,7 +94,7 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     """Emulate robot, pendulum and encoder, until Ctrl-C; type what the hand does.
 
     The robot answers at an address of this machine, an encoder board on a
-    pseudo-terminal. The arm begins beside its home. Type lift where a run asks
+    pseudo-terminal. The arm starts away from home. Type lift when a run asks
     for it, and release once it is armed.
     """
     from equipoise.model.pendulum import read_pendulum

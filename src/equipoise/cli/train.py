@@ -33,7 +33,7 @@ class Learning(Options):
     episodes: Annotated[int | None, Field(ge=1)] = None
     """Number of episodes; by default the paper's 10,000."""
     target: Annotated[float | None, Field(ge=0.0, le=1.0)] = None
-    """Probability to survive a 60 s trial, shown with 95 % confidence; by default 0.99, or 0
+    """Probability of surviving a 60 s trial, shown with 95 % confidence; by default 0.99, or 0
     without a selection. 0 accepts the first policy."""
     attempts: Annotated[int, Field(ge=1)] = 6
     """Maximum number of trainings to meet the target; the seed increases by one each time."""
@@ -52,9 +52,9 @@ def train(
 ) -> None:
     """Train a policy by Q-learning, or by another algorithm.
 
-    PENDULUM is from equipoise identify; by default the shipped one. Trains
-    again, at most --attempts times, until a policy meets the target in held-out
-    trials. Exit code 1: none meets it; the best policy is written and marked.
+    PENDULUM is from equipoise identify; by default the shipped one. Trains up
+    to --attempts times, until a policy meets the target in held-out trials.
+    Exit code 1: none meets it; the best one is still written, and marked.
     """
     from equipoise.learning.train import TARGET, check_task
     from equipoise.model.pendulum import read_pendulum
@@ -118,10 +118,10 @@ def reproduce(
 ) -> None:
     """Reproduce the paper, from a free swing to a report.
 
-    Identification; then training, evaluation and a run on the digital twin, for
-    the literal recipe (paper) and the default one. Ends with a table of both
-    beside the paper's robot. Writes every file to a folder (equipoise-report),
-    with a self-contained report in HTML.
+    Identifies the pendulum, then trains, evaluates and runs a policy on the
+    digital twin, for the literal recipe (paper) and the default one. Writes all
+    files to a folder (equipoise-report), with a self-contained HTML report that
+    compares both with the paper's robot.
     """
     from equipoise.learning.choice import with_digests
     from equipoise.report.page import build, comparison
@@ -162,8 +162,8 @@ def reproduce(
 def warm_up(output: Output) -> None:
     """Compile all kernels once, on all cores, so that every verb starts at once.
 
-    Half a minute on two cores. All environments of a user share the machine
-    code; another version of the package needs its own.
+    Takes half a minute on two cores. All environments of a user share the
+    machine code; each version of the package needs its own.
     """
     from equipoise.jit import cache_directory
     from equipoise.reproduction.warm_up import warm_up
