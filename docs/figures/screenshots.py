@@ -119,8 +119,8 @@ def play(run: RunLog, recorder: Recorder, over: threading.Event) -> None:
 def take_replay(log: Path) -> None:
     """Take the replay of a run in its middle."""
     with program("log", "show", str(log)) as show, page_at(show.find(ADDRESS)[1]) as page:
-        press(page, "Play")
-        time.sleep(6.0)
+        press(page, "Play")  # from the first tick: it has played to the end by now
+        time.sleep(23.0)
         press(page, "Pause")
         time.sleep(1.0)
         save(page, "replay")

@@ -142,7 +142,7 @@ class ReplayPage:
         )
         with self._server.atomic():
             self._page.show(now.q, now.phi, now.u)
-            self._page.describe(now.phase or "simulation", BLUE, lines)
+            self._page.describe(now.phase, BLUE, lines)
             self._slider.value = round(now.time, 2)
             begin, end = np.searchsorted(self._motion.time, (now.time - SPAN, now.time + 1e-9))
             self._page.draw(self._motion.time[begin:end], self._rows[:, begin:end])
