@@ -11,6 +11,7 @@ import numpy as np
 
 from equipoise.arrays import Array
 from equipoise.errors import ArtefactError, InputError, RecordingError
+from equipoise.log.columns import Rows
 from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Phase
 
@@ -71,7 +72,7 @@ class Motion(NamedTuple):
                 "the times of the ticks in the log do not increase; give the log as it was written"
             )
         if conditions.simulated:
-            true = run.tables["truth"] if len(run.tables["truth"]) else tick
+            true = true_rows(run)
             q, x, phi, late = true["q"], true["x"], true["phi"], np.full(len(time), np.nan)
         else:
             q = _measured_joints(run, time, began)
@@ -163,6 +164,11 @@ def _measured_phi(run: RunLog, at: Array, began: float) -> Array:
     return np.remainder(-2.0 * np.pi * turns, 2.0 * np.pi) - np.pi
 
 
+def true_rows(run: RunLog) -> Rows:
+    """Return the true states at all ticks if the log has them, else the ticks themselves."""
+    return run.tables["truth"] if len(run.tables["truth"]) else run.tables["tick"]
+
+
 def truth(run: RunLog) -> Any:
-    """Return the true state if the log has it, else the observations and commands."""
+    """Return the true state while balancing if the log has it, else observations and commands."""
     return run.truth if len(run.truth.phi) else run

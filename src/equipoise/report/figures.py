@@ -13,7 +13,7 @@ from equipoise import paper
 from equipoise.arrays import Array
 from equipoise.control.policy import TabularPolicy
 from equipoise.identification.recording import Trajectory, fitted_curve
-from equipoise.log.motion import Motion, truth
+from equipoise.log.motion import Motion, true_rows, truth
 from equipoise.log.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
 from equipoise.outcomes import Outcome, Phase
@@ -247,12 +247,11 @@ def swing_up(run: RunLog) -> "Figure":
     """
     from matplotlib.ticker import MultipleLocator
 
-    motion, tick = Motion.of(run), run.tables["tick"]
-    true = run.tables["truth"] if len(run.tables["truth"]) else tick
+    motion = Motion.of(run)
     first, h = len(run.phase_ticks(Phase.SWINGING_UP)), run.conditions.h
     taken, last = first * h, first + round(AFTER_SWING_UP / h)
     time = motion.time - motion.time[0]
-    phi, phi_dot = np.rad2deg(motion.phi), np.rad2deg(true["phi_dot"])
+    phi, phi_dot = np.rad2deg(motion.phi), np.rad2deg(true_rows(run)["phi_dot"])
     title = f"handed over after {taken:.2f} s" if len(run.ticks) else str(run.outcome)
     figure = new_figure(3.8, f"Swing-up: {title}")
     rows: Any = {"φ [°]": phi, "x [m]": motion.x, "u [m/s²]": motion.u}
