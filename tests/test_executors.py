@@ -209,15 +209,16 @@ def slow_command(cluster):
     )
     try:
         wait_until(lambda: all(cluster.tasks()), "task")
-        time.sleep(1.0)
         yield command
     finally:
         command.kill()
 
 
 @FULL
-def test_a_lost_scheduler_ends_the_command_with_one_error(two_workers):
+@pytest.mark.parametrize("delay", [0.1, 1.0], ids=["while it submits", "while it waits"])
+def test_a_lost_scheduler_ends_the_command_with_one_error(two_workers, delay):
     with slow_command(two_workers) as command:
+        time.sleep(delay)
         two_workers.scheduler_process.kill()
         out, error = command.communicate(timeout=10.0)
     assert (command.returncode, out) == (3, "")
@@ -230,6 +231,7 @@ def test_a_lost_scheduler_ends_the_command_with_one_error(two_workers):
 @FULL
 def test_ctrl_c_leaves_no_task(two_workers):
     with slow_command(two_workers) as command:
+        time.sleep(1.0)
         command.send_signal(signal.SIGINT)
         _, error = command.communicate(timeout=10.0)
     assert (command.returncode, error) == (130, "interrupted\n")

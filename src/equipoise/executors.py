@@ -84,7 +84,7 @@ def open_workers(named: str | None = None) -> Generator[int | Executor]:
             "scheduler such as tcp://HOST:8786"
         )
     distributed = import_optional("distributed", "cluster")
-    for logger in ("distributed", "distributed.client"):  # errors are raised as well
+    for logger in ("distributed", "distributed.client", "tornado"):  # errors are raised as well
         logging.getLogger(logger).setLevel(logging.CRITICAL)
     try:
         client = distributed.Client(named, timeout=CONNECT_TIMEOUT, set_as_default=False)
@@ -106,7 +106,7 @@ def open_workers(named: str | None = None) -> Generator[int | Executor]:
                         "installed here, and start it again"
                     )
                 _compare(f"the worker {worker}", theirs, versions())
-            yield _Cluster(client.get_executor(pure=False))
+            yield _Cluster(client)
         except (CancelledError, distributed.client.ClosedClientError):
             raise OutsideError(
                 f"the scheduler at {named} is lost; start it again, and repeat the command"
@@ -125,15 +125,21 @@ def open_workers(named: str | None = None) -> Generator[int | Executor]:
 class _Cluster(Executor):
     """Executor on a cluster whose workers run this version of all that determines a result."""
 
-    def __init__(self, executor: Executor) -> None:
-        """Take Dask's executor."""
-        self._executor = executor
+    def __init__(self, client: Any) -> None:
+        """Take Dask's client."""
+        self._client, self._executor = client, client.get_executor(pure=False)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Any:
         """Pickle a call, which a scheduler then passes on as bytes, and submit it."""
         import cloudpickle
 
         call = cloudpickle.dumps(functools.partial(fn, *args, **kwargs))
+        return self._client.sync(self._submit, call)
+
+    async def _submit(self, call: bytes) -> Any:
+        """Submit in the client's thread, which cancels all futures once the scheduler is lost."""
+        if self._client.status != "running":
+            raise CancelledError
         return self._executor.submit(_run_pickled, call, versions())
 
 
