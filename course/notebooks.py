@@ -20,7 +20,7 @@ INSTALL = """import sys
 
 if "google.colab" in sys.modules:
     %pip install --quiet equipoise
-    !apt-get install --quiet=2 libegl1 libgl1-mesa-dri > /dev/null"""
+    !apt-get install --quiet=2 libegl1 libgl1 > /dev/null"""
 
 
 def colab(name: str) -> str:

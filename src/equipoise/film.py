@@ -211,7 +211,7 @@ class RigRenderer:
             chosen = os.environ.get("MUJOCO_GL", "")
             raise OutsideError(
                 f"cannot draw pictures with MUJOCO_GL={chosen!r}: {error}; install EGL (Debian and "
-                "Ubuntu: libegl1 and libgl1-mesa-dri), or set MUJOCO_GL to egl, osmesa, or, with "
+                "Ubuntu: libegl1 and libgl1), or set MUJOCO_GL to egl, osmesa, or, with "
                 "a display, glfw"
             ) from None
 
