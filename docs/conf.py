@@ -33,7 +33,8 @@ author = "The Equipoise developers"
 project_copyright = author
 version = release = version_of("equipoise")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
+copybutton_prompt_text, copybutton_prompt_is_regexp = r">>> |\.\.\. ", True
 root_doc = "docs/index"
 include_patterns = [
     "README.md",
@@ -251,6 +252,16 @@ def mark_numbers(_app: Sphinx, tree: nodes.document, _docname: str) -> None:
             cell["classes"].append("numbers")
 
 
+def add_captions(_app: Sphinx, tree: nodes.document, _docname: str) -> None:
+    """Show the text of a picture that stands alone below it."""
+    for number, image in enumerate(list(tree.findall(nodes.image))):
+        shown = image.parent if isinstance(image.parent, nodes.reference) else image
+        paragraph = shown.parent
+        if len(paragraph) == 1 and isinstance(paragraph.parent, nodes.section):
+            caption = nodes.caption("", image["alt"])
+            paragraph.replace_self(nodes.figure("", shown, caption, ids=[f"figure-{number}"]))
+
+
 def line_of(path: Path, name: str) -> int:
     """Return the line of an object of a file, such as `Pendulum.save`; 0 if it has none."""
     body, line = ast.parse(path.read_text()).body, 0
@@ -298,6 +309,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("doctree-resolved", link_code)
     app.connect("doctree-resolved", shorten_arrays)
     app.connect("doctree-resolved", mark_numbers)
+    app.connect("doctree-resolved", add_captions)
     app.connect("html-page-context", style_first_page)
     app.connect("html-collect-pages", show_code)
     return {"parallel_read_safe": False}
