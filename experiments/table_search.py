@@ -30,7 +30,7 @@ import equipoise as eq
 from equipoise import paper
 from equipoise.control.baselines import lqr_gains
 from equipoise.executors import open_workers
-from equipoise.learning.select import score_tables
+from equipoise.learning.train import score_tables
 from equipoise.settings import BoxSettings
 from equipoise.simulation import setup_of
 

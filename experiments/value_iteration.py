@@ -26,7 +26,7 @@ import equipoise as eq
 import equipoise.envs
 from equipoise import paper
 from equipoise.executors import available_cores
-from equipoise.learning.select import score_tables
+from equipoise.learning.train import score_tables
 from equipoise.model.grid import box_indices, make_grid
 from equipoise.simulation import setup_of
 

@@ -7,7 +7,7 @@ from scipy.stats import binomtest
 from equipoise import paper
 from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import shipped_policy, table_kernel
-from equipoise.learning import select
+from equipoise.learning.train import measure_survival, score_tables
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.grid import make_grid
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
@@ -34,15 +34,15 @@ def candidates(count, good):
 
 def test_the_policy_that_balances_scores_best_and_workers_change_nothing(setup):
     field = candidates(12, good=2)
-    results = select.score_tables(setup, field, seed=3)
+    results = score_tables(setup, field, seed=3)
     assert [result.episodes for result in results] == [episodes for episodes, _ in field]
     assert max(range(12), key=lambda i: results[i].score) == 2
-    assert results == select.score_tables(setup, field, seed=3, workers=3)
+    assert results == score_tables(setup, field, seed=3, workers=3)
 
 
 def test_a_result_is_that_of_the_policy_alone_on_the_common_trials(setup):
     field = candidates(3, good=1)
-    for (_, table), result in zip(field, select.score_tables(setup, field, seed=3), strict=True):
+    for (_, table), result in zip(field, score_tables(setup, field, seed=3), strict=True):
         simulation = PlantSimulation("model", setup, seed=3, stream=SELECTION)
         trials = simulation.draw(24)
         kernel = table_kernel(table, make_grid(setup.settings.boxes, setup.pendulum.parameters().k))
@@ -66,7 +66,7 @@ def test_the_bound_of_a_test_is_the_exact_one(monkeypatch):
         trials.cause[rows] = [int(trials.number[i] in {5, 60, 100}) for i in rows]
 
     monkeypatch.setattr(PlantSimulation, "run_piece", fall)
-    test = select.measure_survival(policy_with(shipped_policy(), 200), target=0.97, confidence=0.99)
+    test = measure_survival(policy_with(shipped_policy(), 200), target=0.97, confidence=0.99)
     found = binomtest(197, 200, alternative="greater").proportion_ci(0.99, method="exact")
     assert (test.trials, test.survived) == (200, 197)
     assert test.at_least == pytest.approx(found.low, rel=1e-9)
@@ -79,7 +79,7 @@ def test_the_test_uses_trials_of_its_own(monkeypatch):
     monkeypatch.setattr(
         PlantSimulation, "draw", lambda self, *n: streams.append(self.stream) or original(self, *n)
     )
-    test = select.measure_survival(policy_with(shipped_policy(), 20), target=0.0)
+    test = measure_survival(policy_with(shipped_policy(), 20), target=0.0)
     assert sum(test.causes.values()) == 20
     assert streams == [TARGET_TEST]
     assert len({SELECTION, TARGET_TEST, TEST}) == 3
