@@ -13,7 +13,7 @@ COVERING = $(patsubst %,tests/safety/test_%.py,rules trial monitors stop) \
 PLUGINS = $(wildcard plugins/*/tests)
 
 .DEFAULT_GOAL := help
-.PHONY: help install check lint quick portable plain cover test full test-all slow docs generated hardware pictures screenshots results demo bench
+.PHONY: help install check lint quick portable plain cover test full test-all slow docs hardware pictures screenshots results demo bench
 
 help:  ## list these words
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -62,9 +62,6 @@ docs:  ## the site and the notebooks, in build/site; a warning or a broken link 
 	sphinx-build --quiet --fail-on-warning --keep-going -c docs . build/site
 	$(PYTHON) course/notebooks.py build/site/course
 	$(PYTHON) docs/check_site.py build/site
-
-generated:  ## write the kinematics of the iiwas again; git must see no difference
-	$(PYTHON) -m equipoise.arm.iiwa
 
 hardware:  ## write the mechanism's solids, prints and numbers; needs hardware/requirements.txt
 	$(PYTHON) hardware/make.py

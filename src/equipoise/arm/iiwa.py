@@ -10,9 +10,9 @@ The paper holds joint 3 (section 3.1); it names neither the iiwa nor the posture
 tangential: A1 does most of the motion and the arm is far from its limits on the whole track.
 "Outward", away from the base, is base +y there and -x of the flange frame.
 
-KUKA publishes no inertias either. Masses and inertias come from `lbr_description` of the LBR stack
-(Apache-2.0). Its joint frames lie half-way along the links and beside them, and are parallel to the
-base at zero. The base, link 0, does not move and is left out.
+KUKA publishes no inertias either. Masses and inertias (`data/iiwa7-links.csv`) come from
+`lbr_description` of the LBR stack (Apache-2.0). Its joint frames lie half-way along the links and
+beside them, and are parallel to the base at zero. The base, link 0, does not move and is left out.
 """
 
 from math import radians
@@ -20,11 +20,11 @@ from typing import Final, Literal
 
 import numpy as np
 
-from equipoise.arm import compiler
 from equipoise.arm.arm import Arm, Inertial, Joint
 from equipoise.arm.chain import rotation_from_rpy
 from equipoise.errors import ArmError
-from equipoise.files import quoted, write_atomically
+from equipoise.files import quoted
+from equipoise.jit import PACKAGE
 from equipoise.paper import HELD_JOINT
 
 ALPHA_DEG: Final = (0.0, -90.0, 90.0, 90.0, -90.0, -90.0, 90.0)
@@ -55,46 +55,6 @@ _MODELS: Final = {
 limits [N m] of each size."""
 
 
-# fmt: off
-_LINKS: Final = {
-    "iiwa7": (
-        ((0.0, 0.0, 0.1475), 3.394011, (0.0, -0.034819, 0.123299),
-         (0.021383, 0.0, 0.0, 0.020403, 0.003797, 0.007563)),
-        ((0.0, -0.0105, 0.1925), 4.031991, (0.0, 0.039793, 0.086944),
-         (0.031697, 0.0, 0.0, 0.03008, 0.005889, 0.009666)),
-        ((0.0, 0.0105, 0.2075), 3.394011, (0.0, 0.034819, 0.123299),
-         (0.021383, 0.0, 0.0, 0.020403, -0.003797, 0.007563)),
-        ((0.0, 0.0105, 0.1925), 4.031989, (0.0, -0.039793, 0.086944),
-         (0.031695, 0.0, 0.0, 0.030079, -0.005889, 0.009665)),
-        ((0.0, -0.0105, 0.2075), 1.529239, (0.0, -0.029824, 0.076267),
-         (0.008485, 0.0, 0.0, 0.007136, 0.002806, 0.003848)),
-        ((0.0, -0.0707, 0.1925), 2.403626, (0.0, 0.07102, 0.00495),
-         (0.007067, 0.0, 0.0, 0.006804, 0.000311, 0.004629)),
-        ((0.0, 0.0707, 0.091), 0.259474, (3e-06, -2e-06, 0.013782),
-         (0.000171, 0.0, 0.0, 0.000171, 0.0, 0.000299)),
-    ),
-    "iiwa14": (
-        ((0.0, 0.0, 0.1475), 5.289529, (0.0, -0.033795, 0.132404),
-         (0.042462, 0.0, 0.0, 0.042838, 0.006341, 0.01587)),
-        ((0.0, -0.01, 0.2125), 5.688888, (0.000136, 0.047548, 0.076322),
-         (0.055182, -3.3e-05, 5.6e-05, 0.053983, 0.010034, 0.016523)),
-        ((0.0, 0.01, 0.228), 3.461245, (0.0, 0.034913, 0.123108),
-         (0.02172, 0.0, 0.0, 0.02073, -0.003845, 0.007701)),
-        ((0.0, 0.0105, 0.192), 4.122995, (0.0, -0.039793, 0.086944),
-         (0.03241, 0.0, 0.0, 0.030758, -0.006022, 0.009883)),
-        ((0.0, -0.0105, 0.2075), 1.563756, (0.0, -0.029824, 0.076267),
-         (0.008677, 0.0, 0.0, 0.007297, 0.002869, 0.003935)),
-        ((0.0, -0.0707, 0.1925), 2.457878, (0.0, 0.07102, 0.00495),
-         (0.007227, 0.0, 0.0, 0.006958, 0.000318, 0.004734)),
-        ((0.0, 0.0707, 0.091), 0.265331, (3e-06, -2e-06, 0.013782),
-         (0.000175, 0.0, 0.0, 0.000175, 0.0, 0.000306)),
-    ),
-}
-# fmt: on
-"""For each joint its origin in the previous frame [m] (all axes are parallel at zero), and of the
-link that it moves the mass [kg], the centre of mass [m], and xx, xy, xz, yy, yz, zz [kg m^2]."""
-
-
 def iiwa(size: Literal[7, 14, "iiwa7", "iiwa14"]) -> Arm:
     """Return an iiwa with joint 3 held straight and the pendulum beside its flange.
 
@@ -113,13 +73,14 @@ def iiwa(size: Literal[7, 14, "iiwa7", "iiwa14"]) -> Arm:
     (base, upper_arm, forearm, hand), speeds_deg, torques = _MODELS[name]
     # d runs along the joint's own axis, which is the twisted z of the frame before it.
     along_y = (0.0, 0.0, -upper_arm, 0.0, forearm, 0.0, 0.0)
-    rows = zip(along_y, ALPHA_DEG, LIMIT_DEG, speeds_deg, torques, _LINKS[name], strict=True)
+    links = np.loadtxt(PACKAGE / "data" / f"{name}-links.csv", delimiter=",").tolist()
+    rows = zip(along_y, ALPHA_DEG, LIMIT_DEG, speeds_deg, torques, links, strict=True)
     joints: list[Joint] = []
     # Both frames of a link are fixed to it: their places at zero give one in the other.
     origin, rotation, published = np.zeros(3), np.eye(3), np.zeros(3)
     for number, (y, alpha, limit, speed, torque, link) in enumerate(rows, start=1):
         xyz, rpy = (0.0, y, base if number == 1 else 0.0), (radians(alpha), 0.0, 0.0)
-        place, mass, com, moments = link
+        place, mass, com, moments = link[:3], link[3], link[4:7], link[7:]
         described = Inertial(name=f"link {number}", mass=mass, com=com, inertia=moments)
         origin = origin + rotation @ xyz
         rotation = rotation @ rotation_from_rpy(rpy)
@@ -156,13 +117,3 @@ def iiwa7() -> Arm:
 def iiwa14() -> Arm:
     """Return the iiwa 14, as the entry point of that name."""
     return iiwa(14)
-
-
-def main() -> None:
-    """Write the generated kinematics of both arms into the package."""
-    for arm in (iiwa7(), iiwa14()):
-        write_atomically(compiler.COMMITTED_FOLDER / f"{arm.name}.py", compiler.source(arm))
-
-
-if __name__ == "__main__":
-    main()

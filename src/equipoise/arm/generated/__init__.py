@@ -1,1 +1,0 @@
-"""Kinematics generated from the arms of the package: `make generated` writes it again."""
