@@ -8,10 +8,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from equipoise.arm.iiwa import iiwa
+from equipoise.identification.actuator import PERIOD, excitation
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY
-from equipoise.simulation.twin.excitation import PERIOD, excitation
 from equipoise.simulation.twin.physics import TICK
 from equipoise.simulation.twin.twin import HISTORY_MS, Twin, reset
 

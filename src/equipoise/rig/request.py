@@ -9,13 +9,13 @@ import numpy as np
 from equipoise.arrays import Array
 from equipoise.control.control_step import ControllerParams, horizon, make_controller_params
 from equipoise.control.policy import TaskPolicy, shipped_policy
+from equipoise.identification.actuator import excitation
 from equipoise.log.conditions import Reference, RunConditions
 from equipoise.model.actuator import Actuator
 from equipoise.outcomes import Phase
 from equipoise.rig.config import RigSettings
 from equipoise.safety.rules import SafetyParams, make_safety_params
 from equipoise.settings import Start, changed
-from equipoise.simulation.twin.excitation import excitation
 
 
 @dataclass(frozen=True)

@@ -161,7 +161,7 @@ def excite(
         ArmError: The masses of the arm are unknown, or home is close to a limit.
         SettingsError: The world is unknown.
     """
-    from equipoise.simulation.twin.excitation import PERIOD, excitation
+    from equipoise.identification.actuator import PERIOD, excitation
     from equipoise.simulation.twin.twin import Twin
 
     arm, pendulum = read_arm(arm), read_pendulum(pendulum)
