@@ -8,23 +8,20 @@ rig's measurements. A trial depends on its conditions, the master seed and its n
 
 from collections.abc import Sequence
 from math import inf, pi
-from typing import Annotated, ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from equipoise.arm.arm import FREE_JOINTS
 from equipoise.arrays import Array, IntArray, Records, fields, new_records, rows_of
 from equipoise.control.control_step import (
-    LANES,
     SETPOINTS_PER_TICK,
     ControllerParams,
-    ControllerState,
-    Observed,
     make_controller_params,
     wrapped,
 )
 from equipoise.control.policy import PolicyKernel
-from equipoise.control.swing_up import SwingUp, SwingUpState, make_swing_up
+from equipoise.control.swing_up import SwingUp, make_swing_up
 from equipoise.elementary import BATCH_SIZE
 from equipoise.jit import call, inlined, kernel
 from equipoise.model.grid import SAFETY_STOP, TRUNCATED
@@ -39,23 +36,10 @@ from equipoise.safety.trial import (
     trial_violation,
 )
 from equipoise.simulation.interface import ClosedLoop, Measurement, Setup, SideBySide, Simulation
-from equipoise.simulation.plant import DomainRandomization, failure, scaled
+from equipoise.simulation.plant import BatchState, DomainRandomization, failure, scaled
 from equipoise.simulation.trials import Trial, Trials, draw_trials, trial_loop
 from equipoise.simulation.twin.physics import TICK
 from equipoise.simulation.twin.twin import Twin, advance, encoder, reply, reset, send_free, truth
-
-
-class TwinState(Protocol):
-    """State of a closed loop on the twin, in the first lane; kernels change it in place."""
-
-    controller: ControllerState
-    """State of the controller."""
-    swing_up: SwingUpState
-    """State of the swing-up."""
-    state: Observed
-    """True state."""
-    cause: Annotated[IntArray, LANES]
-    """Cause of failure in the last step."""
 
 
 class TwinWorld(NamedTuple):
@@ -68,7 +52,7 @@ class TwinWorld(NamedTuple):
     params: ControllerParams
     """Constants of the controller."""
     states: Records
-    """`TwinState`."""
+    """`BatchState`, of which the twin uses controller, swing-up, state and cause."""
     rows: IntArray
     """Its rows of lanes, from `rows_of`."""
     q: Array
@@ -245,8 +229,8 @@ class TwinLoop(ClosedLoop):
         arm, nominal = simulation.setup.arm, simulation.pendulum
         self._simulation = simulation
         self._twin = Twin(arm, nominal, simulation.numbers)
-        states = new_records(TwinState)
-        self._state = fields(states, TwinState)
+        states = new_records(BatchState)
+        self._state = fields(states, BatchState)
         self.params, self.controller = simulation.params, self._state.controller
         monitor = new_trial_monitor(arm, simulation.safety)
         self._unused = np.zeros(1, np.int64)
