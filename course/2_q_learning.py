@@ -13,7 +13,7 @@ import equipoise as eq
 from equipoise import paper
 from equipoise.learning.episodes import training_config
 from equipoise.learning.q_learning import Transition, new_tables, q_learning
-from equipoise.model.grid import box_count, box_index
+from equipoise.model.grid import box_index
 
 # %% [markdown]
 # ## Grid
@@ -42,7 +42,7 @@ check(
 # %%
 policy = eq.shipped_policy()
 boxes = policy.grid
-print(box_count(boxes), "boxes")
+print(policy.settings.boxes.count, "boxes")
 for lean in (-8, -3, -0.5, 0.5, 3, 8):
     box = box_index(0.0, 0.0, np.radians(lean), 0.0, boxes)
     print(f"lean of {lean:+5.1f} deg: box {box:3}, acceleration {policy.u_of_box[box]:+.1f} m/s²")

@@ -19,20 +19,8 @@ __all__ = ["BATCH_SIZE", "fma", "log", "sincos"]
 BATCH_SIZE: Final = 16
 """Number of states in a block: fills the widest registers and hides the latency of a division."""
 
-TWO_OVER_PI: Final = 0.6366197723675814
 ROUNDING: Final = 1.5 * 2.0**52
 """A sum with this number has no fraction; the last bits of its mantissa are the whole number."""
-# pi/2 in three parts of 53 bits.
-HALF_PI_1: Final = 1.5707963267948966
-HALF_PI_2: Final = 6.123233995736766e-17
-HALF_PI_3: Final = -1.4973849048591833e-33
-
-MANTISSA_BITS: Final = 52
-ROOT_HALF_BITS: Final = 0x3FE6A09E667F3BCD
-"""Bits of the double that is nearest to the root of 1/2."""
-# log 2 in two parts; an exponent times the first is exact.
-LOG_2_1: Final = 6.93147180369123816490e-01
-LOG_2_2: Final = 1.90821492927058770002e-10
 
 
 @inlined
@@ -42,9 +30,10 @@ def sincos(x: float) -> tuple[float, float]:
     The angle is reduced by a multiple of pi/2 to within pi/4 (Cody and Waite; the first difference
     is exact); two polynomials (of degree 13 and 14, near minimax) give sine and cosine.
     """
-    rounded = fma(x, TWO_OVER_PI, ROUNDING)
+    rounded = fma(x, 0.6366197723675814, ROUNDING)  # 2/pi
     k = rounded - ROUNDING
-    r = fma(-k, HALF_PI_3, fma(-k, HALF_PI_2, fma(-k, HALF_PI_1, x)))
+    r = fma(-k, 1.5707963267948966, x)  # pi/2 in three parts of 53 bits
+    r = fma(-k, -1.4973849048591833e-33, fma(-k, 6.123233995736766e-17, r))
     z = r * r
     s = fma(z, 1.58969099521155010221e-10, -2.50507602534068634195e-08)
     s = fma(z, s, 2.75573137070700676789e-06)
@@ -74,8 +63,8 @@ def log(x: float) -> float:
     is 2 s + 2 s^3/3 + ..., a polynomial in s^2 (of degree 7, near minimax).
     """
     bits = np.float64(x).view(np.int64)
-    k = (bits - ROOT_HALF_BITS) >> MANTISSA_BITS
-    f = np.int64(bits - (k << MANTISSA_BITS)).view(np.float64) - 1.0
+    k = (bits - 0x3FE6A09E667F3BCD) >> 52  # the bits of the root of 1/2; 52 are the mantissa's
+    f = np.int64(bits - (k << 52)).view(np.float64) - 1.0
     s = f / (2.0 + f)
     z = s * s
     r = fma(z, 1.479819860511658591e-01, 1.531383769920937332e-01)
@@ -85,5 +74,6 @@ def log(x: float) -> float:
     r = fma(z, r, 3.999999999940941908e-01)
     r = fma(z, r, 6.666666666666735130e-01)
     half_square = 0.5 * f * f
-    rest = fma(s, fma(z, r, half_square), float(k) * LOG_2_2)
-    return fma(float(k), LOG_2_1, f - (half_square - rest))
+    # log 2 in two parts; an exponent times the first is exact.
+    rest = fma(s, fma(z, r, half_square), float(k) * 1.90821492927058770002e-10)
+    return fma(float(k), 6.93147180369123816490e-01, f - (half_square - rest))

@@ -95,12 +95,3 @@ def test_the_wrist_centre_is_where_the_last_three_joints_leave_a_point():
             at_wrist = flange.twist[:3] + np.cross(flange.twist[3:], flange.rotation @ wrist)
             assert at_wrist == pytest.approx(np.zeros(3), abs=1e-13)
     assert np.isnan(ARMS["elbow6"][0].compiled().wrist).all()
-
-
-def test_kernels_get_the_limits_of_the_free_joints():
-    arm, _ = ARMS["iiwa14"]
-    limits = arm.compiled()
-    assert np.degrees(limits.upper) == pytest.approx([170, 120, 120, 170, 120, 175])
-    assert np.array_equal(limits.lower, -limits.upper)
-    assert np.degrees(limits.max_velocity) == pytest.approx([85, 85, 75, 130, 135, 135])
-    assert np.array_equal(limits.max_acceleration, np.full(6, 10.0))

@@ -139,7 +139,7 @@ class Kinematics(NamedTuple):
 
 
 class ArmKernel(NamedTuple):
-    """Parameters and kinematics of an arm for compiled kernels."""
+    """Kinematics of an arm for compiled kernels."""
 
     kinematics: int
     """Address of the function kinematics(q, dq, frame, lanes), compiled for blocks of 6, 6 and
@@ -149,14 +149,6 @@ class ArmKernel(NamedTuple):
     wrist: Array
     """Point in which the last three axes meet, in the flange frame [m], shape (3,); NaN without
     one."""
-    lower: Array
-    """Lower limits of the free joints [rad], shape (6,)."""
-    upper: Array
-    """Upper limits of the free joints [rad], shape (6,)."""
-    max_velocity: Array
-    """Limits of their velocities [rad/s], shape (6,)."""
-    max_acceleration: Array
-    """Limits of their accelerations [rad/s^2], shape (6,)."""
 
 
 class Arm(_Described):
@@ -302,11 +294,8 @@ def check_free(names: Sequence[str], held: int | None) -> None:
 
 @functools.cache
 def _compiled(arm: Arm) -> ArmKernel:
-    limits = np.array([(j.lower, j.upper, j.velocity, j.acceleration) for j in arm.free_joints])
-    lower, upper, velocity, acceleration = np.ascontiguousarray(limits.T)
     kinematics, motion = map(_address, load(arm))
-    wrist = wrist_centre(links(arm))
-    return ArmKernel(kinematics, motion, wrist, lower, upper, velocity, acceleration)
+    return ArmKernel(kinematics, motion, wrist_centre(links(arm)))
 
 
 def _address(function: KinematicsFunction) -> int:

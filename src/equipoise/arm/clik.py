@@ -11,7 +11,7 @@ paper asks.
 
 Near a singularity the inverse is damped (Nakamura & Hanafusa 1986): where the manipulability
 w = \|det J\| is below w_0, J^{-1} becomes J^T (J J^T + lambda^2)^{-1} with
-lambda = lambda_0 (1 - w/w_0), and damped lanes are counted.
+lambda = lambda_0 (1 - w/w_0).
 
 Records are blocks of lanes, see `equipoise.elementary`.
 """
@@ -84,7 +84,7 @@ def pose_error(frame: Array, reference: Array, n: int) -> Twist:
 @inlined
 def joint_acceleration(
     frame: Array, reference: Array, e: Array, parameters: ClikParameters, ddq: Array, lanes: int
-) -> int:
+) -> None:
     """Write the joint accelerations of equation (3) into `ddq`.
 
     Args:
@@ -94,27 +94,23 @@ def joint_acceleration(
         parameters: Gains and damping.
         ddq: Joint accelerations [rad/s^2], 6 rows.
         lanes: Number of lanes.
-
-    Returns:
-        The number of lanes with a damped inverse.
     """
     for i in range(6):
         for n in range(BATCH_SIZE):
             e_dot = reference[TWIST + i, n] - frame[TWIST + i, n]
             wanted = reference[GAMMA + i, n] - frame[BIAS + i, n]
             e[i, n] = fma(parameters.K_p, e[i, n], fma(parameters.K_d, e_dot, wanted))
-    return solve(frame, e, parameters, ddq, lanes)
+    solve(frame, e, parameters, ddq, lanes)
 
 
 @inlined
-def solve(frame: Array, rhs: Array, parameters: ClikParameters, y: Array, lanes: int) -> int:
-    """Solve J y = rhs in each lane, damped near singularities; return the number damped."""
+def solve(frame: Array, rhs: Array, parameters: ClikParameters, y: Array, lanes: int) -> None:
+    """Solve J y = rhs in each lane, damped near singularities."""
     wrist, w_0 = parameters.wrist, parameters.w_0
-    damped = 0
     if wrist[0] != wrist[0]:
         for n in range(lanes):
-            damped += _solve_damped(frame, rhs, parameters, y, n)
-        return damped
+            _solve_damped(frame, rhs, parameters, y, n)
+        return
     near_singular = 0
     for n in range(BATCH_SIZE):
         w = _solve_at_wrist(frame, rhs, wrist, y, n)
@@ -122,8 +118,7 @@ def solve(frame: Array, rhs: Array, parameters: ClikParameters, y: Array, lanes:
     if near_singular > 0:
         for n in range(lanes):
             if _solve_at_wrist(frame, rhs, wrist, y, n) < w_0:
-                damped += _solve_damped(frame, rhs, parameters, y, n)
-    return damped
+                _solve_damped(frame, rhs, parameters, y, n)
 
 
 @inlined
@@ -212,13 +207,11 @@ def dot(a: Point, b: Point) -> float:
 
 
 @compilable
-def _solve_damped(frame: Array, rhs: Array, parameters: ClikParameters, y: Array, n: int) -> int:
-    """Solve J J^T z = rhs, y = J^T z in lane `n`; return 1 if damped, else 0."""
-    damped = 0
+def _solve_damped(frame: Array, rhs: Array, parameters: ClikParameters, y: Array, n: int) -> None:
+    """Solve J J^T z = rhs, y = J^T z in lane `n`, damped near a singularity."""
     L = np.empty((6, 6))
     w = _cholesky(frame, 0.0, L, n)
     if w < parameters.w_0:
-        damped = 1
         _cholesky(frame, (parameters.lambda_0 * (1.0 - w / parameters.w_0)) ** 2, L, n)
     z = np.empty(6)
     for i in range(6):
@@ -235,7 +228,6 @@ def _solve_damped(frame: Array, rhs: Array, parameters: ClikParameters, y: Array
         for i in range(6):
             sum_j += frame[JACOBIAN + 6 * i + j, n] * z[i]
         y[j, n] = sum_j
-    return damped
 
 
 @compilable

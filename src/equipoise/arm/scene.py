@@ -44,19 +44,19 @@ SIZES: Final = Sizes()
 SHORTEST: Final = 1e-3
 """Length of the shortest step that is drawn [m]; rounding in a file is shorter, and has no
 direction."""
-FULL_LENGTH: Final = 1.2
-"""Length from which a stretched arm has the sizes of an iiwa [m]; the iiwa 7 has 1.27 m."""
 
 
 def sizes_for(arm: Arm, sizes: Sizes = SIZES) -> Sizes:
-    """Return sizes in proportion to the length of an arm; at most those given.
+    """Return sizes in proportion to the length of an arm; from 1.2 m on, those given.
+
+    The stretched iiwa 7 has 1.27 m.
 
     Args:
         arm: The arm.
         sizes: Thickness of the parts of an iiwa.
     """
     steps = [joint.xyz for joint in arm.joints] + [arm.flange_xyz]
-    fraction = min(1.0, float(sum(np.linalg.norm(step) for step in steps)) / FULL_LENGTH)
+    fraction = min(1.0, float(sum(np.linalg.norm(step) for step in steps)) / 1.2)
     scaled = ("link", "pulled_in", "housing", "housing_reach", "hand")
     return sizes._replace(**{name: fraction * getattr(sizes, name) for name in scaled})
 

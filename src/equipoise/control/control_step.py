@@ -67,24 +67,12 @@ CORRECTION: Final = 0.1
 """Fraction of the difference between measured and modelled joints that is corrected per tick: a
 time constant of 0.1 s. The model is faster than the measurement; only slow differences, such
 as the sag under the pendulum's weight, are significant."""
-SINGULAR_FRACTION: Final = 0.05
-"""Fraction of the manipulability at home below which the inverse is damped."""
-DAMPING: Final = 0.05
-"""Damping factor at a singularity."""
-MIN_MANIPULABILITY: Final = 1e-6
-"""Minimum |det J| of a home posture [m^3]; an iiwa at home has 0.09."""
-POSE_ITERATIONS: Final = 20
-"""Maximum number of Newton steps to a posture."""
-POSE_TOLERANCE: Final = 1e-12
-"""Pose error at which they end [m], [rad]."""
 
 SETPOINTS_PER_TICK: Final = 2
 """Setpoints per tick: at 100 Hz a servo with a shaping law would move the joints in bursts of four
 times their mean speed, at 200 Hz of twice."""
 HISTORY_TICKS: Final = 12
 """Number of ticks of the arm's motion in the history."""
-MIN_PREDICTION_STEP: Final = 1e-9
-"""Duration below which a step of the prediction is skipped [s]."""
 
 LANES: Final = (BATCH_SIZE,)
 """Shape of a field with one number for each lane."""
@@ -187,23 +175,6 @@ class Observed(Protocol):
     """Its rate [rad/s]."""
 
 
-class Placement(Protocol):
-    """Newton's iteration to a posture, in the first lane."""
-
-    q: Annotated[Array, ROWS]
-    """Joints [rad]."""
-    dq: Annotated[Array, ROWS]
-    """Their velocities [rad/s]."""
-    change: Annotated[Array, ROWS]
-    """Change of the joints in an iteration [rad]."""
-    e: Annotated[Array, ROWS]
-    """Pose error [m], [rad], or twist [m/s], [rad/s]."""
-    frame: Annotated[Array, (FRAME_SIZE, BATCH_SIZE)]
-    """Record of the kinematics."""
-    reference: Annotated[Array, (REFERENCE_SIZE, BATCH_SIZE)]
-    """Record of the reference."""
-
-
 class ControllerState(Protocol):
     """State of the controllers of `BATCH_SIZE` lanes; kernels change it in place."""
 
@@ -249,8 +220,6 @@ class ControllerState(Protocol):
     """Estimate of the observer."""
     observation: Observed
     """Observation of the policy."""
-    placement: Placement
-    """Iteration to the posture of a start."""
     motion: Motion
     """Motion at one time: a compiler vectorises large loops over fields at fixed places alone, and
     those of `history` move."""
@@ -288,7 +257,7 @@ def make_controller_params(
     q[:, 0] = arm.home_free
     kinematics(compiled.kinematics, q, dq, frame, 1)
     w = float(manipulability(frame, 0))
-    if w < MIN_MANIPULABILITY:
+    if w < 1e-6:  # [m^3]: an iiwa at home has 0.09
         raise ArmError(
             f"the home posture of {arm.name} is singular (|det J| = {w:.1e} m^3); choose another"
         )
@@ -299,14 +268,15 @@ def make_controller_params(
             f"{1e3 * max_delay:.0f} ms, the controller's history; shorten the delay of the link"
         )
     wrist_x, wrist_y, wrist_z = (float(value) for value in compiled.wrist)
-    limits = compiled.lower, compiled.upper, compiled.max_velocity, compiled.max_acceleration
+    limits = ((j.lower, j.upper, j.velocity, j.acceleration) for j in arm.free_joints)
     own, clik = settings.controller, settings.clik
     params = ControllerParams(
         code=ControllerCode(compiled.kinematics, compiled.motion),
+        # The inverse is damped below a twentieth of the manipulability at home.
         clik=ClikParameters(
-            clik.K_p, clik.K_d, SINGULAR_FRACTION * w, DAMPING, (wrist_x, wrist_y, wrist_z)
+            clik.K_p, clik.K_d, 0.05 * w, lambda_0=0.05, wrist=(wrist_x, wrist_y, wrist_z)
         ),
-        limits=tuple(tuple(limit.tolist()) for limit in limits),
+        limits=tuple(zip(*limits, strict=True)),
         home=tuple(arm.home_free.tolist()),
         home_reference=tuple(frame[:REFERENCE_SIZE, 0].tolist()),
         pivot=arm.pivot,
@@ -386,25 +356,26 @@ def place_command(
         x_dot: Its velocity [m/s].
         n: Lane.
     """
-    start = state.placement
-    q, dq, e, frame, reference = start.q, start.dq, start.e, start.frame, start.reference
+    q, dq, e, change = np.zeros(ROWS), np.zeros(ROWS), np.zeros(ROWS), np.zeros(ROWS)
+    frame = np.zeros((FRAME_SIZE, BATCH_SIZE))
+    reference = np.zeros((REFERENCE_SIZE, BATCH_SIZE))
     for i in range(REFERENCE_SIZE):
         reference[i, 0] = controller.home_reference[i]
     reference[POSITION, 0] += x
     for i in range(FREE_JOINTS):
-        q[i, 0], dq[i, 0] = controller.home[i], 0.0
-    for _ in range(POSE_ITERATIONS):
+        q[i, 0] = controller.home[i]
+    for _ in range(20):  # Newton's iteration to the posture
         kinematics(controller.code.kinematics, q, dq, frame, 1)
         error = pose_error(frame, reference, 0)
         largest = 0.0
         for i in range(6):
             e[i, 0] = error[i]
             largest = max(largest, abs(error[i]))
-        if largest < POSE_TOLERANCE:
+        if largest < 1e-12:  # [m], [rad]
             break
-        solve(frame, e, controller.clik, start.change, 1)
+        solve(frame, e, controller.clik, change, 1)
         for i in range(FREE_JOINTS):
-            q[i, 0] += start.change[i, 0]
+            q[i, 0] += change[i, 0]
     for i in range(6):
         e[i, 0] = x_dot if i == 0 else 0.0
     solve(frame, e, controller.clik, dq, 1)
@@ -537,7 +508,7 @@ def observe(
         return
     part = delay - whole * h
     for j in range(whole, -1, -1):
-        if part > MIN_PREDICTION_STEP:
+        if part > 1e-9:  # [s]: not a rounding
             then = tick_before(state, j)
             for n in range(BATCH_SIZE):
                 motion.pivot_v[n] = then.pivot_v[n]
@@ -546,7 +517,7 @@ def observe(
         part = h
     part = controller.horizon - delay
     home_x = controller.home_reference[POSITION]
-    if part > MIN_PREDICTION_STEP:
+    if part > 1e-9:  # [s]: not a rounding
         for n in range(BATCH_SIZE):
             _propagate(observation, frame[TWIST, n], part, pendulum, n)
     for n in range(BATCH_SIZE):

@@ -16,7 +16,7 @@ The law hands over where the policy is known to save the pendulum: in each tick 
 policy balances the nominal pendulum from there, in simulation, at the edges of what the observer
 may be wrong by. The observation is the state at which u takes effect, so that no delay remains.
 
-Turned round, with an acceleration that falls with the rate, it lets a pendulum hang (`damping`).
+Turned round, with an acceleration that falls with the rate, it lets the pendulum hang: `damps`.
 """
 
 from math import acos, copysign, cos, pi, radians, sqrt
@@ -55,7 +55,7 @@ USED_SPEED: Final = 0.8
 CALIBRATION: Final = 0.5
 """Fraction of the difference between measured and assumed w2 that a swing corrects [-]."""
 DAMPING: Final = 0.3
-"""Damping ratio of the pendulum's small swings under `damping` [-]."""
+"""Damping ratio of the pendulum's small swings where the law lets it hang [-]."""
 MIN_HEIGHT: Final = 1.0
 """Minimum height of a swing that calibrates w2, in lengths of the pendulum [-]."""
 MAX_CALIBRATION: Final = 0.15
@@ -101,11 +101,6 @@ def make_swing_up(controller: ControllerParams, max_speed: float) -> SwingUp:
     """
     pendulum, h, horizon = controller.pendulum, controller.h, controller.horizon
     return SwingUp(pendulum, h, horizon, max_speed, time_limit(pendulum))
-
-
-def damping(law: SwingUp) -> SwingUp:
-    """Return the constants of a law that lets the pendulum hang."""
-    return law._replace(damps=True)
 
 
 def amplitude(pendulum: PendulumParameters, phi: float, phi_dot: float) -> float:

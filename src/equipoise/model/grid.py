@@ -76,13 +76,6 @@ def _outward(edges: tuple[float, ...]) -> Axis:
 
 
 @inlined
-def box_count(boxes: Grid) -> int:
-    """Return the number of boxes."""
-    angles = (len(boxes.phi.edges) + 1) * (len(boxes.phi_dot.edges) + 1)
-    return angles * (len(boxes.x.edges) + 1) * (len(boxes.x_dot.edges) + 1)
-
-
-@inlined
 def interval_index(value: float, axis: Axis) -> int:
     """Return the interval of an axis that holds `value`."""
     index = 0

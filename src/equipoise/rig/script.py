@@ -20,7 +20,7 @@ from equipoise.arrays import Array
 from equipoise.control.controller import Controller, FlangeKinematics
 from equipoise.control.minimum_jerk import MinimumJerk, path_within
 from equipoise.control.policy import Policy, tick_policy
-from equipoise.control.swing_up import SwingUpPolicy, amplitude, damping, make_swing_up, time_limit
+from equipoise.control.swing_up import SwingUpPolicy, amplitude, make_swing_up, time_limit
 from equipoise.control.ticks import OK, Job, OperatorMessage, Sample, TickRecord
 from equipoise.errors import InputError
 from equipoise.identification.driven_swing import (
@@ -553,7 +553,7 @@ def _swinging(run: Run, *, hang: bool = False) -> SwingUpPolicy:
     kernel = run.request.policy.kernel
     assert kernel is not None  # noqa: S101 - `check_start` has refused other policies
     law = make_swing_up(run.params, run.safety.speed)
-    return SwingUpPolicy(kernel, damping(law) if hang else law)
+    return SwingUpPolicy(kernel, law._replace(damps=hang))
 
 
 def balance(run: Run, policy: Policy, clock: Callable[[], float]) -> Steps[End]:

@@ -41,9 +41,6 @@ from equipoise.simulation.trials import Trial, Trials, draw_trials
 
 Done = Callable[[float], None]
 """Callback; receives the number of trials that have just finished; from Python, parts of one."""
-MAX_TASKS: Final = 1000
-"""Maximum number of tasks that other workers get for one run, each some milliseconds of overhead
-and a step of the progress."""
 PROGRESS: Final = 100
 """Steps between two reports of progress: some seconds in a slow world."""
 
@@ -242,8 +239,8 @@ class Simulation(ABC):
         if isinstance(workers, int):
             fraction = -(-len(rows) // (self.BATCH * workers)) * self.BATCH
             size = min(self.PIECE, max(fraction, 1))
-        else:
-            size = max(self.PIECE, -(-len(rows) // (self.BATCH * MAX_TASKS)) * self.BATCH)
+        else:  # at most 1000 tasks: each costs some milliseconds and a step of the progress
+            size = max(self.PIECE, -(-len(rows) // (self.BATCH * 1000)) * self.BATCH)
         pieces = [list(rows[first : first + size]) for first in range(0, len(rows), size)]
         parts = [Trials._make(column[piece] for column in trials) for piece in pieces]
         for i, ended in completed(partial(_run_part, self, kernel, duration), parts, workers):

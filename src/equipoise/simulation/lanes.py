@@ -23,8 +23,6 @@ from equipoise.model.grid import TRUNCATED
 from equipoise.simulation.interface import Simulation
 from equipoise.simulation.plant import DomainRandomization, observed
 
-UPRIGHT_TIME: Final = 1.0
-"""Time within the failure angle after which a pendulum that was swung up may fail [s]."""
 WINDOW: Final = 32
 """Number of episodes of a lane whose conditions are drawn together."""
 WORLDS_PER_THREAD: Final = 4
@@ -56,13 +54,15 @@ class Lane(Protocol):
 def upright_ticks(before: int, phi: float, h: float) -> tuple[int, bool]:
     """Return for how many ticks a swung-up pendulum has stood, and whether it may fail from now on.
 
+    It may once it has stayed within the failure angle for a second.
+
     Args:
         before: Number of ticks until now.
         phi: Its angle from upright [rad].
         h: Time between ticks [s].
     """
     ticks = before + 1 if abs(phi) < paper.PHI_LIMIT else 0
-    return ticks, ticks * h >= UPRIGHT_TIME
+    return ticks, ticks * h >= 1.0
 
 
 @kernel

@@ -59,8 +59,6 @@ from equipoise.model.random import normal_radius, philox, turn, uniform
 from equipoise.safety.rules import SPEED_CODE
 from equipoise.settings import Settings
 
-MIN_INERTIA_FACTOR: Final = 0.1
-"""Smallest factor on the moment of inertia that noise may give [-]."""
 SETPOINT_HISTORY: Final = 32
 """Number of setpoints that may be in flight to the arm."""
 
@@ -496,7 +494,7 @@ def scaled(
 
     Factors come from normal distributions: I keeps at least a tenth of itself, b is not negative.
     """
-    inertia_factor = max(inertia_factor, MIN_INERTIA_FACTOR)
+    inertia_factor = max(inertia_factor, 0.1)
     friction_factor = max(friction_factor, 0.0)
     return PendulumParameters(
         pendulum.w2 / inertia_factor,

@@ -11,7 +11,6 @@ too (the end of a joint's range does, by force), and the brakes' closing.
 """
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
@@ -22,14 +21,6 @@ from equipoise.physics_engine import mujoco
 from equipoise.simulation.twin.physics import build_bare
 from equipoise.simulation.twin.servo_model import send
 from equipoise.simulation.twin.twin import Twin
-
-BRAKING: Final = 40
-"""Braking time of the drives before they hold the arm [ms]: five times their lag."""
-REST_RATE: Final = 0.02
-"""Joint speed below which the arm counts as resting and holds its target [rad/s]; larger than the
-motion that a swinging pendulum causes in a resting arm."""
-TORQUE_NOISE: Final = 0.05
-"""Standard deviation of the noise on a measured torque [N m]. Assumed."""
 
 
 @kernel
@@ -82,7 +73,7 @@ class SimulatedArm:
             bare.qacc[:] = data.qacc[:-1]
             mujoco().mj_inverse(self._bare, bare)
             torques = bare.qfrc_inverse + state.gravity - torques
-        add_noise(self._twin.state, TORQUE_NOISE, 3, torques)
+        add_noise(self._twin.state, 0.05, 3, torques)  # [N m], assumed
         return tuple(torques.tolist())
 
     def servo(self, running: bool) -> None:
@@ -135,5 +126,6 @@ class SimulatedArm:
         state = self._twin.state
         state.servo.arriving[:] = np.nan
         state.servo.newest = state.now
-        moves = np.abs(self._twin.data.qvel[:-1]).max() > REST_RATE
-        self._braking = BRAKING if moves else 0
+        # [rad/s]: more than a swinging pendulum moves a resting arm.
+        moves = np.abs(self._twin.data.qvel[:-1]).max() > 0.02
+        self._braking = 40 if moves else 0  # [ms]: five times the lag of the drives
