@@ -42,12 +42,12 @@ def expressions(tape, leaves):
 @pytest.mark.full
 def test_what_is_printed_computes_what_was_written(data):
     tape = compiler.Tape()
-    leaves = [(tape.input(name, f"inputs['{name}']"), value) for name, value in INPUTS.items()]
+    leaves = [(tape.input(name), value) for name, value in INPUTS.items()]
     symbol, value = data.draw(expressions(tape, leaves))
     record = {}
     entries = {"record['out']": symbol}
     tape.fuse(entries)
-    exec("\n".join(tape.python(entries)), {"inputs": INPUTS, "record": record, "fma": fma})
+    exec("\n".join(tape.python(entries)), {**INPUTS, "record": record, "fma": fma})
     # Terms are added in another order: rounding of values that may reach 1e6 and cancel.
     assert record["out"] == pytest.approx(value, rel=1e-9, abs=1e-9)
 

@@ -175,18 +175,9 @@ class Tape:
             self.symbols[key] = Symbol(self, "number", (), key[1])
         return self.symbols[key]
 
-    def input(self, name: str, formula: str) -> Symbol:
-        """Return a symbol whose value is the Python expression `formula`."""
-        symbol = self.symbols[("input", formula)] = Symbol(self, formula, ())
-        symbol.name = name
-        return symbol
-
-    def pair(self, names: tuple[str, str], formula: str) -> "tuple[Symbol, Symbol]":
-        """Return the two symbols of a Python expression with a pair as its value."""
-        both = self.input(", ".join(names), formula)
-        first, second = (self.symbol(f"part {i}", both) for i in range(2))
-        first.name, second.name = names
-        return first, second
+    def input(self, name: str) -> Symbol:
+        """Return a symbol whose value is the variable of a name."""
+        return self.symbol(name)
 
     def symbol(self, operation: str, *operands: Symbol) -> Symbol:
         """Return the one symbol of this operation on these operands."""
@@ -209,11 +200,9 @@ class Tape:
         Expressions with several uses get a line of their own; unused ones are left out.
         """
         users = _users(record)
-        needed = sorted(users, key=lambda symbol: symbol.order)
-        for symbol in needed:
-            if symbol.operation in "+-*" and users[symbol] > 1 and not symbol.name:
+        for symbol in sorted(users, key=lambda symbol: symbol.order):
+            if symbol.operation in "+-*" and (users[symbol] > 1 or symbol.name):
                 symbol.name = f"t{symbol.order}"
-            if symbol.name and not symbol.operation.startswith("part"):
                 yield f"{symbol.name} = {symbol.formula()}"
         yield from (f"{target} = {symbol}" for target, symbol in record.items())
 
@@ -242,8 +231,8 @@ def trace(steps: Sequence[Link]) -> tuple[Tape, Record]:
         The tape, and the symbols of the entries of the record.
     """
     tape, joints = Tape(), range(FREE_JOINTS)
-    pairs = [tape.pair((f"s{i}", f"c{i}"), f"sincos(q[{_entry(i)}])") for i in joints]
-    dq = [tape.input(f"dq{i}", f"dq[{_entry(i)}]") for i in joints]
+    pairs = [(tape.input(f"s{i}"), tape.input(f"c{i}")) for i in joints]
+    dq = [tape.input(f"dq{i}") for i in joints]
 
     def constant(vector: Array) -> Vector:
         return np.array([tape.number(entry) for entry in vector])
@@ -287,9 +276,11 @@ def source(arm: "Arm") -> str:
     tape, record = trace(links(arm))
     tape.fuse(record)
     moving = dict(list(record.items())[:BIAS])
+    inputs = [f"s{i}, c{i} = sincos(q[{_entry(i)}])" for i in range(FREE_JOINTS)]
+    inputs += [f"dq{i} = dq[{_entry(i)}]" for i in range(FREE_JOINTS)]
     text = "from equipoise.elementary import fma, sincos\n"
     for name, entries in (("kinematics", record), ("motion", moving)):
-        body = "\n".join(f"        {line}" for line in tape.python(entries))
+        body = "\n".join(f"        {line}" for line in (*inputs, *tape.python(entries)))
         text += FUNCTION.format(name=name, body=body)
     return text
 

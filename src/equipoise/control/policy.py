@@ -58,8 +58,6 @@ class PolicyKernel(NamedTuple):
     """Acceleration of each box [m/s^2]; for TABLE."""
     gains: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     """Gains of u = gains . (x, x_dot, phi, phi_dot); for LINEAR and SNAPPED."""
-    actions: tuple[float, ...] = paper.ACTIONS
-    """The eight accelerations [m/s^2]."""
     boxes: Grid = grid.make_grid(BoxSettings(), 1.0)
     """Edges of the boxes."""
 
@@ -83,7 +81,7 @@ def act(
     """
     if policy.kind == TABLE:
         return policy.u_of_box[box_index(x, x_dot, phi, phi_dot, policy.boxes)]
-    actions = policy.actions
+    actions = paper.ACTIONS
     if policy.kind == RANDOM:
         return actions[int(chance * len(actions))]
     g = policy.gains
@@ -122,8 +120,8 @@ class KernelPolicy:
     @property
     def digest(self) -> str:
         """SHA-256 of its numbers."""
-        kind, u_of_box, gains, actions, _ = self.kernel
-        numbers = repr((kind, u_of_box.tolist(), gains, actions))
+        kind, u_of_box, gains, _ = self.kernel
+        numbers = repr((kind, u_of_box.tolist(), gains, paper.ACTIONS))
         return DIGEST_PREFIX + hashlib.sha256(numbers.encode()).hexdigest()
 
     def reset(self) -> None:

@@ -6,7 +6,7 @@ comes from an encoder and the measured joints, through the observer and the pred
 """
 
 from abc import abstractmethod
-from math import floor, inf, pi
+from math import floor, pi
 
 import numpy as np
 
@@ -47,7 +47,6 @@ class ExternalLoop(ClosedLoop):
         self._controllers = new_records(ControllerState)
         self.controller = fields(self._controllers, ControllerState)
         self._sigmas = np.repeat([plant.position_error_sigma, plant.orientation_error_sigma], 3)
-        self._max_speed = inf if plant.max_speed is None else plant.max_speed
         self._state, self._tick = np.zeros(4), 0
 
     @abstractmethod
@@ -107,7 +106,7 @@ class ExternalLoop(ClosedLoop):
         x, x_dot, phi, _ = self._state.tolist()
         self.tracked = (x_dot - before) / self.params.h
         exceeded = bool(controller.limit_exceeded[0])
-        return failure(x, x_dot, phi, exceeded, self._max_speed, self.balancing)
+        return failure(x, x_dot, phi, exceeded, simulation.max_speed, self.balancing)
 
     def _observe(self) -> None:
         """Read the state and the measurements; without an encoder the state is the observation."""

@@ -78,8 +78,6 @@ class LoopParams(NamedTuple):
     """Standard deviation of the noise on the position part of e [m]."""
     orientation_noise: float
     """Standard deviation of the noise on the orientation part of e [rad]."""
-    linearised: bool
-    """Whether the pendulum is that of equation (7)."""
     reset: int = 0
     """Address of the compiled `reset`."""
     step: int = 0
@@ -167,7 +165,6 @@ def make_loop_params(
         ArmError: Home is a singular posture.
         SettingsError: The delay exceeds the controller's history.
     """
-    max_speed = settings.plant.max_speed
     plant = LoopParams(
         controller=make_controller_params(
             arm,
@@ -178,10 +175,9 @@ def make_loop_params(
             counts_per_rev=settings.plant.counts_per_rev,
             has_sensor=actuator.kind != "ideal",
         ),
-        max_speed=inf if max_speed is None else max_speed,
+        max_speed=settings.plant.max_speed or inf,
         position_noise=settings.plant.position_error_sigma,
         orientation_noise=settings.plant.orientation_error_sigma,
-        linearised=settings.plant.linearised,
     )
     kinds = numba.typeof(plant), numba.from_dtype(record_type(BatchState))
     variation = numba.typeof(DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0))
@@ -269,7 +265,7 @@ def step(plant: LoopParams, batch: BatchState, lanes: int) -> None:
     # actuator changes within a step: there such pendulums advance cycle by cycle.
     by_cycles = controller.has_sensor and dry
     if by_cycles:
-        move_arms_and_pendula(controller, batch, plant.linearised, lanes)
+        move_arms_and_pendula(controller, batch, lanes)
     elif controller.has_sensor:
         move_arms(controller, batch, lanes)
     for n in range(BATCH_SIZE):
@@ -278,7 +274,7 @@ def step(plant: LoopParams, batch: BatchState, lanes: int) -> None:
         state.x[n] = frame[POSITION, n] - home_x
         state.x_dot[n] = frame[TWIST, n]
     if not by_cycles:
-        advance_pendula(batch, batch.u_tracked, h, plant.linearised, dry, lanes)
+        advance_pendula(batch, batch.u_tracked, h, controller.pendulum.linearised, dry, lanes)
     for n in range(BATCH_SIZE):
         exceeded = memory.limit_exceeded[n] != 0
         state.phi[n] = wrapped(state.phi[n])
@@ -329,18 +325,10 @@ def move_arms(controller: ControllerParams, batch: BatchState, lanes: int) -> No
 
 
 @inlined
-def move_arms_and_pendula(
-    controller: ControllerParams, batch: BatchState, linearised: bool, lanes: int
-) -> None:
-    """Move arms and pendulums of the first lanes by one tick, cycle by cycle.
-
-    Args:
-        controller: Constants.
-        batch: Changed in place.
-        linearised: Whether the pendulums are those of equation (7).
-        lanes: Number of lanes.
-    """
+def move_arms_and_pendula(controller: ControllerParams, batch: BatchState, lanes: int) -> None:
+    """Move arms and pendulums of the first lanes by one tick, cycle by cycle."""
     arm, frame, cycles = batch.arm, batch.frame, round(controller.h / SETPOINTS_PER_TICK / CYCLE)
+    linearised = controller.pendulum.linearised
     for s in range(SETPOINTS_PER_TICK):
         _send(batch, s, lanes)
         for cycle in range(cycles):
