@@ -48,7 +48,7 @@ import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.arm.arm import Arm
-from equipoise.control.baselines import lqr_gains
+from equipoise.control.linear import lqr_gains
 from equipoise.control.policy import shipped_policy
 from equipoise.elementary import fma
 from equipoise.executors import available_cores

@@ -14,7 +14,7 @@ from scipy.linalg import solve_discrete_are
 from scipy.signal import cont2discrete
 
 import equipoise as eq
-from equipoise.control.baselines import state_space
+from equipoise.control.linear import state_space
 
 PERIOD = 0.01
 """Time between two actions [s]."""

@@ -16,7 +16,7 @@ from scipy.signal import cont2discrete
 
 import equipoise as eq
 from equipoise import paper
-from equipoise.control.baselines import state_space
+from equipoise.control.linear import state_space
 
 PERIOD, EACH, PARTS, LIMIT = 0.01, 5, 10, max(paper.ACTIONS)
 """Time between two ticks [s], ticks of a part, parts of the plan, and the largest |u| [m/s^2]."""

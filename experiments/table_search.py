@@ -28,7 +28,7 @@ import numpy as np
 
 import equipoise as eq
 from equipoise import paper
-from equipoise.control.baselines import lqr_gains
+from equipoise.control.linear import lqr_gains
 from equipoise.executors import open_workers
 from equipoise.learning.train import score_tables
 from equipoise.settings import BoxSettings

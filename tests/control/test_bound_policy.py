@@ -9,8 +9,8 @@ import pytest
 
 from equipoise import paper
 from equipoise.arm.iiwa import iiwa
-from equipoise.control.baselines import lqr_gains
 from equipoise.control.bound_policy import BUILT_IN, load_policy
+from equipoise.control.linear import lqr_gains
 from equipoise.control.policy import act, shipped_policy
 from equipoise.errors import ArtefactError, InputError, MissingExtraError
 from equipoise.model.pendulum import Pendulum, shipped_pendulum

@@ -11,9 +11,9 @@ from scipy.integrate import solve_ivp
 
 from equipoise.arm.iiwa import iiwa
 from equipoise.arrays import fields, new_records
-from equipoise.control.baselines import lqr_gains
 from equipoise.control.control_step import ControllerState, horizon, make_controller_params
 from equipoise.control.controller import command_tick, estimate_of, observe_tick, start
+from equipoise.control.linear import lqr_gains
 from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import SettingsError
 from equipoise.files import Estimate

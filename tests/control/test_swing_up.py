@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp
 
 from equipoise import paper
 from equipoise.arrays import fields, new_records
-from equipoise.control.baselines import baselines
 from equipoise.control.bound_policy import bind_policy
+from equipoise.control.linear import baselines
 from equipoise.control.policy import shipped_policy
 from equipoise.control.swing_up import (
     SwingUp,

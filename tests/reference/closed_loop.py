@@ -12,7 +12,7 @@ from math import cos, exp, floor, pi, sin
 import numpy as np
 
 from equipoise.control.control_step import CORRECTION
-from equipoise.control.estimator import ACCELERATION_SIGMA, ANGLE_SIGMA, BIAS_DRIFT
+from equipoise.control.linear import ACCELERATION_SIGMA, ANGLE_SIGMA, BIAS_DRIFT
 
 H = 0.01
 MILLISECOND = 1e-3

@@ -3,8 +3,8 @@
 import pytest
 from scipy import stats
 
-from equipoise.control.baselines import baselines
 from equipoise.control.bound_policy import bind_policy
+from equipoise.control.linear import baselines
 from equipoise.executors import counted
 from equipoise.outcomes import Outcome
 from equipoise.settings import resolve

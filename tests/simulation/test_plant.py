@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 from equipoise import paper
 from equipoise.arm.iiwa import iiwa
-from equipoise.control.baselines import lqr_gains
+from equipoise.control.linear import lqr_gains
 from equipoise.control.policy import KernelPolicy, shipped_policy, table_kernel
 from equipoise.errors import ArmError
 from equipoise.files import Estimate

@@ -8,7 +8,6 @@ import pytest
 from equipoise.arm.compiler import TWIST
 from equipoise.arm.iiwa import iiwa
 from equipoise.arrays import fields, new_records
-from equipoise.control.baselines import lqr_gains
 from equipoise.control.control_step import ControllerState
 from equipoise.control.controller import (
     command_tick,
@@ -17,6 +16,7 @@ from equipoise.control.controller import (
     observe_tick,
     start,
 )
+from equipoise.control.linear import lqr_gains
 from equipoise.control.policy import LINEAR, RANDOM, KernelPolicy, PolicyKernel, act
 from equipoise.model.actuator import Actuator
 from equipoise.model.grid import ANGLE, TRUNCATED

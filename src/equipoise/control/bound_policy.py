@@ -24,7 +24,7 @@ from equipoise.arguments import checked
 from equipoise.arm.arm import Arm
 from equipoise.arm.urdf import read_arm
 from equipoise.arrays import Array
-from equipoise.control.baselines import baselines
+from equipoise.control.linear import baselines
 from equipoise.control.policy import (
     BoundPolicy,
     KernelPolicy,

@@ -11,7 +11,7 @@ drive allow. So the controller keeps a model of the arm (`equipoise.model.actuat
 the setpoints as they are *sent*: its present state is that of the arm at t + d, its history holds
 the arm's state now. Slow differences to the measured q are added to it. Therefore:
 
-1. The pendulum's observer (`equipoise.control.estimator`) takes the acceleration of the pivot now
+1. The pendulum's observer (`equipoise.control.linear`) takes the acceleration of the pivot now
    from the model's history.
 2. The prediction propagates phi and phi_dot over the motion in flight until t + d, and from there
    to the horizon T while the velocity ramps to that of the reference. At t + T the arm is where the
@@ -44,7 +44,7 @@ from equipoise.arm.clik import (
 )
 from equipoise.arm.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST
 from equipoise.arrays import Array, IntArray, record_type
-from equipoise.control.estimator import Gains, observer_gains
+from equipoise.control.linear import Gains, observer_gains
 from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import ArmError, SettingsError
 from equipoise.jit import call, compilable, flat, inlined, pointer

@@ -17,8 +17,8 @@ from pydantic import Field, model_validator
 from scipy.special import bdtr, betaincinv
 
 from equipoise.arguments import Workers, checked
-from equipoise.control.baselines import baselines
 from equipoise.control.bound_policy import AnyPolicy, read_policy
+from equipoise.control.linear import baselines
 from equipoise.control.policy import PolicyKernel, TaskPolicy
 from equipoise.errors import InputError
 from equipoise.files import Artefact, Name, Seed, StrPath, Value

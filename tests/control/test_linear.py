@@ -1,12 +1,14 @@
-"""Baselines: gains against an independent recursion."""
+"""Gains of baselines and observer against independent recursions."""
 
 from math import factorial, pi, sqrt
 
 import numpy as np
 import pytest
 
-from equipoise.control.baselines import lqr_gains, pd_gains
+from equipoise.control.linear import lqr_gains, observer_gains, pd_gains
 from equipoise.model.pendulum import PendulumParameters
+from equipoise.settings import ControllerSettings
+from tests.reference.closed_loop import gains as slow_gains
 
 H = 0.01
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
@@ -58,3 +60,17 @@ def test_pd_puts_both_poles_of_the_pendulum_at_its_own_rate_of_fall(pendulum):
     w = sqrt(pendulum.w2)
     assert pendulum.k * on_phi - pendulum.w2 == pytest.approx(w**2)
     assert pendulum.k * on_phi_dot + pendulum.c == pytest.approx(2 * w)
+
+
+@pytest.mark.parametrize(
+    ("pendulum", "counts"), list(zip(OTHERS, [8192, 4096, 100_000], strict=True)), ids=str
+)
+@pytest.mark.parametrize("estimates_bias", [True, False])
+def test_gains_of_the_observer_are_those_to_which_the_riccati_recursion_converges(
+    pendulum, counts, estimates_bias
+):
+    settings = ControllerSettings(estimate_bias=estimates_bias)
+    ours = observer_gains(pendulum, counts, H, estimate_bias=estimates_bias)
+    # 1e-9: the recursion stops at changes of 1e-13, a thousandth of what is then left.
+    np.testing.assert_allclose(ours, slow_gains(pendulum, settings, counts, H), rtol=1e-9)
+    assert (ours[2] == 0.0) == (not estimates_bias)
