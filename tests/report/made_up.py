@@ -15,7 +15,7 @@ from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
 from equipoise.model.pendulum import Pendulum, SwingFit
 from equipoise.model.worlds import IDEAL, MODEL, read_world
 from equipoise.outcomes import Outcome
-from equipoise.reproduction.results import RecipeResults, ReproductionRecord, Results
+from equipoise.reproduction.results import RecipeResults, Results
 from equipoise.settings import resolve
 from equipoise.simulation.evaluation import Evaluation, TrialResults
 
@@ -222,14 +222,10 @@ def results(
     trained, literal = policy(identified, recipe), policy(identified, "paper")
     twin = world != MODEL
     return Results(
-        record=ReproductionRecord(
-            quick=quick,
-            seed=0,
-            swing=trajectory.source,
-            simulated=not given,
-            files={},
-            training_s=8.25,
-        ),
+        seed=0,
+        quick=quick,
+        simulated=not given,
+        training_s=8.25,
         swing=trajectory,
         pendulum=identified,
         default=RecipeResults(

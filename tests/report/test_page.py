@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 
 from equipoise import film
-from equipoise.errors import ArtefactError, OutsideError
-from equipoise.identification.recording import write_swing
+from equipoise.errors import OutsideError
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.worlds import MODEL, TwinSettings
 from equipoise.outcomes import Outcome
 from equipoise.report import page as page_module
 from equipoise.report.page import FIGURES, PAGE, build, page
-from equipoise.reproduction import results as files
 from equipoise.settings import Settings
 from tests.report import made_up
 
@@ -161,62 +159,25 @@ def test_every_setting_is_there_with_value_and_reason(plain):
         assert key in words
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A folder as `reproduce` leaves it."""
-    out = tmp_path_factory.mktemp("machine") / "report"
-    results = made_up.results()
-    write_swing(out / files.SWING, results.swing)
-    # The digest of a recording is that of its file.
-    swing = files.read_swing(out / files.SWING)
-    policy = made_up.policy(made_up.pendulum(swing))
-    results = results._replace(
-        swing=swing,
-        pendulum=policy.pendulum,
-        default=files.RecipeResults(
-            policy=policy,
-            evaluation=made_up.evaluation(policy),
-            twin_evaluation=made_up.twin_evaluation(policy),
-            run=made_up.run(policy, survival=8.0, cause=Outcome.TRACK, world="twin:nominal"),
-        ),
-        swing_up=made_up.swung_up(policy),
-    )
-    files.save(results, out)
-    return out
-
-
 @pytest.mark.full
-def test_the_page_is_built_from_the_folder_alone(folder, monkeypatch):
+def test_the_page_is_built_with_its_figures_and_its_film(tmp_path, monkeypatch):
     monkeypatch.setitem(film.FORMATS, film.WEBP, (64, 64, 2.0))
-    path = build(folder)
+    path = build(made_up.results(survival=8.0, cause=Outcome.TRACK), tmp_path / "report")
     text = path.read_text(encoding="utf-8")
     Reader(text)
-    assert path == folder / PAGE
-    assert folder.parent.name not in text  # no path of this machine
-    assert {f"{name}.svg" for name in FIGURES} < {p.name for p in (folder / "figures").iterdir()}
+    assert path == tmp_path / "report" / PAGE
+    assert tmp_path.name not in text  # no path of this machine
+    assert {f"{name}.svg" for name in FIGURES} < {
+        p.name for p in (path.parent / "figures").iterdir()
+    }
 
 
 @pytest.mark.full
-def test_without_opengl_the_page_says_why_the_film_is_missing(folder, monkeypatch):
+def test_without_opengl_the_page_says_why_the_film_is_missing(tmp_path, monkeypatch):
     def fail(*_, **__):
         raise OutsideError("cannot draw pictures")
 
     monkeypatch.setattr(page_module, "write_film", fail)
     monkeypatch.setattr(page_module, "FIGURES", dict.fromkeys(FIGURES, FIGURES["swing"]))
-    text = build(folder).read_text(encoding="utf-8")
+    text = build(made_up.results(), tmp_path).read_text(encoding="utf-8")
     assert "The film of the run is missing: cannot draw pictures." in Reader(text).text
-
-
-@pytest.mark.parametrize("prefix", ["", files.LITERAL])
-def test_a_file_of_another_reproduction_is_refused(folder, tmp_path, prefix):
-    for path in folder.iterdir():
-        if path.is_file():
-            (tmp_path / path.name).write_bytes(path.read_bytes())
-    name = f"{prefix}evaluation.json"
-    other = made_up.evaluation(files.TabularPolicy.load(folder / files.POLICY), falls=(1.0,))
-    other.save(tmp_path / name, command="test")
-    with pytest.raises(ArtefactError):
-        build(tmp_path)
-    (tmp_path / name).unlink()
-    with pytest.raises(ArtefactError):
-        build(tmp_path)

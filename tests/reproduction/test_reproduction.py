@@ -5,14 +5,14 @@ import pytest
 
 from equipoise import paper
 from equipoise.arm.urdf import read_urdf
-from equipoise.errors import ArtefactError, OutsideError, RecordingError
+from equipoise.errors import OutsideError, RecordingError
 from equipoise.files import read_document
-from equipoise.identification.recording import Trajectory
+from equipoise.identification.recording import Trajectory, read_swing
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.report.page import build
 from equipoise.reproduction.pipeline import TWIN, reproduce
-from equipoise.reproduction.results import RECORD, SWING, load
+from equipoise.reproduction.results import POLICY, SWING
 from equipoise.reproduction.synthetic_swing import (
     SIMULATED_C,
     SIMULATED_HOLD,
@@ -34,56 +34,42 @@ SHORT = resolve(
         "evaluation.duration=2",
     ]
 )
-INPUTS = {
-    "pendulum.json": ("swing", lambda results: results.swing.sha256),
-    "policy.json": ("pendulum", lambda results: results.pendulum.digest),
-    "evaluation.json": ("policy", lambda results: results.default.policy.digest),
-    "twin-evaluation.json": ("policy", lambda results: results.default.policy.digest),
-    "run.mcap": ("policy", lambda results: results.default.policy.digest),
-    "swing-up.mcap": ("policy", lambda results: results.default.policy.digest),
-    "literal-policy.json": ("pendulum", lambda results: results.pendulum.digest),
-    "literal-evaluation.json": ("policy", lambda results: results.literal.policy.digest),
-    "literal-twin-evaluation.json": ("policy", lambda results: results.literal.policy.digest),
-    "literal-run.mcap": ("policy", lambda results: results.literal.policy.digest),
-}
-"""Input of each file."""
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    told = []
     out = tmp_path_factory.mktemp("reproduction") / "deep" / "folder"
-    results = reproduce(
-        out, settings=SHORT, seed=3, workers=1, report=lambda *reported: told.append(reported)
-    )
-    return out, results, told
+    return out, reproduce(out, settings=SHORT, seed=3, workers=1)
 
 
 @pytest.mark.compiled_only
 def test_the_folder_holds_every_value_and_they_belong_together(made):
-    out, results, _ = made
-    assert sorted(path.name for path in out.iterdir()) == sorted([*INPUTS, SWING, RECORD])
-    again = load(out)
-    assert again.record == results.record
-    assert again.pendulum.fit.sha256 == again.swing.sha256
-    for recipe, simulation in ((again.default, MODEL), (again.literal, IDEAL)):
+    out, results = made
+    values = results.files()
+    assert {path.name for path in out.iterdir()} == {SWING, *values}
+    assert len(values) == 10
+    for name, value in values.items():
+        assert type(value).load(out / name).digest == value.digest
+    assert results.pendulum.fit.sha256 == read_swing(out / SWING).sha256
+    inputs = read_document(out / POLICY)["provenance"]["inputs"]
+    assert inputs == {"swing": results.swing.sha256}
+    for recipe, simulation in ((results.default, MODEL), (results.literal, IDEAL)):
+        assert recipe.policy.pendulum == results.pendulum
         assert recipe.evaluation.world == simulation
         assert recipe.twin_evaluation.world == recipe.run.conditions.world == TWIN
-    assert again.swing_up.conditions.settings.evaluation.start == "hanging"
-    assert again.swing_up.conditions.world == TWIN
-    assert again.literal.policy.recipe == "paper"
-    assert again.literal.policy.episodes == paper.EPISODES
-    assert again.default.run.conditions.actuator == shipped_actuator().digest
-    assert again.literal.run.conditions.actuator == IDEAL
-    for name, (of, digest) in INPUTS.items():
-        if name.endswith(".json"):
-            inputs = read_document(out / name)["provenance"]["inputs"]
-            assert inputs == {of: digest(results)}
+        for of_policy in (recipe.evaluation, recipe.twin_evaluation, recipe.run.conditions):
+            assert of_policy.policy == recipe.policy.digest
+    assert results.swing_up.conditions.settings.evaluation.start == "hanging"
+    assert results.swing_up.conditions.world == TWIN
+    assert results.literal.policy.recipe == "paper"
+    assert results.literal.policy.episodes == paper.EPISODES
+    assert results.default.run.conditions.actuator == shipped_actuator().digest
+    assert results.literal.run.conditions.actuator == IDEAL
 
 
 @pytest.mark.compiled_only
 def test_the_simulated_pendulum_is_identified(made):
-    _, results, _ = made
+    _, results = made
     w2 = (2.0 * np.pi / paper.FREE_SWING_PERIOD) ** 2
     # Four times the half width: a chance below 1e-6, were the errors normal.
     for estimate, simulated in ((results.pendulum.w2, w2), (results.pendulum.c, SIMULATED_C)):
@@ -95,12 +81,12 @@ def test_the_simulated_pendulum_is_identified(made):
 @pytest.mark.full
 @pytest.mark.compiled_only
 def test_an_arm_with_unknown_masses_runs_on_the_model(tmp_path):
-    reproduce(tmp_path, arm=without_masses(read_urdf(ELBOW)), settings=SHORT, workers=1)
-    results = load(tmp_path)
+    arm = without_masses(read_urdf(ELBOW))
+    results = reproduce(tmp_path, arm=arm, settings=SHORT, workers=1)
     assert results.default.run.conditions.world == MODEL
     assert results.literal.run.conditions.world == IDEAL
     assert results.default.twin_evaluation is results.literal.twin_evaluation is None
-    assert "no twin" in build(tmp_path).read_text(encoding="utf-8")
+    assert "no twin" in build(results, tmp_path).read_text(encoding="utf-8")
 
 
 @pytest.mark.full
@@ -109,8 +95,8 @@ def test_a_recorded_swing_is_used_and_kept(tmp_path):
     recorded = synthetic_swing(8, period=0.9)
     given = Trajectory(time=recorded.time, theta=recorded.theta, source="mine.csv")
     results = reproduce(tmp_path, swing=given, settings=SHORT, workers=1)
-    assert (results.record.swing, results.record.simulated) == ("mine.csv", False)
-    np.testing.assert_array_equal(load(tmp_path).swing.theta, given.theta)
+    assert (results.swing.source, results.simulated) == ("mine.csv", False)
+    np.testing.assert_array_equal(read_swing(tmp_path / SWING).theta, given.theta)
     assert results.pendulum.period == pytest.approx(0.9, rel=1e-3)
 
 
@@ -123,13 +109,3 @@ def test_bad_input_is_refused_before_anything_is_trained(tmp_path):
     with pytest.raises(OutsideError):
         reproduce(tmp_path / "file", settings=SHORT)
     assert not (tmp_path / "policy.json").exists()
-
-
-@pytest.mark.compiled_only
-def test_a_mixed_folder_is_refused(made, tmp_path):
-    for path in made[0].iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    with (tmp_path / SWING).open("a") as file:
-        file.write("99.0,0.1\n")
-    with pytest.raises(ArtefactError):
-        load(tmp_path)

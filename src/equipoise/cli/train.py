@@ -145,7 +145,7 @@ def reproduce(
             report=show,
         )
         show("report", None, "")
-        page = build(out)
+        page = build(results, out)
         show("report", 1.0, "")
     evaluation = results.default.evaluation
     output.result(

@@ -1,4 +1,4 @@
-"""The report: one self-contained HTML file, drawn from the files of a reproduction.
+"""The report: one self-contained HTML file, drawn from the results of a reproduction.
 
 `build` draws every figure into `figures/` and embeds all of them in `report.html`. The page fetches
 no file and runs no script; it can be printed, mailed and archived.
@@ -17,7 +17,7 @@ from markupsafe import Markup, escape
 
 from equipoise import paper
 from equipoise.errors import OutsideError
-from equipoise.files import Provenance, Value, read_document, write_atomically
+from equipoise.files import Provenance, Value, write_atomically
 from equipoise.film import write_film
 from equipoise.log.motion import truth
 from equipoise.model.worlds import MODEL, TwinSettings
@@ -25,7 +25,7 @@ from equipoise.outcomes import Outcome
 from equipoise.printable import as_text, label, plus_minus, printable
 from equipoise.report import figures
 from equipoise.report.style import save
-from equipoise.reproduction.results import RECORD, RecipeResults, Results, load
+from equipoise.reproduction.results import SWING, RecipeResults, Results
 from equipoise.settings import BoxSettings, Settings
 from equipoise.simulation.evaluation import Evaluation, exact_interval
 
@@ -47,20 +47,20 @@ FIGURES: Final[dict[str, Callable[[Results], "Figure"]]] = {
 """Drawing functions of the figures, by the names of their files."""
 
 
-def build(out: Path) -> Path:
+def build(results: Results, out: Path) -> Path:
     """Draw the figures of a reproduction and write its report.
 
     Args:
-        out: Output folder of `reproduce`.
+        results: Results of the reproduction.
+        out: Folder of the page, and of the folder `figures`.
 
     Returns:
         The path of the page.
 
     Raises:
-        ArtefactError: A file is missing, corrupt, or belongs to another reproduction.
         OutsideError: Writing fails.
     """
-    results, images = load(out), dict[str, str]()
+    images = dict[str, str]()
     for name, draw in FIGURES.items():
         svg, _ = save(draw(results), out / "figures" / name)
         images[name] = _data_uri("svg+xml", svg.read_bytes())
@@ -71,7 +71,7 @@ def build(out: Path) -> Path:
         images["film"] = _data_uri("webp", film.read_bytes())
     except OutsideError as error:  # OpenGL may be missing
         missing = str(error)
-    provenance = Provenance.model_validate(read_document(out / RECORD)["provenance"])
+    provenance = Provenance.now("reproduce", None)
     write_atomically(out / PAGE, page(results, images, provenance, missing))
     return out / PAGE
 
@@ -103,6 +103,8 @@ def page(
         repository=addresses["Repository"],
         settings=results.default.policy.settings,
         provenance=provenance,
+        digests={SWING: results.swing.sha256}
+        | {name: value.digest for name, value in results.files().items()},
         images=images,
         missing=missing,
         paper=paper,
@@ -205,7 +207,7 @@ def _task(results: Results) -> Iterator[tuple[str, ...]]:
     yield "Failure", "4.1", failure, "the same, or a joint exceeds its limits"
     yield "Control period", "4.2", f"{paper.STEP:g} s", f"{policy.h:g} s"
     yield "Training episodes", "4.2", f"{paper.EPISODES:,}", f"{policy.episodes:,}"
-    wall = results.record.training_s
+    wall = results.training_s
     yield "Training time", "4.4", "“few minutes”", f"{wall:.3g} s for {policy.steps:,} steps"
     recipes = f"literal: {results.literal.policy.recipe}; default: {policy.recipe}"
     yield "Recipes", "4.2", "learning rate, exploration and reward not stated", recipes

@@ -5,7 +5,7 @@ that was identified on the digital twin; that of the literal recipe, `paper`, on
 simulation. Then both are evaluated on the twin, and one run of each is recorded there, as the paper
 recorded one on the robot; the default recipe also swings a hanging pendulum up. An arm with unknown
 masses has no twin: each run is in the simulation of its training. `equipoise.report.page.build`
-makes the page from the folder.
+makes the page from the results.
 """
 
 import os
@@ -30,13 +30,7 @@ from equipoise.identification.recording import Trajectory, read_swing, write_swi
 from equipoise.identification.swing import identify
 from equipoise.learning.train import TARGET, train, train_to_target
 from equipoise.model.worlds import IDEAL, MODEL
-from equipoise.reproduction.results import (
-    SWING,
-    RecipeResults,
-    ReproductionRecord,
-    Results,
-    save,
-)
+from equipoise.reproduction.results import SWING, RecipeResults, Results
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.reproduction.warm_up import TWIN, is_warm, warm_up
 from equipoise.rig.simulate import simulate_run
@@ -125,15 +119,20 @@ def reproduce(
             settings=changed(policy.settings, FROM_HANGING),
         )
 
-    record = ReproductionRecord(
-        quick=quick,
+    results = Results(
         seed=seed,
-        swing=source.source,
+        quick=quick,
         simulated=recording is None,
         training_s=training_s,
-        files={},
+        swing=fitted,
+        pendulum=pendulum,
+        default=default_results,
+        literal=literal_results,
+        swing_up=swing_up,
     )
-    return save(Results(record, fitted, pendulum, default_results, literal_results, swing_up), out)
+    for name, value in results.files().items():
+        value.save(out / name, command="reproduce", inputs={"swing": fitted.sha256})
+    return results
 
 
 def measure(
