@@ -8,7 +8,7 @@ import pytest
 import equipoise as eq
 from equipoise.errors import InputError
 
-WRONG = (object(), float("nan"), float("inf"), -1, [], {}, np.zeros(3), b"x", "missing.json")
+WRONG = (object(), float("nan"), float("inf"), -1, [], {"a": 1}, np.zeros(3), b"x", "missing.json")
 """Values that no argument of the table takes."""
 TASK = ("pendulum", "arm", "actuator", "settings")
 NUMBERS = ("seed", "workers")

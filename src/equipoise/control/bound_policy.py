@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final, Protocol, Self
+from typing import Any, Final, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -43,6 +43,7 @@ BUILT_IN: Final = {"lqr": "LQR", "lqr-snapped": "LQR, snapped", "pd": "PD", "ran
 """Built-in policies, and their names among the baselines."""
 
 
+@runtime_checkable
 class Acting(Protocol):
     """An object with `act`; its `reset` is called if it has one."""
 

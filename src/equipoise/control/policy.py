@@ -13,7 +13,7 @@ import numbers
 from dataclasses import dataclass
 from importlib import resources
 from math import floor, isfinite, nan
-from typing import Annotated, Any, ClassVar, NamedTuple, Protocol, Self
+from typing import Annotated, Any, ClassVar, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -37,6 +37,7 @@ TABLE, LINEAR, SNAPPED, RANDOM = range(4)
 """Kinds of `PolicyKernel`."""
 
 
+@runtime_checkable
 class Policy(Protocol):
     """A map from observations to accelerations of the flange; it may have a state."""
 
