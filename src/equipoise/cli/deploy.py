@@ -34,7 +34,7 @@ class Run(Options):
     """Move every joint about home instead, with the pendulum hanging."""
 
 
-class OnRig(Options):
+class OnRig(opt.Rig):
     """A run on a rig."""
 
     dry_run: bool = False
@@ -53,8 +53,7 @@ def deploy(
     policy: Path | None = None,
     *,
     run: Run,
-    rig: opt.Rig,
-    on_rig: OnRig,
+    rig: OnRig,
     task: opt.Task,
     files: opt.Files,
 ) -> None:
@@ -73,13 +72,13 @@ def deploy(
     With --excite the simulated arm moves without a policy, and equipoise
     identify fits an actuator to the log.
     """
-    on_a_rig = rig != opt.Rig()
+    on_a_rig = any((rig.robot, rig.encoder, rig.rig))
     if run.excite and (policy or on_a_rig or task.actuator or task.settings):
         raise InputError("--excite moves a simulated arm; give it --arm and --pendulum alone")
-    if not on_a_rig and on_rig != OnRig():
+    if not on_a_rig and rig != OnRig():
         raise InputError("--dry-run, --max-speed, --identify and --runs need --robot")
     if on_a_rig:
-        _run_on_rig(output, policy, run, task, rig, on_rig, files)
+        _run_on_rig(output, policy, run, task, rig, files)
         return
 
     from equipoise.outcomes import Outcome
@@ -127,8 +126,7 @@ def _run_on_rig(
     policy: Path | None,
     run: Run,
     task: opt.Task,
-    rig: opt.Rig,
-    on_rig: OnRig,
+    rig: OnRig,
     files: opt.Files,
 ) -> None:
     """Run on an emulated or a real rig, write the log, and print the result."""
@@ -148,15 +146,11 @@ def _run_on_rig(
 
     if run.world != Run().world:
         raise InputError("--world is for a simulated run; leave it out, or leave out the rig")
-    if on_rig.runs > 1 and run.start != HANGING:
+    if rig.runs > 1 and run.start != HANGING:
         raise InputError("--runs needs --start hanging: a start by hand needs a hand each time")
     settings = read_rig(rig.rig)
     if task.arm is not None:
-        of_the_arm: dict[str, object] = {"arm": task.arm}
-        if Path(task.arm).suffix.lower() == ".toml":
-            fields = {"arm", "held", "tip", "acceleration_deg", "home_deg", "pivot_mm"}
-            of_the_arm = read_rig(Path(task.arm)).model_dump(include=fields)
-        settings = RigSettings.model_validate({**dict(settings), **of_the_arm})
+        settings = RigSettings.model_validate({**dict(settings), "arm": task.arm})
     robot = rig.robot or settings.robot
     if robot is None:
         raise InputError("the rig names no robot; give --robot")
@@ -172,12 +166,12 @@ def _run_on_rig(
         robot,
         rig.encoder if emulated else rig.encoder or settings.encoder,
         run.duration or 60.0,
-        max_speed=on_rig.max_speed,
-        dry_run=on_rig.dry_run,
+        max_speed=rig.max_speed,
+        dry_run=rig.dry_run,
         seed=run.seed,
-        identify=identify_actuator if on_rig.identify else None,
+        identify=identify_actuator if rig.identify else None,
         start=run.start or "hand",
-        runs=on_rig.runs,
+        runs=rig.runs,
     )
     swings = []
     with output.busy("checking policy and addresses"):
@@ -189,7 +183,7 @@ def _run_on_rig(
             devices = connect(request)  # nothing is opened before the run
     for swing in swings:
         output.tell(swing.sentence)
-    beside = ["-actuator.json"] if on_rig.identify else []
+    beside = ["-actuator.json"] if rig.identify else []
     beside += ["-series.json", "-001.mcap"] if request.runs > 1 else []
     read, ends = (policy, task.pendulum, rig.rig), list[RunEnd]()
     out = files.file(output, "run.mcap", *read, suffix=".mcap", beside=beside)
@@ -210,12 +204,10 @@ def _run_on_rig(
         actuator = out.with_name(f"{out.stem}-actuator.json")
         found.save(actuator, command="deploy", inputs={})
     if end.outcome is Outcome.DRY_RUN:
-        moving = on_rig.model_copy(update={"dry_run": False})
-        then = command("deploy", policy, run, rig, moving, task)
+        then = command("deploy", policy, run, rig.model_copy(update={"dry_run": False}), task)
     elif end.outcome is Outcome.UNIDENTIFIED and actuator is not None:
-        pendulum = opt.file_of(loaded.pendulum.digest, eq.shipped_pendulum())
-        arm = task.arm or rig.rig or opt.name_of(loaded.arm)
-        then = command("train", task.pendulum or pendulum, arm=arm, actuator=actuator)
+        arm = task.arm or rig.rig or loaded.arm.name
+        then = command("train", task.pendulum or "PENDULUM", arm=arm, actuator=actuator)
     output.result(
         **series,
         outcome=end.outcome,

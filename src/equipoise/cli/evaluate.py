@@ -57,7 +57,7 @@ def evaluate(
     the claim is refused.
     """
     from equipoise.control.bound_policy import BUILT_IN
-    from equipoise.executors import counted
+    from equipoise.executors import counted, open_workers
     from equipoise.simulation import setup_of
     from equipoise.simulation.evaluation import CLAIM_CONFIDENCE, allowed_failures
 
@@ -85,7 +85,7 @@ def evaluate(
     output.warn(chosen.shortfall)
     with_baselines = not trials.no_baselines and claim is None
     total = count * (1 + len(BUILT_IN)) if with_baselines else count
-    with random.open_workers() as workers, output.progress() as show:
+    with open_workers(random.workers) as workers, output.progress() as show:
         evaluation = eq.evaluate(
             chosen,
             settings,

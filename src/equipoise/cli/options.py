@@ -30,11 +30,7 @@ from equipoise.model.worlds import named_twins
 from equipoise.settings import RECIPES, Friction
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-    from contextlib import AbstractContextManager
-
     from equipoise.control.policy import TaskPolicy
-    from equipoise.files import Artefact
 
 TABLES: Final = {
     "arms": sorted(registered("equipoise.arms")),
@@ -183,12 +179,6 @@ class Random(Options):
     """Number of threads (default: one per core); or a Dask scheduler, tcp://HOST:8786. Results do
     not depend on it."""
 
-    def open_workers(self) -> "AbstractContextManager[int | Executor]":
-        """Return a context with the threads or the cluster."""
-        from equipoise.executors import open_workers
-
-        return open_workers(self.workers)
-
 
 class Page(Options):
     """The page."""
@@ -306,27 +296,3 @@ def read_arm(name: str) -> "eq.Arm":
 
     toml = Path(name).suffix.lower() == ".toml"
     return read_rig(Path(name)).described_arm if toml else urdf.read_arm(name)
-
-
-def file_of(digest: str, shipped: "Artefact") -> Path | None:
-    """Return the file in this folder of the pendulum or actuator with a digest.
-
-    Returns:
-        None for the shipped one; its kind in capitals if no file has it.
-    """
-    if digest == shipped.digest:
-        return None
-    name = type(shipped).__name__
-    for path in sorted(Path().glob(f"*{name.lower()}*.json")):
-        with suppress(InputError):
-            if shipped.load(path).digest == digest:
-                return path
-    return Path(name.upper())
-
-
-def name_of(arm: "eq.Arm") -> str | None:
-    """Return the registered name of an arm: None for the default, ARM for one without a name."""
-    with suppress(InputError):
-        if read_arm(arm.name) == arm:
-            return None if arm.name == "iiwa7" else arm.name
-    return "ARM"

@@ -56,6 +56,7 @@ def train(
     to --attempts times, until a policy meets the target in held-out trials.
     Exit code 1: none meets it; the best one is still written, and marked.
     """
+    from equipoise.executors import open_workers
     from equipoise.learning.train import TARGET, check_task
     from equipoise.model.pendulum import read_pendulum
 
@@ -67,7 +68,7 @@ def train(
         target = TARGET if settings.selection.every else 0.0
     output.warn(check_task(source, settings, actuator, world=plant.world, target=target))
     out = files.file(output, "policy.json", pendulum, changes.settings)
-    with random.open_workers() as workers, output.progress() as show:
+    with open_workers(random.workers) as workers, output.progress() as show:
         best = eq.train_to_target(
             source,
             arm,
@@ -123,6 +124,7 @@ def reproduce(
     files to a folder (equipoise-report), with a self-contained HTML report that
     compares both with the paper's robot.
     """
+    from equipoise.executors import open_workers
     from equipoise.learning.choice import with_digests
     from equipoise.report.page import build, comparison
     from equipoise.reproduction.results import POLICY
@@ -133,7 +135,7 @@ def reproduce(
     arm, settings = opt.read_arm(extent.arm), changes.resolve()
     with_digests(settings.learning)
     out = files.folder(output, Path("equipoise-report"))
-    with random.open_workers() as workers, output.progress() as show:
+    with open_workers(random.workers) as workers, output.progress() as show:
         results = eq.reproduce(
             out,
             swing=recorded,
