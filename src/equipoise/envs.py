@@ -12,10 +12,9 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
-from gymnasium.utils import EzPickle
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from equipoise import paper
 from equipoise.arguments import checked
@@ -24,7 +23,7 @@ from equipoise.arm.urdf import read_arm
 from equipoise.arrays import Array, Records
 from equipoise.control.controller import Observation
 from equipoise.errors import InputError
-from equipoise.files import Count, Seed, StrPath, Value, first_fault, quoted
+from equipoise.files import Seed, StrPath, quoted
 from equipoise.film import RigRenderer
 from equipoise.learning import rewards
 from equipoise.learning.choice import compile_reward
@@ -35,7 +34,7 @@ from equipoise.model.random import ENVIRONMENT, TEST
 from equipoise.model.worlds import MODEL, World
 from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.settings import Settings
-from equipoise.simulation import Setup, Trial, predicted, simulate, world_class
+from equipoise.simulation import Setup, predicted, simulate, world_class
 from equipoise.simulation.lanes import Lanes, upright_ticks
 from equipoise.user_code import user_code
 
@@ -44,6 +43,8 @@ Reward = Callable[[Observation, float, Observation, bool], float]
 
 NEXT_STEP: Final = AutoresetMode.NEXT_STEP
 """Reset of a lane in the step after the end of its episode, as of Gymnasium's own environments."""
+Replayed = dict[Literal["trial", "seed"], Seed]
+"""Number of a trial of `evaluate`, and its seed."""
 Flags = npt.NDArray[np.bool_]
 """Truth values."""
 ID: Final = "equipoise/Balance-v0"
@@ -56,14 +57,7 @@ OUTCOMES: Final = np.array(["", *TRIAL_OUTCOMES[1:]], object)
 """`outcome` of a step by the code that kernels return."""
 
 
-class _Options(Value):
-    """Options of `BalanceEnv.reset`."""
-
-    trial: Count
-    seed: Seed | None = None
-
-
-class BalanceEnv(gym.Env[Array, Any], EzPickle):
+class BalanceEnv(gym.Env[Array, Any]):
     r"""Balance an inverted pendulum on the flange of a robot arm.
 
     ## Description
@@ -122,8 +116,6 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
     | `pendulum`, `arm`, `actuator`, `settings` | those that ship | the task; values, names, files |
     | `render_mode` | `None` | `rgb_array`; `gymnasium.wrappers.HumanRendering` opens a window |
 
-    A copy or a pickle is a new environment with the same arguments, before its first `reset`.
-
     ## Version History
 
     * v0: Initial version.
@@ -142,7 +134,7 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
         arm: Arm | StrPath | None = None,
         actuator: Actuator | StrPath | None = None,
         settings: Settings | None = None,
-        render_mode: str | None = None,
+        render_mode: Literal["rgb_array"] | None = None,
     ) -> None:
         """Set up the task; the arguments are in the description of the class.
 
@@ -151,19 +143,6 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
             SettingsError: The world does not exist.
             ArmError: The twin does not know the masses of the arm.
         """
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise InputError(f"render_mode is {render_mode!r}; expected 'rgb_array' or None")
-        EzPickle.__init__(
-            self,
-            world,
-            discrete=discrete,
-            reward=reward,
-            pendulum=pendulum,
-            arm=arm,
-            actuator=actuator,
-            settings=settings,
-            render_mode=render_mode,
-        )
         response = read_actuator(actuator)
         self.task = Setup(
             read_pendulum(pendulum),
@@ -185,8 +164,8 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
         self._loop = self.simulation.loop()
 
     @checked
-    def reset(
-        self, *, seed: Seed | None = None, options: dict[str, Any] | None = None
+    def reset(  # pyright: ignore[reportIncompatibleMethodOverride]  # Gymnasium's type is wider
+        self, *, seed: Seed | None = None, options: Replayed | None = None
     ) -> tuple[Array, dict[str, Any]]:
         """Release the pendulum, and return the first observation and its info.
 
@@ -199,7 +178,12 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
             self._seed = seed if seed is not None else int(self.np_random.integers(2**31))
             self._number = -1
         self._number += 1
-        self._loop.reset(self._trial(options or {}))
+        simulation, number = self.simulation, self._number
+        simulation.seed, simulation.stream = self._seed, ENVIRONMENT
+        if options:
+            simulation.seed, simulation.stream = options.get("seed", self._seed), TEST
+            number = options.get("trial", number)
+        self._loop.reset(simulation.draw(1, first=number).trial(0))
         self._upright = 0
         observation = predicted(self._loop)
         self._u, self._state = 0.0, Observation(*observation.tolist())
@@ -244,19 +228,6 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
-
-    def _trial(self, options: dict[str, Any]) -> Trial:
-        """Return the conditions of the next episode."""
-        simulation, number = self.simulation, self._number
-        simulation.seed, simulation.stream = self._seed, ENVIRONMENT
-        if options:
-            try:
-                asked = _Options.model_validate(options)
-            except ValidationError as error:
-                raise InputError(f"options: {first_fault(error)}") from None
-            number, simulation.stream = asked.trial, TEST
-            simulation.seed = self._seed if asked.seed is None else asked.seed
-        return simulation.draw(1, first=number).trial(0)
 
     def _info(self, outcome: str) -> dict[str, Any]:
         loop = self._loop

@@ -13,12 +13,11 @@ import re
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager, nullcontext
-from importlib import metadata
 from threading import Lock
 from typing import Any, Final, TypeVar
 
 from equipoise.errors import InputError, OutsideError, import_optional
-from equipoise.files import quoted
+from equipoise.files import package_versions, quoted
 
 CONNECT_TIMEOUT: Final = 5.0
 """Maximum time to connect to a scheduler [s]."""
@@ -166,8 +165,7 @@ def versions() -> dict[str, str]:
     """Return the versions of all that determines the bits of a result, by their packages."""
     from equipoise.jit import package_digest
 
-    packages = ("equipoise", "mujoco", "numba", "numpy", "scipy")
-    found = {name: metadata.version(name) for name in packages}
+    found = package_versions()
     found["equipoise"] += f" ({package_digest()})"
     return found
 

@@ -120,6 +120,12 @@ class Estimate(Value):
         return self.model_copy(update=ends)
 
 
+def package_versions() -> dict[str, str]:
+    """Return the versions of Equipoise and of the libraries that affect numerical results."""
+    packages = ("equipoise", "numpy", "numba", "scipy", "mujoco")
+    return {name: metadata.version(name) for name in packages}
+
+
 class Provenance(Value):
     """Provenance of a file."""
 
@@ -135,13 +141,11 @@ class Provenance(Value):
     @classmethod
     def now(cls, command: str, inputs: Mapping[str, str] | None) -> Self:
         """Return the provenance of a value that this installation creates now."""
-        software = {"python": platform.python_version(), "machine": platform.machine()}
-        for package in ("equipoise", "numpy", "numba", "scipy", "mujoco"):
-            software[package] = metadata.version(package)
+        machine = {"python": platform.python_version(), "machine": platform.machine()}
         return cls(
             created=datetime.now(UTC).isoformat(timespec="seconds"),
             command=command,
-            software=software | {"system": sys.platform},
+            software=machine | package_versions() | {"system": sys.platform},
             inputs=dict(inputs or {}),
         )
 

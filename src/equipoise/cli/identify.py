@@ -13,8 +13,8 @@ from equipoise.cli.output import Output
 from equipoise.errors import InputError
 
 
-class Swing(Options):
-    """The recording."""
+class Fit(Options):
+    """The recording, friction, and measurements for I and b."""
 
     start: float | None = None
     """Begin here [s]; by default at the detected release."""
@@ -24,11 +24,6 @@ class Swing(Options):
     """Encoder counts per revolution, after x4."""
     from_upright: bool = False
     """The recorded angle is zero when upright."""
-
-
-class Model(Options):
-    """Friction, and measurements for I and b."""
-
     friction: str | None = None
     """{frictions}; by default viscous, the paper's."""
     mass: Annotated[float | None, Field(gt=0.0, le=1e3)] = None
@@ -46,8 +41,7 @@ def identify(
     output: Output,
     recording: Path,
     *,
-    swing: Swing,
-    model: Model,
+    fit: Fit,
     changes: opt.Changes,
     files: opt.Files,
 ) -> None:
@@ -64,27 +58,33 @@ def identify(
     from equipoise.report.figures import free_swing
     from equipoise.report.style import save
 
-    settings = changes.resolve(**{"identification.friction": model.friction})
+    settings = changes.resolve(**{"identification.friction": fit.friction})
     mass = length = None
-    if model.mass is not None and model.length is not None:
-        mass = eq.Estimate.normal(model.mass, model.mass_uncertainty, "given")
-        length = eq.Estimate.normal(model.length, model.length_uncertainty, "given")
-    elif model.mass is not None or model.length is not None:
+    if fit.mass is not None and fit.length is not None:
+        mass = eq.Estimate.normal(fit.mass, fit.mass_uncertainty, "given")
+        length = eq.Estimate.normal(fit.length, fit.length_uncertainty, "given")
+    elif fit.mass is not None or fit.length is not None:
         raise InputError("I and b need both --mass and --length; give the other one too")
-    recorded = eq.read_swing(recording, **dict(swing))
+    recorded = eq.read_swing(
+        recording,
+        counts_per_rev=fit.counts_per_rev,
+        from_upright=fit.from_upright,
+        start=fit.start,
+        end=fit.end,
+    )
     out = files.file(output, "pendulum.json", recording, beside=(".svg", ".png"))
     with output.busy(f"fitting {len(recorded.time):,} samples") as show:
         pendulum = eq.identify(recorded, settings.identification, mass, length, show)
         pendulum.save(out, command="identify", inputs={"recording": recorded.sha256})
         drawn = save(free_swing(recorded, pendulum), out.with_suffix(""))
-    then, fit = command("train", out), pendulum.fit
-    if fit and fit.richer_friction:
-        then = command("identify", recording, swing, model, changes, friction=fit.richer_friction)
+    then, found = command("train", out), pendulum.fit
+    if found and found.richer_friction:
+        then = command("identify", recording, fit, changes, friction=found.richer_friction)
     output.result(
         pendulum,
         period_s=pendulum.period,
-        unexplained_percent=fit and 100.0 * fit.unexplained,
-        zero_deg=degrees(fit.offset) if fit and fit.quantity == "angle" else None,
+        unexplained_percent=found and 100.0 * found.unexplained,
+        zero_deg=degrees(found.offset) if found and found.quantity == "angle" else None,
         pendulum=out,
         figures=drawn,
         then=then,

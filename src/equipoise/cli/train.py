@@ -12,8 +12,8 @@ from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output
 
 
-class Plant(Options):
-    """The plant."""
+class Training(Options):
+    """The training."""
 
     arm: str = "iiwa7"
     """{arms}, a URDF or a rig.toml."""
@@ -21,11 +21,6 @@ class Plant(Options):
     """File from equipoise identify RUN, or ideal; by default the shipped actuator."""
     world: str = "model"
     """World of the episodes: model; or twin:NAME ({worlds}) or coppeliasim://HOST:PORT (slow)."""
-
-
-class Learning(Options):
-    """Learning."""
-
     algorithm: str | None = None
     """q_learning (the paper's), or MODULE:NAME."""
     reward: str | None = None
@@ -44,8 +39,7 @@ def train(
     output: Output,
     pendulum: Path | None = None,
     *,
-    plant: Plant,
-    learning: Learning,
+    training: Training,
     changes: opt.Changes,
     random: opt.Random,
     files: opt.Files,
@@ -60,13 +54,13 @@ def train(
     from equipoise.learning.train import TARGET, check_task
     from equipoise.model.pendulum import read_pendulum
 
-    named = {f"learning.{n}": getattr(learning, n) for n in ("algorithm", "reward", "episodes")}
+    named = {f"learning.{n}": getattr(training, n) for n in ("algorithm", "reward", "episodes")}
     settings = changes.resolve(**named)
-    source, arm, actuator = read_pendulum(pendulum), opt.read_arm(plant.arm), plant.actuator
-    target = learning.target
+    source, arm, actuator = read_pendulum(pendulum), opt.read_arm(training.arm), training.actuator
+    target = training.target
     if target is None:
         target = TARGET if settings.selection.every else 0.0
-    output.warn(check_task(source, settings, actuator, world=plant.world, target=target))
+    output.warn(check_task(source, settings, actuator, world=training.world, target=target))
     out = files.file(output, "policy.json", pendulum, changes.settings)
     with open_workers(random.workers) as workers, output.progress() as show:
         best = eq.train_to_target(
@@ -74,14 +68,14 @@ def train(
             arm,
             settings,
             target=target,
-            attempts=learning.attempts,
+            attempts=training.attempts,
             actuator=actuator,
-            world=plant.world,
+            world=training.world,
             seed=random.seed,
             workers=workers,
             show=show,
         )
-    inputs = {"pendulum": source.digest, "world": plant.world, "actuator": best.actuator.digest}
+    inputs = {"pendulum": source.digest, "world": training.world, "actuator": best.actuator.digest}
     best.save(out, command="train", inputs=inputs)
     output.result(
         test=best.test,

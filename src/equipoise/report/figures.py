@@ -39,11 +39,6 @@ JOINT_COLOURS: Final = (
     *(style.ORANGE, style.PURPLE, style.INK),
 )
 """Colours of the joints from the base on."""
-TRUE_LINE: Final[dict[str, Any]] = {"color": style.SKY, "linewidth": 2.4}
-"""True state: wide and pale below the thin dark line of the observation, distinct in grey too."""
-OBSERVED_LINE: Final[dict[str, Any]] = {"color": style.INK, "linewidth": 0.8}
-AFTER_SWING_UP: Final = 2.0
-"""Time shown after a swing-up [s]."""
 
 
 @styled()
@@ -179,6 +174,9 @@ def run_figure(recipe: str, run: RunLog, beside: RunLog) -> "Figure":
     """
     run.require_balancing()
     until, boxes = paper.SECONDS_BALANCED, run.conditions.settings.boxes
+    # The true state is wide and pale below the thin dark observation, distinct in grey too.
+    true_line: Any = {"color": style.SKY, "linewidth": 2.4}
+    observed_line: Any = {"color": style.INK, "linewidth": 0.8}
     rows = (
         ("φ [°]", boxes.phi_deg, paper.PHI_LIMIT_DEG),
         ("dφ/dt [°/s]", boxes.phi_dot_deg, None),
@@ -189,7 +187,7 @@ def run_figure(recipe: str, run: RunLog, beside: RunLog) -> "Figure":
     edges = np.append(time, time[-1] + run.conditions.h)
     figure = new_figure(8.8, f"{recipe}: {run.outcome} after {run.survival:g} s")
     axes: Any = figure.subplots(6, 1, sharex=True, height_ratios=(3, 2, 2, 2, 2, 2))
-    axes[0].stairs(run.u[run.time < until], edges, baseline=None, **OBSERVED_LINE)
+    axes[0].stairs(run.u[run.time < until], edges, baseline=None, **observed_line)
     axes[0].set_yticks(paper.ACTIONS, [typeset(f"{action:+g}") for action in paper.ACTIONS])
     axes[0].set_ylabel("u [m/s²]")
     joints, *states = _curves(run, until)
@@ -202,8 +200,8 @@ def run_figure(recipe: str, run: RunLog, beside: RunLog) -> "Figure":
             panel.axhline(edge, color=style.GREY, linewidth=0.6, linestyle=(0, (1, 2)))
         for end in (-limit, limit) if limit else ():
             panel.axhline(end, color=style.INK, linewidth=1.0, linestyle=(0, (6, 2)))
-        panel.plot(time, curves[:, 0], label="true state", **TRUE_LINE)
-        panel.plot(time, curves[:, 1], label="observation", **OBSERVED_LINE)
+        panel.plot(time, curves[:, 0], label="true state", **true_line)
+        panel.plot(time, curves[:, 1], label="observation", **observed_line)
         panel.set_ylabel(label)
     for panel, curves in zip(axes[1:], _curves(beside, until), strict=True):
         panel.update_datalim([(0.0, curves.min()), (0.0, curves.max())])
@@ -249,7 +247,7 @@ def swing_up(run: RunLog) -> "Figure":
 
     motion = Motion.of(run)
     first, h = len(run.phase_ticks(Phase.SWINGING_UP)), run.conditions.h
-    taken, last = first * h, first + round(AFTER_SWING_UP / h)
+    taken, last = first * h, first + round(2.0 / h)  # the first 2 s of the policy
     time = motion.time - motion.time[0]
     phi, phi_dot = np.rad2deg(motion.phi), np.rad2deg(true_rows(run)["phi_dot"])
     title = f"handed over after {taken:.2f} s" if len(run.ticks) else str(run.outcome)

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PAGE: Final = "report.html"
-FILM_SECONDS: Final = 8.0
-"""Maximum length of the film on the page [s]; the paper's run took 5 s."""
 FIGURES: Final[dict[str, Callable[[Results], "Figure"]]] = {
     "swing": lambda r: figures.free_swing(r.swing, r.pendulum),
     "learning-curve": lambda r: figures.learning_curve(r.default.policy),
@@ -67,7 +65,7 @@ def build(results: Results, out: Path) -> Path:
     film, missing = out / "figures" / "film.webp", ""
     try:
         run = results.default.run
-        write_film(run, film, end=min(run.survival, FILM_SECONDS))
+        write_film(run, film, end=min(run.survival, 8.0))  # [s]; the paper's run took 5 s
         images["film"] = _data_uri("webp", film.read_bytes())
     except OutsideError as error:  # OpenGL may be missing
         missing = str(error)

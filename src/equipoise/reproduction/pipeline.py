@@ -46,8 +46,6 @@ QUICK: Final = {
     "evaluation.duration": 20.0,
 }
 """Maximum settings of a quick reproduction, which takes less than a minute."""
-FROM_HANGING: Final = {"evaluation.start": HANGING, "plant.linearised": False}
-"""Settings of the run from a hanging pendulum."""
 TWIN_TRIALS: Final = 40
 """Maximum number of trials on the twin: a trial there takes thirty times as long."""
 
@@ -116,7 +114,9 @@ def reproduce(
             world=default_results.run.conditions.world,
             seed=seed,
             duration=paper.SECONDS_BALANCED,
-            settings=changed(policy.settings, FROM_HANGING),
+            settings=changed(
+                policy.settings, {"evaluation.start": HANGING, "plant.linearised": False}
+            ),
         )
 
     results = Results(
