@@ -76,7 +76,7 @@ results:  ## measure the numbers of the pages again, in hours; one section: make
 	$(PYTHON) docs/results.py run $(ONLY)
 
 demo:  ## a first look at the whole paper, in a minute
-	$(PYTHON) -m equipoise reproduce --quick
+	$(PYTHON) -m equipoise reproduce
 
 bench:  ## steps per second beside Pinocchio and Gymnasium
 	$(PYTHON) benchmarks/bench.py

@@ -40,7 +40,7 @@ def test_what_is_built_installs_and_reproduces_the_paper(kind, tmp_path):
     venv.create(tmp_path / "empty", with_pip=True)
     run = {"cwd": tmp_path, "check": True, "env": {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}}
     subprocess.run([tmp_path / "empty/bin/pip", "install", "--quiet", built], **run)
-    command = [tmp_path / "empty/bin/equipoise", "reproduce", "--quick", "--json"]
+    command = [tmp_path / "empty/bin/equipoise", "reproduce", "--json"]
     done = subprocess.run(command, stdout=subprocess.PIPE, **run)
     medians = json.loads(done.stdout)["comparison"]["robot_or_twin_median_s"]
     assert medians["default recipe"] > medians["paper's robot"]

@@ -209,7 +209,6 @@ def swung_up(of, balanced=2.0, cause=Outcome.SURVIVED):
 def results(
     *,
     recipe="robust",
-    quick=False,
     given=None,
     warnings=(),
     falls=(3.0, 20.0),
@@ -223,7 +222,6 @@ def results(
     twin = world != MODEL
     return Results(
         seed=0,
-        quick=quick,
         simulated=not given,
         training_s=8.25,
         swing=trajectory,

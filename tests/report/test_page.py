@@ -138,7 +138,6 @@ def test_the_comparison_states_the_paper_and_both_recipes(plain):
 @pytest.mark.parametrize(
     ("changes", "there"),
     [
-        ({"quick": True}, "Quick run"),
         ({"missing": "no OpenGL"}, "no OpenGL"),
         ({"survival": 20.0, "cause": Outcome.TRACK}, "survived 20 s of 60 s"),
         ({"warnings": ["friction is odd"]}, "friction is odd"),

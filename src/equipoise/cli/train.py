@@ -92,8 +92,6 @@ def train(
 class Extent(Options):
     """The reproduction."""
 
-    quick: bool = False
-    """Fewer episodes and trials: under a minute."""
     arm: str = "iiwa7"
     """{arms}, a URDF or a rig.toml."""
     swing: Path | None = None
@@ -136,7 +134,6 @@ def reproduce(
             arm=arm,
             settings=settings,
             seed=random.seed,
-            quick=extent.quick,
             workers=workers,
             report=show,
         )

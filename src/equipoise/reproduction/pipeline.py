@@ -13,7 +13,6 @@ import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import replace
-from operator import attrgetter
 from pathlib import Path
 from typing import Final
 
@@ -37,15 +36,6 @@ from equipoise.rig.simulate import simulate_run
 from equipoise.settings import HANGING, Settings, changed, resolve
 from equipoise.simulation.evaluation import Evaluation, evaluate
 
-QUICK: Final = {
-    "learning.episodes": 5000,
-    "selection.trials": 16,
-    "selection.test_trials": 200,
-    "selection.duration": 20.0,
-    "evaluation.trials": 50,
-    "evaluation.duration": 20.0,
-}
-"""Maximum settings of a quick reproduction, which takes less than a minute."""
 TWIN_TRIALS: Final = 40
 """Maximum number of trials on the twin: a trial there takes thirty times as long."""
 
@@ -58,7 +48,6 @@ def reproduce(
     arm: Arm | StrPath | None = None,
     settings: Settings | None = None,
     seed: Seed = 0,
-    quick: bool = False,
     workers: Workers | None = None,
     report: Show = lambda *_: None,
 ) -> Results:
@@ -70,7 +59,6 @@ def reproduce(
         arm: The arm, its name or its URDF (default: the iiwa7).
         settings: Resolved settings (default: `Settings()`); the literal recipe takes its trials.
         seed: Master seed.
-        quick: Whether it runs with fewer episodes and trials (`QUICK`).
         workers: Number of threads (default: all cores), or an executor; the results do not depend
             on it.
         report: Called with the progress, also from other threads.
@@ -82,8 +70,6 @@ def reproduce(
     out, arm, workers = Path(out), read_arm(arm), workers or available_cores()
     settings = settings or Settings()
     literal = resolve("paper").model_copy(update={"evaluation": settings.evaluation})
-    if quick:
-        settings, literal = quick_settings(settings), quick_settings(literal)
     recording = read_swing(swing) if isinstance(swing, str | os.PathLike) else swing
     if not is_warm():
         warm_up(report)
@@ -97,8 +83,8 @@ def reproduce(
 
     begin = time.perf_counter()
     with stage("train", report):
-        # A quick training, or one without a selection, is taken as it is.
-        target = TARGET if settings.selection.every > 0 and not quick else 0.0
+        # A training without a selection is taken as it is.
+        target = TARGET if settings.selection.every > 0 else 0.0
         policy = train_to_target(
             pendulum, arm, settings, target=target, seed=seed, workers=workers, show=report
         )
@@ -121,7 +107,6 @@ def reproduce(
 
     results = Results(
         seed=seed,
-        quick=quick,
         simulated=recording is None,
         training_s=training_s,
         swing=fitted,
@@ -182,10 +167,3 @@ def stage(name: str, report: Show) -> Generator[None]:
     report(name, None, "")
     yield
     report(name, 1.0, "")
-
-
-def quick_settings(settings: Settings) -> Settings:
-    """Return the settings of a quick reproduction, limited by `QUICK`."""
-    return changed(
-        settings, {name: min(attrgetter(name)(settings), most) for name, most in QUICK.items()}
-    )

@@ -40,8 +40,6 @@ class Results(NamedTuple):
 
     seed: int
     """Master seed."""
-    quick: bool
-    """Whether it ran with fewer episodes and trials."""
     simulated: bool
     """Whether the swing was simulated."""
     training_s: float
