@@ -47,8 +47,6 @@ Replayed = dict[Literal["trial", "seed"], Seed]
 """Number of a trial of `evaluate`, and its seed."""
 Flags = npt.NDArray[np.bool_]
 """Truth values."""
-ID: Final = "equipoise/Balance-v0"
-"""Name of the environment for `gymnasium.make`."""
 MAX_STEPS: Final = 6000
 """Number of steps of an episode, unless `max_episode_steps` is given."""
 ACTIONS: Final = np.array(paper.ACTIONS)
@@ -378,15 +376,9 @@ def accelerations(actions: Any, space: gym.Space[Any]) -> Array:
     return u
 
 
-def register() -> None:
-    """Register the environment with Gymnasium, unless it is registered already."""
-    if ID not in gym.registry:
-        gym.register(
-            ID,
-            entry_point="equipoise.envs:BalanceEnv",
-            vector_entry_point="equipoise.envs:BalanceVectorEnv",
-            max_episode_steps=MAX_STEPS,
-        )
-
-
-register()
+gym.register(
+    "equipoise/Balance-v0",
+    entry_point="equipoise.envs:BalanceEnv",
+    vector_entry_point="equipoise.envs:BalanceVectorEnv",
+    max_episode_steps=MAX_STEPS,
+)

@@ -245,19 +245,6 @@ class RigRenderer:
         self._renderer.close()
 
 
-def check_format(suffix: str) -> None:
-    """Check that films with a suffix can be written.
-
-    Raises:
-        InputError: The suffix is unknown.
-        MissingExtraError: A package that encodes an MP4 is not installed.
-    """
-    if suffix not in FORMATS:
-        raise InputError(f"a film ends in {' or '.join(FORMATS)}, got {suffix!r}; rename it")
-    for package in ("imageio", "imageio_ffmpeg") if suffix == MP4 else ():
-        import_optional(package, "video")
-
-
 def write_film(
     run: RunLog,
     path: Path,
@@ -278,8 +265,12 @@ def write_film(
         RecordingError: The run has nothing to show.
         OutsideError: OpenGL is not available, or encoding or writing fails.
     """
-    suffix, motion = path.suffix.lower(), Motion.of(run)
-    check_format(suffix)
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise InputError(f"a film ends in {' or '.join(FORMATS)}, got {suffix!r}; rename it")
+    for package in ("imageio", "imageio_ffmpeg") if suffix == MP4 else ():
+        import_optional(package, "video")
+    motion = Motion.of(run)
     begin, end = motion.part(begin, end)
     if suffix == WEBP and end - begin > MAX_WEBP:
         raise InputError(

@@ -150,7 +150,11 @@ def _run_on_rig(
         raise InputError("--runs needs --start hanging: a start by hand needs a hand each time")
     settings = read_rig(rig.rig)
     if task.arm is not None:
-        settings = RigSettings.model_validate({**dict(settings), "arm": task.arm})
+        of_the_arm: dict[str, object] = {"arm": task.arm}
+        if Path(task.arm).suffix.lower() == ".toml":
+            fields = {"arm", "held", "tip", "acceleration_deg", "home_deg", "pivot_mm"}
+            of_the_arm = read_rig(Path(task.arm)).model_dump(include=fields)
+        settings = RigSettings.model_validate({**dict(settings), **of_the_arm})
     robot = rig.robot or settings.robot
     if robot is None:
         raise InputError("the rig names no robot; give --robot")

@@ -119,13 +119,11 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
     film begins shortly before the swing-up or the release; --from and --to
     select another part.
     """
-    from equipoise.film import check_format, write_film
+    from equipoise.film import write_film
 
     video, tables = film.video, None
     if video is None and film != Film():
         raise InputError("--from and --to choose the part of a film; give --video FILE as well")
-    if video is not None:
-        check_format(video.suffix.lower())
     log = eq.RunLog.load(run, damaged=True)
     if video is None:
         tables = log.export(files.folder(output, run.with_name(f"{run.stem}-csv")))
