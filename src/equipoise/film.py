@@ -59,8 +59,6 @@ ARROW_PER_U: Final = 0.1
 """Length of the arrow for an acceleration of 1 m/s^2 [m]."""
 ARROW_BELOW: Final = 0.13
 """Distance of the arrow below the pivot [m]; the hand never covers it."""
-MECHANISM: Final = PACKAGE / "data" / "mechanism.json"
-"""Boxes and cylinders of the designed mechanism [m]; `make hardware` writes it."""
 MP4, WEBP = ".mp4", ".webp"
 FORMATS: Final = {MP4: (960, 720, 30.0), WEBP: (480, 480, 12.5)}
 """Width and height of a film [px], and frames per second, by its suffix."""
@@ -159,7 +157,8 @@ def _add_mechanism(spec: Any, arm: Arm, inward: Array) -> None:
         arm: The arm.
         inward: Vector from the pivot to the flange at home, in base axes [m], shape (3,).
     """
-    drawn = json.loads(MECHANISM.read_text())
+    # Boxes and cylinders [m]; `make hardware` writes them.
+    drawn = json.loads((PACKAGE / "data" / "mechanism.json").read_text())
     x, y, z = arm.pivot
     outward, _, height = drawn["pivot"]
     if abs(np.hypot(x, y) - outward) > 1e-3:

@@ -14,13 +14,10 @@ import traceback
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from equipoise.errors import EquipoiseError, InputError
 from equipoise.printable import printable
-
-MAX_ERROR_LENGTH: Final = 500
-"""Length limit of a user's error in a message [characters]."""
 
 
 @contextmanager
@@ -112,6 +109,6 @@ def format_error(error: BaseException) -> str:
     except BaseException:  # a user's own `__str__`
         text = "without a text"
     text = " ".join(text.splitlines())
-    if len(text) > MAX_ERROR_LENGTH:
-        text = f"{text[:MAX_ERROR_LENGTH]}..."
+    if len(text) > 500:  # characters: a few lines of a terminal
+        text = f"{text[:500]}..."
     return printable(f"{type(error).__name__}: {text}{where}")

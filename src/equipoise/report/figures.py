@@ -281,25 +281,18 @@ def swing_up(run: RunLog) -> "Figure":
 
 
 @styled()
-def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure":
+def policy_picture(policy: TabularPolicy) -> "Figure":
     """Draw the commanded acceleration per box: a panel per x and x_dot, with phi and phi_dot axes.
 
     Boxes without a number were never visited in the training.
 
     Args:
         policy: The policy.
-        run: A run; the boxes that it visited are framed.
     """
-    from matplotlib.patches import Rectangle
-
     boxes = policy.settings.boxes
     shape = boxes.shape
     u = policy.u_of_box.reshape(shape)
     trained = np.any(np.array(policy.visits) > 0, axis=1).reshape(shape)
-    framed = np.zeros(u.size, bool)
-    if run is not None:
-        framed[run.box] = True
-    framed = framed.reshape(shape)
     largest = 1.2 * float(np.max(np.abs(policy.actions)))
     title = f"Policy: acceleration u [m/s²] in each of the {boxes.count} boxes"
     figure = new_figure(7.0 * max(1.0, shape[1] * shape[3] / 15.0), title)
@@ -315,9 +308,6 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
                 command: Any = {"ha": "center", "va": "center", "color": pen, "fontsize": size}
                 text = typeset(f"{u[i, j, k, m]:+g}")
                 panel.text(i + 0.5, j + 0.5, text, in_layout=False, **command)
-            if framed[i, j, k, m]:
-                frame: Any = {"fill": False, "edgecolor": style.INK, "lw": 1.6, "zorder": 3}
-                panel.add_patch(Rectangle((i + 0.07, j + 0.07), 0.86, 0.86, **frame))
         panel.grid(visible=False)
         panel.tick_params(length=0)
         panel.spines[:].set_visible(False)

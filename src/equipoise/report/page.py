@@ -37,7 +37,7 @@ FIGURES: Final[dict[str, Callable[[Results], "Figure"]]] = {
     "swing": lambda r: figures.free_swing(r.swing, r.pendulum),
     "learning-curve": lambda r: figures.learning_curve(r.default.policy),
     "survival": lambda r: figures.survival(r.default.evaluation),
-    "policy": lambda r: figures.policy_picture(r.default.policy, r.default.run),
+    "policy": lambda r: figures.policy_picture(r.default.policy),
     "literal-run": lambda r: figures.run_figure("Literal recipe", r.literal.run, r.default.run),
     "run": lambda r: figures.run_figure("Default recipe", r.default.run, r.literal.run),
     "swing-up": lambda r: figures.swing_up(r.swing_up),

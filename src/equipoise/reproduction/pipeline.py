@@ -14,7 +14,6 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
 
 from equipoise import paper
 from equipoise.arguments import Workers, checked
@@ -35,9 +34,6 @@ from equipoise.reproduction.warm_up import TWIN, is_warm, warm_up
 from equipoise.rig.simulate import simulate_run
 from equipoise.settings import HANGING, Settings, changed, resolve
 from equipoise.simulation.evaluation import Evaluation, evaluate
-
-TWIN_TRIALS: Final = 40
-"""Maximum number of trials on the twin: a trial there takes thirty times as long."""
 
 
 @checked
@@ -154,7 +150,7 @@ def measure(
     except ArmError:  # an arm with unknown masses has no twin
         twin_evaluation = None
     else:
-        world, trials = TWIN, min(TWIN_TRIALS, trials)
+        world, trials = TWIN, min(40, trials)  # a trial there takes thirty times as long
         twin_evaluation = run_trials(f"{title}twin", TWIN, trials, with_baselines=False)
     with stage(f"{title}deploy", report):
         run = simulate_run(policy, world=world, seed=seed)

@@ -178,7 +178,9 @@ class FrankaRobot:
         Raises:
             LinkError: The controller is silent, or accepts no motions.
         """
-        self._require_rest("measure")
+        self._check_link()
+        if self._streams:
+            raise LinkError("a servo runs; stop it before you measure")
         return np.array(self._idle_state().q)
 
     def start(self) -> Array:
@@ -345,11 +347,6 @@ class FrankaRobot:
                 return False
             self._clock.wait_until(min(now + POLL_PERIOD, until))
         return True
-
-    def _require_rest(self, what: str) -> None:
-        self._check_link()
-        if self._streams:
-            raise LinkError(f"a servo runs; stop it before you {what}")
 
     def _check_link(self) -> None:
         if self._failure:
