@@ -6,29 +6,20 @@ LQR knows the pendulum's equation; the table has learned it. Both see what the e
 """
 
 from collections.abc import Iterable
-from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from scipy.linalg import solve_discrete_are
-from scipy.signal import cont2discrete
 
 import equipoise as eq
-from equipoise.control.linear import state_space
+from equipoise.control.linear import lqr_gains
 
-PERIOD = 0.01
-"""Time between two actions [s]."""
-MODEL = (*state_space(eq.shipped_pendulum().parameters()), np.eye(4), 0)
-SAMPLED: Any = cont2discrete(MODEL, PERIOD)
-A, B = SAMPLED[:2]
-Q, R = np.diag([20.0, 0.0, 30.0, 0.0]), np.eye(1) / 4.0
-P: Any = solve_discrete_are(A, B, Q, R)
-GAINS = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)[0]
+GAINS = np.array(lqr_gains(eq.shipped_pendulum().parameters(), 0.01))
+"""Gains of x, x_dot, phi and phi_dot for a time of 0.01 s between two actions."""
 
 
 def lqr(observation: Iterable[float]) -> float:
     """Return the acceleration of the flange [m/s^2] for x, x_dot, phi and phi_dot."""
-    return -float(GAINS @ list(observation))
+    return float(GAINS @ list(observation))
 
 
 def main() -> None:
