@@ -121,8 +121,6 @@ class RunLog:
     """End of the run; None for a log without one."""
     damage: str = ""
     """Sentence on the damage and the sound part; empty for a complete log."""
-    provenance: Provenance | None = None
-    """Provenance of the file; None for a run that was not loaded."""
 
     def __post_init__(self) -> None:
         """Complete the tables."""
@@ -401,7 +399,6 @@ class RunLog:
         end = None
         try:
             conditions = RunConditions.model_validate_json(entries["conditions"], strict=True)
-            provenance = Provenance.model_validate_json(entries["provenance"], strict=True)
             rows = {
                 name: from_messages([json.loads(message) for message in messages[f"/{name}"]], kind)
                 for name, kind in tables(len(conditions.joints)).items()
@@ -425,7 +422,7 @@ class RunLog:
                 f"{path}: {damage}; log explain and log export read the sound part, or record the "
                 "run again"
             )
-        return cls(conditions, rows, end, damage, provenance)
+        return cls(conditions, rows, end, damage)
 
 
 def simulated_log(
