@@ -54,3 +54,10 @@ def test_names_and_files_stand_for_values(tmp_path, monkeypatch):
     by_name = eq.simulate_run(Path("policy.json"), **run)
     assert by_name.digest == eq.simulate_run(eq.shipped_policy(), **run).digest
     assert eq.simulate_run(lambda observation: 1.0, **run).u.tolist() == [1.0] * 5
+
+
+def test_an_argument_that_is_given_by_position_is_named():
+    with pytest.raises(InputError, match="^settings is 5; expected .* instance of Settings$"):
+        eq.evaluate("lqr", 5)
+    with pytest.raises(TypeError, match="bogus"):
+        eq.evaluate(bogus=1)

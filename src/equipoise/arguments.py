@@ -32,20 +32,27 @@ def checked(function: F) -> F:
     """
     signature = inspect.signature(function)
     config = ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False)
-    validated = validate_call(config=config)(function)
+
+    @validate_call(config=config)
+    @functools.wraps(function)
+    def valid(*args: Any, **kwargs: Any) -> tuple[tuple[Any, ...], dict[str, Any]]:
+        return args, kwargs
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         signature.bind(*args, **kwargs)
         try:
-            return validated(*args, **kwargs)
+            args, kwargs = valid(*args, **kwargs)
         except ValidationError as error:
             faults = error.errors(include_url=False, include_context=False)
             name, value = faults[0]["loc"][0], faults[0]["input"]
+            if isinstance(name, int):  # given by position
+                name = list(signature.parameters)[name]
             expected = dict.fromkeys(
                 fault["msg"].removeprefix("Input should be ") for fault in faults
             )
             message = f"{name} is {quoted(value)}; expected {' or '.join(expected)}"
             raise InputError(message) from None
+        return function(*args, **kwargs)
 
     return cast("F", call)
