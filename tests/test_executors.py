@@ -20,6 +20,7 @@ from equipoise.executors import completed, open_workers
 from equipoise.settings import changed
 from tests.program import wait_until
 
+ROOT = Path(__file__).parents[1]
 FULL = pytest.mark.full
 SHORT = {"evaluation.trials": 70, "evaluation.duration": 3.0}
 SLOW = ("evaluate", "--trials=100000", "--no-baselines", "--json")
@@ -165,6 +166,17 @@ def test_eight_seeds_train_alike_on_a_cluster(two_workers, quick_settings, pendu
         )
     assert found == dict(completed(train, range(8), 2))
     assert selected == eq.train_to_target(pendulum, settings=quick_settings, target=0.5, attempts=1)
+
+
+@pytest.mark.slow
+def test_the_ladder_climbs_alike_on_a_cluster(two_workers):
+    short = ("learning.episodes=40", "selection.every=20", "selection.trials=4")
+    words = [word for setting in short for word in ("--set", setting)]
+    words += ["--seeds", "2", "--trials", "2", "--duration", "0.5"]
+    for name, more in (("here", []), ("there", ["--workers", two_workers.address])):
+        script = [sys.executable, str(ROOT / "experiments" / "ladder.py")]
+        subprocess.run([*script, *words, *more, "--json", f"{name}.json"], check=True)
+    assert Path("here.json").read_text() == Path("there.json").read_text()
 
 
 @FULL

@@ -23,6 +23,7 @@ REFUSED = {
     ("train", "--set", "learning.gama=1"): "learning.gama",
     ("train", "--arm", "ur5"): "iiwa7",
     ("evaluate", "--duration", "nan"): "--duration",
+    ("evaluate", "--claim", "0.99", "--trials", "10"): "299",
     ("evaluate", "small.json", "--arm", "iiwa7"): "iiwa14",
     ("identify", "swing.csv", "--mass", "1"): "--length",
     ("play", "nowhere"): "nowhere",

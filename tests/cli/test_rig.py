@@ -44,11 +44,12 @@ def test_an_arm_that_fits_no_policy_leads_to_a_training_for_it(equipoise, pendul
     slow = Actuator.assumed("kst", delay=0.05, lag=0.008)
     policy = shipped_policy().model_copy(update={"pendulum": pendulum, "actuator": slow})
     policy.save(tmp_path / "slow.json", command="test")
+    pendulum.save(tmp_path / "my-pendulum.json", command="test")
     ran = equipoise(
         "deploy", "slow.json", "--robot", "twin:nominal", "--arm", "iiwa7", "--identify"
     )
     assert "arm not identified" in ran.out, ran
-    then = "train PENDULUM --arm iiwa7 --actuator run-actuator.json"
+    then = "train my-pendulum.json --arm iiwa7 --actuator run-actuator.json"
     assert ran.out.endswith(f"next: equipoise {then}\n")
 
 

@@ -210,8 +210,9 @@ def _run_on_rig(
     if end.outcome is Outcome.DRY_RUN:
         then = command("deploy", policy, run, rig.model_copy(update={"dry_run": False}), task)
     elif end.outcome is Outcome.UNIDENTIFIED and actuator is not None:
+        pendulum = opt.file_of(loaded.pendulum.digest, eq.shipped_pendulum())
         arm = task.arm or rig.rig or loaded.arm.name
-        then = command("train", task.pendulum or "PENDULUM", arm=arm, actuator=actuator)
+        then = command("train", task.pendulum or pendulum, arm=arm, actuator=actuator)
     output.result(
         **series,
         outcome=end.outcome,

@@ -1,5 +1,6 @@
 """Verbs that try a policy in simulation: `equipoise evaluate` and `play`."""
 
+from math import ceil, log
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -58,7 +59,7 @@ def evaluate(
     from equipoise.control.bound_policy import BUILT_IN
     from equipoise.executors import counted, open_workers
     from equipoise.simulation import setup_of
-    from equipoise.simulation.evaluation import CLAIM_CONFIDENCE
+    from equipoise.simulation.evaluation import CLAIM_CONFIDENCE, allowed_failures
 
     chosen, claim = task.read(policy), trials.claim
     count = trials.trials
@@ -73,6 +74,12 @@ def evaluate(
     settings = changed(chosen.settings, known)
     count = settings.evaluation.trials
     setup_of(chosen, trials.world, settings, task.actuator)
+    if claim is not None and allowed_failures(count, claim) == -1:
+        least = ceil(log(1.0 - CLAIM_CONFIDENCE) / log(claim))
+        raise InputError(
+            f"{count:,} trials cannot grant a claim of {claim:g}, even if all survive; give "
+            f"--trials {least} or more"
+        )
     out = files.out and files.file(output, "", policy, task.pendulum)
     output.warn(chosen.shortfall)
     with_baselines = not trials.no_baselines and claim is None

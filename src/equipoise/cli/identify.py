@@ -99,11 +99,12 @@ def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:
     with output.busy(f"fitting {len(run.replies.time):,} measured postures"):
         actuator = eq.identify_run(run)
     actuator.save(out, command="identify", inputs={"run": run.digest})
+    pendulum = opt.file_of(run.conditions.pendulum_digest, eq.shipped_pendulum())
     output.result(
         actuator,
         warnings=list(filter(None, [run.damage])),
         actuator=out,
-        then=command("train", "PENDULUM", arm=run.conditions.arm.name, actuator=out),
+        then=command("train", pendulum, arm=run.conditions.arm.name, actuator=out),
     )
 
 
@@ -127,15 +128,16 @@ def refine(output: Output, policy: Path, runs: list[Path], *, files: opt.Files) 
         findings = inspect(table, *logs)
     inputs = {f"run {number}": log.digest for number, log in enumerate(logs, start=1)}
     inputs["policy"] = table.digest
+    pendulum = opt.file_of(table.pendulum.digest, eq.shipped_pendulum())
+    actuator = opt.file_of(table.actuator.digest, eq.shipped_actuator())
     paths: dict[str, Any] = {}
     if findings.pendulum.digest != table.pendulum.digest:
-        paths["pendulum"] = out
+        paths["pendulum"] = pendulum = out
         findings.pendulum.save(out, command="refine", inputs=inputs)
     if findings.actuator.digest != table.actuator.digest:
-        paths["actuator"] = out.with_name(out.stem + "-actuator.json")
-        findings.actuator.save(paths["actuator"], command="refine", inputs=inputs)
-    models = {"pendulum": "PENDULUM", "actuator": "ACTUATOR"} | paths
-    then = command("train", models["pendulum"], arm=table.arm.name, actuator=models["actuator"])
+        paths["actuator"] = actuator = out.with_name(out.stem + "-actuator.json")
+        findings.actuator.save(actuator, command="refine", inputs=inputs)
+    then = command("train", pendulum, arm=table.arm.name, actuator=actuator)
     output.result(
         findings.fit,
         **findings.response,

@@ -31,6 +31,7 @@ from equipoise.settings import RECIPES, Friction
 
 if TYPE_CHECKING:
     from equipoise.control.policy import TaskPolicy
+    from equipoise.files import Artefact
 
 TABLES: Final = {
     "arms": sorted(registered("equipoise.arms")),
@@ -296,3 +297,19 @@ def read_arm(name: str) -> "eq.Arm":
 
     toml = Path(name).suffix.lower() == ".toml"
     return read_rig(Path(name)).described_arm if toml else urdf.read_arm(name)
+
+
+def file_of(digest: str, shipped: "Artefact") -> Path | None:
+    """Return the file in this folder of the pendulum or actuator with a digest.
+
+    Returns:
+        None for the shipped one; its kind in capitals if no file has it.
+    """
+    if digest == shipped.digest:
+        return None
+    name = type(shipped).__name__
+    for path in sorted(Path().glob(f"*{name.lower()}*.json")):
+        with suppress(InputError):
+            if shipped.load(path).digest == digest:
+                return path
+    return Path(name.upper())
