@@ -32,18 +32,9 @@ ARM_AVERAGING_TIME: Final = 0.2
 """Averaging window of phi_dot [s]; longer than one period of a hand's tremor."""
 FIT_WINDOW: Final = 0.04
 """Window of the cubic fit [s]."""
-RATE_RATIO: Final = (0.6, 3.0)
-"""Minimum and maximum of phi_dot / (w phi) in a fall [-]."""
-FALL_TIME: Final = 0.01
-"""Minimum duration of a fall before it counts [s]: a tremor's acceleration passes through that of a
-fall in a third of this."""
 FALL_GROWTH_ANGLE: Final = radians(4.0)
-"""|phi + phi_dot / w| from which `FAST_FALL_TIME` applies [rad]; at 11.7 deg no command can catch
+"""|phi + phi_dot / w| from which a fall counts at once [rad]; at 11.7 deg no command can catch
 the pendulum. A fall across 0 reaches it before 1.5 deg."""
-FAST_FALL_TIME: Final = 5e-4
-"""Minimum duration of a fast fall [s]: two successive samples at 1 kHz."""
-MAX_SAMPLE_GAP: Final = 0.02
-"""Maximum gap between samples [s]; after a longer one the pendulum counts as held."""
 MIN_SAMPLE_SPACING: Final = 4e-4
 """Minimum spacing of samples [s]; closer ones are skipped, which bounds the memory."""
 
@@ -88,7 +79,7 @@ class ReleaseDetector:
         since_last = time - samples[-1][0] if samples else inf
         if self.state is ReleaseState.RELEASED or 0.0 <= since_last < MIN_SAMPLE_SPACING:
             return self.state
-        if not 0.0 <= since_last <= MAX_SAMPLE_GAP:
+        if not 0.0 <= since_last <= 0.02:  # [s]: held after a longer gap
             self._deny()
             samples.clear()
         samples.append((time, phi))
@@ -127,7 +118,9 @@ class ReleaseDetector:
         falls, grown = self._falls(time)
         falls = falls and (beyond or grown >= FALL_GROWTH_ANGLE)
         self._falling_since = min(self._falling_since, time) if falls else inf
-        min_time = FALL_TIME if grown < FALL_GROWTH_ANGLE else FAST_FALL_TIME
+        # [s]: a tremor's acceleration passes through that of a fall in a third of 10 ms; of a fast
+        # fall two successive samples at 1 kHz suffice.
+        min_time = 0.01 if grown < FALL_GROWTH_ANGLE else 5e-4
         if falls and time - self._falling_since >= min_time:
             self.state = ReleaseState.RELEASED
         elif beyond:
@@ -164,5 +157,5 @@ class ReleaseDetector:
         agrees = off <= tolerance and off_jerk <= 300.0
         # The ratio's bounds, without a division by phi.
         along = phi_dot if phi > 0.0 else -phi_dot
-        fast = RATE_RATIO[0] * w * abs(phi) <= along <= RATE_RATIO[1] * w * abs(phi)
+        fast = 0.6 * w * abs(phi) <= along <= 3.0 * w * abs(phi)
         return agrees and fast, grown

@@ -36,23 +36,10 @@ CHECKLIST: Final = (
     ("monitoring", "Is the robot's own monitoring of its speed active?"),
 )
 """Safety questions before a run on any robot; the operator types the word to acknowledge each."""
-CIRCLE: Final = (
-    (
-        "circle",
-        "Does the pendulum clear arm, cable and table over its whole turn, all along the track?",
-    ),
-)
-"""Safety question before a swing-up."""
-SERIES: Final = (
-    ("stay", "Does the operator stay, the E-stop in a hand, until the last run has ended?"),
-)
-"""Safety question before a series."""
 STOP: Final = "stop"
 """Word that a signal becomes in the loop's input."""
 ALONE: Final = "the operator's process has ended"
 """Word in the loop's input once the parent process has ended."""
-DENIALS: Final = ("n", "no", STOP, ALONE)
-"""Words that deny a question at once."""
 
 
 class OperatorChannel:
@@ -99,7 +86,7 @@ class OperatorChannel:
             LinkError: A device has failed.
         """
         self.tell(event)
-        while (word := self._read_word()) not in (*event.answers, *DENIALS):
+        while (word := self._read_word()) not in (*event.answers, "n", "no", STOP, ALONE):
             expected = " or ".join(event.answers)
             self.tell(event._replace(text=f"{word!r} is not {expected}. {event.text}"))
         return word
@@ -170,11 +157,13 @@ def run_on_rig(
             text = f"The run stops when the flange reaches {max_speed:.3g} m/s."
             tell(OperatorMessage("notice", text))
         tell(OperatorMessage("notice", rig.plugin.failure))
-        questions = CHECKLIST + rig.plugin.checklist
+        questions = [*CHECKLIST, *rig.plugin.checklist]
         if request.start == HANGING:
-            questions += CIRCLE
+            clear = "Does the pendulum clear arm, cable and table over its whole turn, all along"
+            questions.append(("circle", f"{clear} the track?"))
         if request.runs > 1:
-            questions += SERIES
+            stays = "Does the operator stay, the E-stop in a hand, until the last run has ended?"
+            questions.append(("stay", stays))
         for word, question in questions:
             answer = operator.ask(OperatorMessage("checklist", f"{question} Type {word}.", (word,)))
             if answer != word:

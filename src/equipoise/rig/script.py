@@ -48,26 +48,11 @@ Setpoints: TypeAlias = tuple[tuple[float, ...], ...]
 
 HOMING_FRACTION: Final = 0.1
 """Fraction of the joints' velocity and acceleration limits on the way home [-]."""
-REST_TIME: Final = 2.0
-"""Minimum time for which the count stays within one before it is a reference [s]."""
 REST_BEFORE: Final = 0.3
 """Observation of the pendulum before the move of a self-test, and of the arm after an excitation
 [s]."""
 RETURN_TIME: Final = 1.6
 """Duration of the way back from the self-test [s]: twice that of the way out."""
-HOME_TOLERANCE: Final = 2e-5
-"""Largest distance of the flange from home at which the balance may begin [m]: as an error of the
-first setpoint it is an acceleration of 1 m/s^2."""
-MAX_SWINGS: Final = 4
-"""Maximum number of swings of a self-test, repeated until the zero's interval is small."""
-DAMPED: Final = radians(5.0)
-"""Amplitude below which the pendulum hangs [rad]; the self-test needs no smaller one."""
-STILL_SPEED: Final = 1e-6
-"""Speed below which the flange rests [m/s]."""
-BRAKING: Final = 1.0
-"""Deceleration of the flange after the damping [m/s^2]."""
-MAX_SWING_UPS: Final = 3
-"""Maximum number of swing-ups of a run."""
 OBSERVED: Final = {Phase.DAMPING, Phase.SWINGING_UP, Phase.BALANCING}
 """Phases in which the observer runs, and a policy commands."""
 POLICY_TIME_FRACTION: Final = 0.5
@@ -352,8 +337,8 @@ def check_zero(run: Run, clock: Callable[[], float]) -> Steps[None]:
     run.begin_hanging()
     run.q = run.controller.q
     yield from damp(run, clock)
-    while abs(v := run.controller.x_dot) > STILL_SPEED:
-        yield run.accelerate(-min(max(v / run.h, -BRAKING), BRAKING))
+    while abs(v := run.controller.x_dot) > 1e-6:  # [m/s]
+        yield run.accelerate(-min(max(v / run.h, -1.0), 1.0))  # [m/s^2]
     test = yield from swing_test(run)
     if test.verdict is not SelfTestVerdict.PASSED:
         raise PhaseError(Outcome.SELF_TEST, text=test.reason)
@@ -376,7 +361,7 @@ def reference(run: Run) -> Steps[None]:
                 since, total, number = sample.time, 0, 0
                 low = high = sample.counts
             newest, total, number = sample.time, total + sample.counts, number + 1
-        if not newest - since >= REST_TIME:
+        if not newest - since >= 2.0:  # [s]
             run.answers, pressed = (), False
         elif not run.answers:
             text = "The pendulum hangs still. Take your hand away, then press its button or Enter."
@@ -396,7 +381,8 @@ def swing_test(run: Run) -> Steps[SelfTest]:
     text = "Self-test: the arm moves by 40 mm. Keep your hands off."
     run.enter(Phase.SELF_TEST, "swing", text)
     result, swings = None, 0
-    while result is None or (result.verdict is SelfTestVerdict.REPEAT and swings < MAX_SWINGS):
+    # Until the zero's interval is small, four times at most.
+    while result is None or (result.verdict is SelfTestVerdict.REPEAT and swings < 4):
         result = yield from _swing_out(run, -1.0 if swings % 2 else 1.0)
         run.notify("self-test", f"Self-test: {result.reason}.")
         swings += 1
@@ -409,7 +395,8 @@ def swing_test(run: Run) -> Steps[SelfTest]:
         while t < RETURN_TIME + REST_BEFORE:
             yield run.glide(path, t)
             t = run.time - begin
-        at_home = abs(run.controller.x) <= HOME_TOLERANCE
+        # As an error of the first setpoint, 20 um is an acceleration of 1 m/s^2.
+        at_home = abs(run.controller.x) <= 2e-5
     run.tested = result
     return result
 
@@ -518,7 +505,7 @@ def swing_up(run: Run, clock: Callable[[], float]) -> Steps[None]:
     policy, limit = _swinging(run), time_limit(run.params.pendulum)
     run.begin_hanging()
     took = 0.0
-    for attempt in range(MAX_SWING_UPS):
+    for attempt in range(3):
         again = "again" if attempt else f"for {limit:.0f} s at most"
         run.enter(Phase.SWINGING_UP, "swing-up", f"Swinging up, {again}. Press any key to stop.")
         while run.time < limit:
@@ -541,7 +528,7 @@ def damp(run: Run, clock: Callable[[], float]) -> Steps[None]:
     period, last = 2.0 * pi / sqrt(pendulum.w2), 0.0
     while run.time - last < period:
         swing = amplitude(pendulum, *run.controller.observation[2:])
-        last = run.time if swing > DAMPED else last
+        last = run.time if swing > radians(5.0) else last  # the self-test needs no smaller one
         if run.time > time_limit(pendulum):
             text = f"the pendulum still swings by {degrees(swing):.0f} deg"
             raise PhaseError(Outcome.SELF_TEST, text=f"{text} after {run.time:.0f} s of damping")

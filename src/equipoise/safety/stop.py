@@ -27,8 +27,6 @@ from equipoise.safety.rules import STOP_DECELERATION, Limits
 RETURN_FRACTION: Final = 0.1
 """Fraction of the joints' velocity and acceleration limits on the way to the measured joints [-],
 as on the way home."""
-ROUNDING_RESERVE: Final = 1e-9
-"""Fraction of the distance to a position limit that a ramp leaves for rounding [-]."""
 
 
 class Ramp(NamedTuple):
@@ -100,7 +98,8 @@ def ramp(q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: L
     least: dict[int, float] = {}
     for i in moving:
         left = limits.upper[i] - q[i] if dq[i] > 0.0 else q[i] - limits.lower[i]
-        least[i] = 0.5 * abs(dq[i]) / (left * (1.0 - ROUNDING_RESERVE)) if left > 0.0 else inf
+        # A billionth of the distance is left for rounding.
+        least[i] = 0.5 * abs(dq[i]) / (left * (1.0 - 1e-9)) if left > 0.0 else inf
     together = min(most.values(), default=inf)
     if flange_speed != 0.0:
         slowest = max(STOP_DECELERATION / abs(flange_speed), *least.values(), 0.0)

@@ -46,9 +46,6 @@ Uno's ceramic resonator can be off by 5e-3, which is not accepted."""
 SLEW: Final = 0.1
 """Maximum fall of the estimate per elapsed time [-]; below 1, so that converted times increase."""
 
-Inconsistency = Literal["", "time", "count"]
-"""Part of a line that does not fit the line before; empty if all parts fit."""
-
 
 class LineOrder:
     """Order of a board's lines: the last accepted one, and the inconsistent ones since."""
@@ -63,8 +60,8 @@ class LineOrder:
         self.inconsistent = 0
         """Number of inconsistent lines since the last accepted one."""
 
-    def inconsistency(self, line: Reading, ahead: float = 0.0) -> Inconsistency:
-        """Return which part of a line is inconsistent with the last one.
+    def inconsistency(self, line: Reading, ahead: float = 0.0) -> Literal["", "time", "count"]:
+        """Return which part of a line is inconsistent with the last one; empty for none.
 
         A line that is ahead of its arrival only because lines are missing is forged if it comes
         alone. Several in a row show that earlier lines were late, unless they are ahead by more

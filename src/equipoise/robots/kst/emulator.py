@@ -49,10 +49,6 @@ DONE: Final = b"done\n"
 """Acknowledgement of the server."""
 NAK: Final = b"nak\n"
 """Reply of the server after an error in its main thread."""
-SERVO_START: Final = 5e-3
-"""Time from the acknowledgement until a servo exists [s]: "a few milliseconds"."""
-SERVO_STOP: Final = 3e-3
-"""Time from the acknowledgement of a stop until the servo has ended [s]: "a few milliseconds"."""
 PLANNING_TIME: Final = 0.1
 """Time from the acknowledgement of a motion until it starts or is refused [s]. Assumed. A client
 that receives both replies in one segment waits for the second without end."""
@@ -220,17 +216,17 @@ class KstServer:
             yield
 
     def _serve(self) -> Iterator[None]:
-        """Run a servo; it runs on without a client."""
+        """Run a servo, which begins and ends "a few milliseconds" after its acknowledgements."""
         self._requested = True
         self._reply(DONE)
-        yield from self._sleep(SERVO_START)
+        yield from self._sleep(5e-3)
         self._runs = True
         self._body.servo(True)
         self._target[:] = self._measure()
         self._body.target(tuple(self._target))
         while self._requested:
             yield
-        yield from self._sleep(SERVO_STOP)
+        yield from self._sleep(3e-3)
         self._body.servo(False)
         self._runs = False
 

@@ -34,18 +34,11 @@ from equipoise.robots.kst import codec
 TIMEOUT: Final = 0.1
 """Timeout of the reply to a setpoint [s]. A cabled link takes one or two milliseconds, a garbage
 collection on the cabinet tens."""
-MAX_PENDING: Final = 20
-"""Maximum number of setpoints without a reply: 100 ms of a stream at 200 Hz. A run that stops after
-50 ms without a reply can still send its ramp to rest."""
 TORQUE_EVERY: Final = 10
 """Number of setpoints of which one requests external torques: 20 times a second. A reply has joints
 or torques, never both."""
 REPLY_TIMEOUT: Final = 1.0
 """Timeout of the reply to any other command [s]."""
-MAX_JOINT_SPEED: Final = 4.0
-"""Upper bound of an iiwa's joint speeds [rad/s]; the fastest joint reaches 3.2."""
-JOINT_NOISE: Final = 0.05
-"""Upper bound of the difference between two measurements read at once [rad]."""
 SERVER_TIMEOUT: Final = 60.0
 """Timeout of the server from its start on the smartPAD to its client, and of `connect` to that
 start [s]."""
@@ -58,8 +51,6 @@ BEFORE_STOP: Final = 0.5
 """Delay from the last setpoint to the stop [s], as in MATLAB's client."""
 AFTER_STOP: Final = 0.3
 """Delay from the acknowledgement of a stop to the certain end of the servo [s], as in iiwaPy3."""
-AFTER_END: Final = 1.0
-"""Time within which the server closes the connection after `end` [s]."""
 POLL_PERIOD: Final = 0.001
 """Time between two reads of the link while waiting [s]."""
 
@@ -180,7 +171,8 @@ class KstRobot:
             raise LinkError("the servo does not run, so that no setpoint is obeyed; start it first")
         with self._final_errors():
             self._collect()
-            if len(self._pending) >= MAX_PENDING:
+            # 100 ms of a stream: a run that stops before that can still send its ramp to rest.
+            if len(self._pending) >= 20:
                 raise LinkError(
                     f"{len(self._pending)} setpoints wait for their answer, expected fewer"
                 )
@@ -226,9 +218,9 @@ class KstRobot:
             return
         self._failure = self._failure or "the connection was closed"
         with suppress(LinkError):
-            transport.write(_line(codec.END))
+            transport.write(f"{codec.END}\n".encode())
             # Until the server has closed it: unread bytes may discard the last command.
-            deadline = self._clock.now() + AFTER_END
+            deadline = self._clock.now() + 1.0  # [s]
             while self._clock.now() < deadline:
                 transport.read()
                 self._wait(POLL_PERIOD)
@@ -294,7 +286,7 @@ class KstRobot:
     def _request(self, command: str) -> bytes:
         """Send a command while no reply is pending, and return its reply."""
         self._collect()
-        self._link().write(_line(command))
+        self._link().write(f"{command}\n".encode())
         deadline = self._clock.now() + REPLY_TIMEOUT
         while not self._received:
             if self._clock.now() >= deadline:
@@ -328,7 +320,8 @@ class KstRobot:
         """Check that the arm can have reached joints [rad] since the last reply."""
         before, q_before = self._last
         step = max(abs(a - b) for a, b in zip(q, q_before, strict=True))
-        most = MAX_JOINT_SPEED * (self._clock.now() - before) + JOINT_NOISE
+        # The fastest joint of an iiwa reaches 3.2 rad/s; two measurements differ by noise.
+        most = 4.0 * (self._clock.now() - before) + 0.05
         if step > most:
             raise LinkError(
                 f"expected joints less than {most:.2g} rad from those before, got "
@@ -338,7 +331,3 @@ class KstRobot:
 
     def _wait(self, duration: float) -> None:
         self._clock.wait_until(self._clock.now() + duration)
-
-
-def _line(command: str) -> bytes:
-    return f"{command}\n".encode()
