@@ -109,7 +109,67 @@ def _slip_slowly(harness: FaultHarness) -> None:
 
 
 def _zero_the_count(harness: FaultHarness) -> None:
-    harness.board.slipped = -harness.board._count
+    harness.bench.slip(-harness.bench.theta)
+
+
+def _count_other(turned: Callable[[float], float]) -> Inject:
+    """Let the board count another angle instead of that of the spindle."""
+
+    def inject(harness: FaultHarness) -> None:
+        angle = harness.board.angle
+        harness.board.angle = lambda: turned(angle())
+
+    return inject
+
+
+def _freeze(harness: FaultHarness) -> None:
+    theta = harness.board.angle()
+    harness.board.angle = lambda: theta
+
+
+def _lose_counts(harness: FaultHarness) -> None:
+    """Lose a twentieth of the upward counts."""
+    lost, before = 0.0, harness.board.angle()
+
+    def less(theta: float) -> float:
+        nonlocal lost, before
+        lost, before = lost + 0.05 * max(theta - before, 0.0), theta
+        return theta - lost
+
+    _count_other(less)(harness)
+
+
+def _lose_lines(count: float) -> Inject:
+    """Lose the next lines."""
+
+    def inject(harness: FaultHarness) -> None:
+        left = count
+
+        def damage(data: bytes) -> bytes:
+            nonlocal left
+            lines = data.splitlines(keepends=True)
+            kept = lines[int(min(left, len(lines))) :]
+            left -= len(lines) - len(kept)
+            return b"".join(kept)
+
+        harness.encoder_tap.damage = damage
+
+    return inject
+
+
+def _malform(harness: FaultHarness) -> None:
+    """Change or lose bytes of one line in fifty."""
+    rng = np.random.default_rng(0)
+
+    def damage(line: bytes) -> bytes:
+        if rng.random() > 0.02:
+            return line
+        begin, count = int(rng.integers(len(line))), 1 + int(rng.integers(8))
+        end = min(begin + count, len(line))
+        lost = rng.random() < 0.5
+        return line[:begin] + (b"" if lost else rng.bytes(end - begin)) + line[end:]
+
+    harness.encoder_tap.damage = lambda data: b"".join(map(damage, data.splitlines(keepends=True)))
 
 
 # fmt: off
@@ -118,20 +178,20 @@ ENCODER = (
           within=0.02, says="encoder"),
     Fault("encoder unplugged in the self-test", _ends("encoder lost"),
           _call("sensor.link.close"), Trigger("swing", 0.7), within=0.02, says="encoder"),
-    Fault("encoder silent", _ends("stale encoder"), _change("board", silent=True), within=0.09,
+    Fault("encoder silent", _ends("stale encoder"), _lose_lines(inf), within=0.09,
           says="its cable"),
-    Fault("encoder frozen", FELL | _ends("count jump"), _change("board", frozen=True), within=2.0),
+    Fault("encoder frozen", FELL | _ends("count jump"), _freeze, within=2.0),
     Fault("encoder frozen before the self-test", _ends("self-test"),
-          _change("board", frozen=True), Trigger("swing")),
+          _freeze, Trigger("swing")),
     Fault("count jump", _ends("count jump", "encoder gap", "encoder lost"),
-          _change("board", slipped=round(8192 * 5 / 360)), within=0.02),
-    Fault("slow count loss", FELL | _ends("survived"), _change("board", loss=0.05),
+          _call("bench.slip", radians(5.0)), within=0.02),
+    Fault("slow count loss", FELL | _ends("survived"), _lose_counts,
           Trigger("balancing"), _with(duration=8.0)),
     Fault("wrong sign", _ends("self-test"), _change("board", sign=-1), AT_START, says="sign"),
-    Fault("wrong counts: half", _ends("self-test"), _change("board", factor=0.5), AT_START,
-          says="counts"),
-    Fault("wrong counts: x 1.1", _ends("self-test"), _change("board", factor=1.1), AT_START,
-          says="counts"),
+    Fault("wrong counts: half", _ends("self-test"), _count_other(lambda theta: 0.5 * theta),
+          AT_START, says="counts"),
+    Fault("wrong counts: x 1.1", _ends("self-test"), _count_other(lambda theta: 1.1 * theta),
+          AT_START, says="counts"),
     Fault("board of another encoder", _ends("error"), _change("board", counts_per_rev=4096),
           AT_START, says="4096"),
     Fault("zeroed while swinging", _ends("count jump", "encoder gap", "encoder lost"),
@@ -143,10 +203,10 @@ ENCODER = (
     Fault("late samples at the release", FELL | _ends("survived", "encoder lost"),
           _change("sensor.link", delay=0.047), Trigger("armed")),
     Fault("stall of the encoder", _ends("survived"), lambda harness: hold_back(harness, "sensor")),
-    Fault("malformed lines", _ends("encoder gap"), _change("board", malformed=0.02), within=0.5,
+    Fault("malformed lines", _ends("encoder gap"), _malform, within=0.5,
           says="missing"),
-    Fault("one lost line", _ends("survived"), _change("board", skipped=1), says="was lost"),
-    Fault("lost lines", _ends("encoder gap"), _change("board", skipped=3), within=0.03),
+    Fault("one lost line", _ends("survived"), _lose_lines(1), says="was lost"),
+    Fault("lost lines", _ends("encoder gap"), _lose_lines(3), within=0.03),
     Fault("illegal transition", _ends("illegal transition"), _change("board", illegal=True),
           within=0.03, says="wiring"),
     Fault("board restarts", _ends("stale encoder", "encoder gap", "encoder lost"),
@@ -180,8 +240,11 @@ TIME = (
 
 
 def _drop(harness: FaultHarness) -> None:
-    harness.robot.emulator.cut = True
     harness.robot.link.close()
+
+
+def _refuse(harness: FaultHarness) -> None:
+    harness.robot_tap.damage = lambda data: b"nak\n" * data.count(b"\n")
 
 
 def _half_open(harness: FaultHarness) -> None:
@@ -346,7 +409,7 @@ ROBOT = (
           says="link stalled"),
     Fault("short stalls of the link", _ends("repeated stalls"), stall_shortly, within=0.2,
           says="at last the robot's link"),
-    Fault("nak", _ends("link lost"), _change("robot.emulator", refuses=True),
+    Fault("nak", _ends("link lost"), _refuse,
           stoppable=False, within=0.03),
     Fault("robot not following", _ends("robot not following", "following error"),
           _call("bench.body.stop", "the drives' protection"), Trigger("homing", 0.4), within=0.4),
@@ -519,7 +582,7 @@ HANDS_OFF = (
     Fault("encoder unplugged in the swing-up", _ends("encoder lost"), _call("sensor.link.close"),
           IN_SWING_UP, HANGING, within=0.02, says="encoder"),
     Fault("encoder frozen in the swing-up", _ends("not upright", "self-test", "count jump"),
-          _change("board", frozen=True), IN_SWING_UP, HANGING),
+          _freeze, IN_SWING_UP, HANGING),
     Fault("E-stop in the swing-up", _ends("robot not following", "following error"),
           _call("bench.body.stop", "emergency stop"), IN_SWING_UP, HANGING, within=0.4),
     Fault("contact in the swing-up", _ends("contact"), _touch(60.0), IN_SWING_UP, HANGING,

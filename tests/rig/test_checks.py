@@ -130,7 +130,8 @@ def test_what_is_lost_damaged_or_illegal_is_counted():
 
     def disturb(now):
         if abs(now - trouble) < 1e-9:
-            bench.board.skipped = 7
+            bench.lose(0.007)
+        if abs(now - trouble - 0.1) < 1e-9:
             bench.board.illegal = True
 
     bench.clock.attach(disturb)

@@ -156,7 +156,7 @@ def emulated_rig(
     bench = plugin.bench(Bodies(arm, pendulum, numbers, arm.home_free + offset, 0.0, seed))
     clock.attach(bench.advance)
     sensor = sensor_plugin("serial").emulate(
-        bench, clock, settings.counts_per_rev, settings.encoder_sign, seed
+        bench, clock, settings.counts_per_rev, settings.encoder_sign
     )
     session = Session(DrainingClock(clock, sensor.device), clock, period, load=settings.load)
     emulated = plugin.emulate(bench, arm, session, delay, seed)

@@ -136,9 +136,9 @@ class SensorPlugin(Value):
     """Returns the driver for an address, without opening anything; raises `InputError` if the
     address is invalid. Arguments: the address, the session, the expected counts per revolution
     (None accepts any number), and the sign: 1 if counts grow with theta, else -1."""
-    emulate: Callable[[Any, Clock, int, int, int], Emulated] = no_emulator
+    emulate: Callable[[Any, Clock, int, int], Emulated] = no_emulator
     """Returns the driver in front of an emulator. Arguments: the bench, the clock, the expected
-    counts per revolution, the sign, and a seed."""
+    counts per revolution, and the sign."""
 
 
 def scheme_of(address: str) -> str:

@@ -68,7 +68,7 @@ class Emulation:
         """The robot, and the bench with its arm."""
         bench, self._clock, self._say = self.hardware.bench, clock, say
         counts, start = settings.counts_per_rev, clock.now()
-        self._board = Board(lambda: bench.theta, counts, start=start, seed=seed)
+        self._board = Board(lambda: bench.theta, counts, start=start)
         self.terminal = Terminal(self._board, link)
         """Terminal of the board."""
         self.acts: Mapping[str, Callable[[], object]] = {

@@ -13,6 +13,8 @@ class Bench:
         self.clock = VirtualClock()
         self.motion = None
         """Tells theta at a time; without it the spindle rests."""
+        self.slip = 0.0
+        """Angle that is added to it [rad]."""
         self.board = Board(self.angle, **board)
         self.host, self.device = memory_pipe(self.clock, 0.001)
         self.garble = None
@@ -21,7 +23,12 @@ class Bench:
         self.clock.attach(self.work)
 
     def angle(self):
-        return 0.0 if self.motion is None else self.motion(self.clock.now())
+        return self.slip + (0.0 if self.motion is None else self.motion(self.clock.now()))
+
+    def lose(self, seconds):
+        """Lose all lines from now on, for a while."""
+        until = self.clock.now() + seconds + 1e-9
+        self.garble = lambda data: b"" if self.clock.now() < until else data
 
     def open(self):
         return self.host

@@ -1,7 +1,7 @@
 """The driver of an encoder board, in virtual time: what it gives out, drops and refuses."""
 
 from itertools import pairwise
-from math import pi, sin
+from math import inf, pi, sin
 
 import numpy as np
 import pytest
@@ -111,7 +111,7 @@ def failing(bench, saying, within=1.0):
     ("fail", "saying", "within"),
     [
         (lambda bench: bench.unplug(), "is gone: the other end has closed", 0.02),
-        (lambda bench: setattr(bench.board, "silent", True), "sent no valid line", 0.52),
+        (lambda bench: bench.lose(inf), "sent no valid line", 0.52),
         (lambda bench: bench.board.reboot(), "its zero is void", 0.33),
     ],
 )
@@ -129,7 +129,7 @@ def test_a_jump_of_the_count_is_an_error(bench, counts, turning):
         bench.motion = lambda time: -np.sign(counts) * 15.0 * (time - began)
         bench.run(0.05)
         counts *= 4
-    bench.board.slipped = counts
+    bench.slip = counts * RESOLUTION
     assert failing(bench, "jumped") < 0.02
     assert bench.sensor.rejected == MAX_INCONSISTENT
 
@@ -201,7 +201,7 @@ def test_lines_in_time_again_later_are_named_late(late, lost):
     bench.sensor.connect()
     bench.run(1.6)
     bench.clock.wait_until(2.0)
-    bench.board.skipped = lost
+    bench.lose(1e-3 * lost)
     if late <= MAX_LATENESS:
         assert sum(sample.missing for sample in bench.run(1.0)) == lost
         return

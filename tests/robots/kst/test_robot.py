@@ -118,7 +118,7 @@ def test_connect_gives_up_after_a_minute():
 )
 def test_silence_ends_the_link(streaming, period, saying, within):
     streaming.stream(0.1)
-    streaming.server.drops = True
+    streaming.end.cut = True
     began = streaming.clock.now()
     with pytest.raises(LinkError, match=saying):
         streaming.stream(1.0, period=period)
@@ -128,7 +128,7 @@ def test_silence_ends_the_link(streaming, period, saying, within):
 
 @pytest.mark.parametrize(("step", "believed"), [(0.24, True), (0.26, False), (-0.26, False)])
 def test_joints_that_cannot_have_been_reached_are_not_believed(streaming, step, believed):
-    streaming.server.deaf = True
+    streaming.client.cut = True
     streaming.robot.send(HOME)
     streaming.wait(0.05)  # 0.2 rad at 4 rad/s, and 0.05 rad of noise
     streaming.end.write(numbers_reply(off(step)))
@@ -151,7 +151,7 @@ def test_wrong_answer_ends_the_link(streaming, extra):
 def test_closed_connection_ends_the_link_and_says_what_that_means(streaming):
     streaming.robot.send(off(0.01))
     streaming.wait(0.001)
-    streaming.server.cut = True
+    streaming.end.close()
     streaming.wait(0.1)
     with pytest.raises(LinkError, match=r"software cannot stop it: be ready at the E-stop"):
         streaming.stream(1.0)
@@ -161,7 +161,8 @@ def test_closed_connection_ends_the_link_and_says_what_that_means(streaming):
 
 
 def test_failed_link_still_says_goodbye_which_ends_the_servo(streaming):
-    streaming.server.refuses = True
+    write = streaming.end.write
+    streaming.end.write = lambda reply: write(b"nak\n")
     with pytest.raises(LinkError):
         streaming.stream(0.1)
     streaming.robot.close()

@@ -1,8 +1,7 @@
 """Emulator of an encoder board, which sends the same bytes as the firmware for any angle.
 
-The board counts an angle on its own clock, and can have the faults of real boards. Its inputs are
-bytes and times, its outputs bytes: it runs in virtual time behind a memory pipe and in real time on
-a pseudo-terminal (`Terminal`).
+The board counts an angle on its own clock. Its inputs are bytes and times, its outputs bytes: it
+runs in virtual time behind a memory pipe and in real time on a pseudo-terminal (`Terminal`).
 
 Not modelled: single edges of the two lines (their faults are set by attributes), the bounce of the
 button, the transmission time of a line, and a full buffer.
@@ -13,11 +12,8 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from math import floor
 from pathlib import Path
 from typing import Final
-
-import numpy as np
 
 from equipoise.errors import InputError, OutsideError
 from equipoise.model.encoder import counts_from_theta
@@ -30,7 +26,7 @@ BOOT: Final = 0.3
 
 @dataclass(eq=False)
 class Board:
-    """Emulated board; its faults are attributes that may be set at any time.
+    """Emulated board; its attributes may be changed at any time.
 
     At its start it sends its banner, and its first line a period later.
     """
@@ -49,28 +45,11 @@ class Board:
     """Relative error of the board's clock, positive if fast [-]."""
     start: float = 0.0
     """Time at which the board is switched on [s]."""
-    seed: int = 0
-    """Seed of malformed lines."""
-    factor: float = 1.0
-    """Ratio of actual to nominal counts; other than 1 is a fault."""
-    loss: float = 0.0
-    """Fraction of upward counts that are lost: a slow fault."""
-    frozen: bool = False
-    """Whether the count is frozen: a fault."""
-    silent: bool = False
-    """Whether the board sends no lines: a fault."""
-    malformed: float = 0.0
-    """Fraction of damaged lines: a fault."""
-    slipped: int = field(default=0, init=False)
-    """Counts added until a restart, as by a slipping coupling or a burst of noise: a fault."""
-    skipped: int = field(default=0, init=False)
-    """Number of next lines that are dropped: a fault."""
     illegal: bool = field(default=False, init=False)
     """Whether both lines of the encoder have changed at once since the last line: a fault."""
 
     def __post_init__(self) -> None:
         """Switch the board on."""
-        self._rng = np.random.default_rng(self.seed)
         self._received = b""
         self._now = self.start
         self._boot(self.start, self.offset_us)
@@ -79,9 +58,8 @@ class Board:
         self._started = self._next = self._at = now
         self._start_us = t_us
         self._theta = self.angle()
-        self._raw = self._counted(self._theta)
-        self._line = self._count = self.slipped = self.skipped = self._requested = 0
-        self._lost = 0.0
+        self._zero = self._counted(self._theta)
+        self._line = self._requested = 0
         self._greets = True
         self._down = self._latched = self.illegal = False
 
@@ -121,46 +99,23 @@ class Board:
         while self._next + period <= now + 1e-9:
             self._next += period
             fraction = (self._next - since) / (now - since) if now > since else 1.0
-            self._move(before + min(max(fraction, 0.0), 1.0) * (theta - before))
-            sent += self._line_now()
+            sent += self._line_at(before + min(max(fraction, 0.0), 1.0) * (theta - before))
         self._theta, self._at, self._now = theta, max(now, since), now
         return bytes(sent)
 
     def _counted(self, theta: float) -> int:
-        return int(counts_from_theta(self.factor * theta, self.counts_per_rev, self.sign))
+        return int(counts_from_theta(theta, self.counts_per_rev, self.sign))
 
-    def _move(self, theta: float) -> None:
-        raw = self._counted(theta)
-        step, self._raw = raw - self._raw, raw
-        if self.frozen:
-            return
-        self._lost += self.loss * max(step, 0)
-        missed = floor(self._lost)
-        self._lost -= missed
-        self._count += step - missed
-
-    def _line_now(self) -> bytes:
+    def _line_at(self, theta: float) -> bytes:
         flags = Flags.DOWN * self._down | Flags.PRESSED * self._latched
         flags |= Flags.ILLEGAL * self.illegal
         clock = (self._next - self._started) * (1.0 + self.drift)
         t_us = (self._start_us + round(1e6 * clock)) % 2**32
-        count = (self._count + self.slipped + 2**31) % 2**32 - 2**31
+        count = (self._counted(theta) - self._zero + 2**31) % 2**32 - 2**31
         line = encode(Reading(self._line, t_us, count, int(flags)))
         self._line = (self._line + 1) % 2**16
-        if self.skipped or self.silent:
-            self.skipped = max(self.skipped - 1, 0)
-            return b""
         self._latched = self.illegal = False
-        if self.malformed > 0.0 and self._rng.random() < self.malformed:
-            return self._damaged(line)
         return line
-
-    def _damaged(self, line: bytes) -> bytes:
-        """Return a line in which bytes are changed or lost."""
-        begin, count = int(self._rng.integers(len(line))), 1 + int(self._rng.integers(8))
-        end = min(begin + count, len(line))
-        lost = self._rng.random() < 0.5
-        return line[:begin] + (b"" if lost else self._rng.bytes(end - begin)) + line[end:]
 
 
 class Terminal:

@@ -115,10 +115,10 @@ def open_sensor(
     return LineEncoder(opened, clock, counts_per_rev=counts_per_rev, sign=sign, name=address)
 
 
-def emulate(rig: SimulatedRig, clock: Clock, counts_per_rev: int, sign: int, seed: int) -> Emulated:
+def emulate(rig: SimulatedRig, clock: Clock, counts_per_rev: int, sign: int) -> Emulated:
     """Return the driver in front of an emulated board on a simulated spindle."""
     counts = rig.settings.counts_per_rev
-    board = Board(lambda: rig.theta, counts_per_rev=counts, sign=sign, seed=seed)
+    board = Board(lambda: rig.theta, counts_per_rev=counts, sign=sign)
     reader, wire = memory_pipe(clock, rig.settings.encoder_age)
 
     def advance(now: float) -> None:

@@ -78,8 +78,7 @@ def answer(command: str, arm: SimulatedArm) -> bytes:
 class KstServer:
     """An emulated KST server for one client: bytes and times in, bytes out.
 
-    Faults beyond those of the real server are attributes that may be set at any time. Feed received
-    bytes, and advance at least once a millisecond, after the arm::
+    Feed received bytes, and advance at least once a millisecond, after the arm::
 
         server.feed(data, now)
         for segment in server.advance(now):
@@ -92,12 +91,6 @@ class KstServer:
         Args:
             body: The arm; lines have a field for each of its joints.
         """
-        self.drops = self.refuses = False
-        """Whether replies are lost, or `nak`: faults; their commands are executed."""
-        self.deaf = False
-        """Whether received bytes are dropped, as on a half-open link: a fault."""
-        self.cut = False
-        """Whether the connection is cut: a fault; the servo continues."""
         self.ended = False
         """Whether the server's program has ended; the connection is closed then."""
         self.deserted = False
@@ -116,7 +109,7 @@ class KstServer:
     @property
     def closed(self) -> bool:
         """Whether the connection is closed from this side."""
-        return self.cut or (self.ended and not self._segments)
+        return self.ended and not self._segments
 
     def feed(self, data: bytes, now: float) -> None:
         """Receive bytes from the client.
@@ -126,7 +119,7 @@ class KstServer:
             now: The time [s].
         """
         self._now = now
-        if self.closed or self.deaf or not self._reads:
+        if self.closed or not self._reads:
             return
         try:
             lines, self._rest = split_lines(self._rest + data)
@@ -148,7 +141,7 @@ class KstServer:
         self._now = now
         next(self._main, None)
         segments, self._segments = self._segments, []
-        return [] if self.deserted or self.cut else segments
+        return [] if self.deserted else segments
 
     def vanished(self, now: float) -> None:
         """Record, unlike the real server, that the client left without an `end`.
@@ -156,10 +149,6 @@ class KstServer:
         The servo continues to its last target. No line is read again.
         """
         self._now, self.deserted, self._reads = now, True, False
-
-    def _reply(self, reply: bytes) -> None:
-        if not self.drops:
-            self._segments.append(NAK if self.refuses else reply)
 
     # The reader's thread.
 
@@ -177,7 +166,7 @@ class KstServer:
                 self._read_target(command)
             elif command.startswith(STOP_SERVO):
                 self._requested = False
-            self._reply(answer(command, self._body))
+            self._segments.append(answer(command, self._body))
         else:
             self._waiting = command
 
@@ -197,16 +186,16 @@ class KstServer:
             self.busy = command.startswith((START_SERVO, "doPTPinJS"))
             try:
                 if command.startswith(MAIN):
-                    self._reply(answer(command, self._body))
+                    self._segments.append(answer(command, self._body))
                 elif command.startswith(START_SERVO):
                     yield from self._serve()
                 elif command.startswith("doPTPinJS"):
                     yield from self._move()
                 elif command.startswith("jRelVel"):  # fraction of the speed limits, for motions
                     self._speed = java_double("".join(tokens(command)[1:2]))
-                    self._reply(DONE)
+                    self._segments.append(DONE)
             except InputError:
-                self._reply(NAK)
+                self._segments.append(NAK)
             self.busy = False
             yield
 
@@ -218,7 +207,7 @@ class KstServer:
     def _serve(self) -> Iterator[None]:
         """Run a servo, which begins and ends "a few milliseconds" after its acknowledgements."""
         self._requested = True
-        self._reply(DONE)
+        self._segments.append(DONE)
         yield from self._sleep(5e-3)
         self._runs = True
         self._body.servo(True)
@@ -233,7 +222,7 @@ class KstServer:
     def _move(self) -> Iterator[None]:
         """Move to the target along a minimum-jerk path, at the set speed."""
         body, joints, goal = self._body, self._body.arm.joints, tuple(self._target)
-        self._reply(DONE)
+        self._segments.append(DONE)
         yield from self._sleep(PLANNING_TIME)
         within = all(a.lower <= q <= a.upper for a, q in zip(joints, goal, strict=True))
         if body.stopped or not within or not 0.0 < self._speed <= 1.0:
@@ -246,7 +235,7 @@ class KstServer:
             body.target(path.at(self._now - start).q)
             yield
         body.servo(False)
-        self._reply(NAK if body.stopped else DONE)
+        self._segments.append(NAK if body.stopped else DONE)
         self._waiting = ""
 
 
