@@ -54,7 +54,7 @@ def test_the_faults_named_are_those_that_are_injected():
 
 
 def test_each_number_of_the_page_is_that_of_the_code():
-    from equipoise.rig import readings, run_controller, script
+    from equipoise.rig import readings, run_controller
     from equipoise.safety import monitors, rules, stop
     from tests.faults.verdicts import MAX_NOTICE
 
@@ -69,9 +69,8 @@ def test_each_number_of_the_page_is_that_of_the_code():
     assert (monitors.MAX_REPEATS, monitors.REPEAT_WINDOW) == (3, 1.0)
     assert "a third gap within a second" in PAGE
     assert "the third stall within a second" in PAGE
-    assert script.HOMING_FRACTION == 0.1
+    assert stop.SLOW_FRACTION == 0.1
     assert "a tenth of the joints' speed" in PAGE
-    assert stop.RETURN_FRACTION == script.HOMING_FRACTION
     assert monitors.MIN_REPLIES == 5
     assert "five replies in order" in PAGE
     assert f"within {rules.FOLLOWING_LIMIT:g} rad of the setpoints of the last 0.3 s" in PAGE

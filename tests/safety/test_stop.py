@@ -11,7 +11,7 @@ from equipoise.arm.iiwa import iiwa
 from equipoise.errors import InputError
 from equipoise.safety.rules import STOP_DECELERATION, check_setpoint, limits_of
 from equipoise.safety.stop import (
-    RETURN_FRACTION,
+    SLOW_FRACTION,
     ramp,
     stoppable_speeds,
     way_back,
@@ -166,7 +166,7 @@ def test_the_way_back_ends_where_the_arm_is():
     assert q[-1] == pytest.approx(measured)
     dq, ddq = np.diff(q, axis=0) / DT, np.diff(q, n=2, axis=0) / DT**2
     used = np.abs(dq / LIMITS.velocity).max(), np.abs(ddq / LIMITS.acceleration).max()
-    assert max(used) == pytest.approx(RETURN_FRACTION, rel=0.05)
+    assert max(used) == pytest.approx(SLOW_FRACTION, rel=0.05)
 
 
 @given(

@@ -18,7 +18,7 @@ import numpy as np
 from equipoise.arm.arm import FREE_JOINTS
 from equipoise.arrays import Array
 from equipoise.control.controller import Controller, FlangeKinematics
-from equipoise.control.minimum_jerk import MinimumJerk, path_within
+from equipoise.control.minimum_jerk import MinimumJerk
 from equipoise.control.policy import Policy, tick_policy
 from equipoise.control.swing_up import SwingUpPolicy, amplitude, make_swing_up, time_limit
 from equipoise.control.ticks import OK, Job, OperatorMessage, Sample, TickRecord
@@ -39,15 +39,13 @@ from equipoise.rig.readings import ArmReadings, EncoderReadings, TimedJoints
 from equipoise.rig.release import ReleaseDetector, ReleaseState
 from equipoise.rig.request import RunRequest, actuator_fits, describe_fit
 from equipoise.safety.rules import STOP_DECELERATION, largest_difference
-from equipoise.safety.stop import Ramp, ramp, stoppable_speeds, way_back
+from equipoise.safety.stop import Ramp, ramp, slow_path, stoppable_speeds, way_back
 from equipoise.settings import HANGING
 
 T = TypeVar("T")
 Setpoints: TypeAlias = tuple[tuple[float, ...], ...]
 """Setpoints of a tick [rad]: now, and h / 2 later; empty while nothing is to be sent."""
 
-HOMING_FRACTION: Final = 0.1
-"""Fraction of the joints' velocity and acceleration limits on the way home [-]."""
 REST_BEFORE: Final = 0.3
 """Observation of the pendulum before the move of a self-test, and of the arm after an excitation
 [s]."""
@@ -289,7 +287,7 @@ def script(run: Run, clock: Callable[[], float]) -> Steps[End]:
 
 def home(run: Run) -> Steps[None]:
     """Move to home, inside the servo stream."""
-    path = _path_home(run)
+    path = slow_path(run.q, run.arm.home, run.safety.limits)
     text = f"Moving to home, {path.duration:.1f} s. Press any key to stop, at any time."
     run.enter(Phase.HOMING, "homing", text)
     yield run.still()
@@ -298,13 +296,7 @@ def home(run: Run) -> Steps[None]:
         run.q, run.dq = path.at(run.time + run.h)
         tick = yield first.q, run.q
         if tick.stalled:
-            path, run.ticks = _path_home(run), 0
-
-
-def _path_home(run: Run) -> MinimumJerk:
-    velocity = [HOMING_FRACTION * joint.velocity for joint in run.arm.joints]
-    acceleration = [HOMING_FRACTION * joint.acceleration for joint in run.arm.joints]
-    return path_within(run.q, run.arm.home, velocity, acceleration)
+            path, run.ticks = slow_path(run.q, run.arm.home, run.safety.limits), 0
 
 
 def confirm(run: Run) -> Steps[None]:

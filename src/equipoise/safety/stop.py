@@ -24,9 +24,9 @@ from equipoise.control.minimum_jerk import MinimumJerk, Point, path_within
 from equipoise.errors import InputError
 from equipoise.safety.rules import STOP_DECELERATION, Limits
 
-RETURN_FRACTION: Final = 0.1
-"""Fraction of the joints' velocity and acceleration limits on the way to the measured joints [-],
-as on the way home."""
+SLOW_FRACTION: Final = 0.1
+"""Fraction of the joints' velocity and acceleration limits on the way home, and back towards the
+measured joints [-]."""
 
 
 class Ramp(NamedTuple):
@@ -127,6 +127,11 @@ def way_back(
         # A measured joint may be beyond a limit by its noise; a setpoint may not.
         low = max(begin[i] - reach, limits.lower[i])
         end.append(min(max(place, low), begin[i] + reach, limits.upper[i]))
-    velocity = [RETURN_FRACTION * limit for limit in limits.velocity]
-    acceleration = [RETURN_FRACTION * limit for limit in limits.acceleration]
+    return slow_path(q, end, limits)
+
+
+def slow_path(q: Sequence[float], end: Sequence[float], limits: Limits) -> MinimumJerk:
+    """Return a slow path between two postures [rad], shape (n,) each, within a tenth of limits."""
+    velocity = [SLOW_FRACTION * limit for limit in limits.velocity]
+    acceleration = [SLOW_FRACTION * limit for limit in limits.acceleration]
     return path_within(q, end, velocity, acceleration)
