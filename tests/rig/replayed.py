@@ -60,8 +60,9 @@ def replay(run, policy):
         reply[np.isnan(reply["sent"])]["q"][0].tolist(),
         counts_per_rev=conditions.counts_per_rev,
         max_speed=inf if limit is None else limit,
+        clock=clock,
     )
-    return compared(run, RunController(state, clock), clock)
+    return compared(run, RunController(state), clock)
 
 
 def compared(run, controller, clock):

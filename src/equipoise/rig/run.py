@@ -218,8 +218,14 @@ def _run_once(
     started = rig.clock.now()
     recorder.reply.push(time=started, q=robot.started_at, taken=started)
     counts = rig.sensor.counts_per_rev
-    run = Run(request, robot.started_at, counts_per_rev=counts, max_speed=max_speed)
-    controller = RunController(run, rig.clock.now)
+    run = Run(
+        request,
+        robot.started_at,
+        counts_per_rev=counts,
+        max_speed=max_speed,
+        clock=rig.clock.now,
+    )
+    controller = RunController(run)
     ending = run_loop(
         robot,
         rig.sensor,

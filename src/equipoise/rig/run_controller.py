@@ -11,7 +11,7 @@ The two setpoints of a tick are the arm's targets half a tick later and a whole 
 training (`equipoise.control.control_step`).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import inf
 from typing import Final
 
@@ -52,12 +52,11 @@ OFF_TRACK: Final = {Phase.HOMING, Phase.EXCITING}
 class RunController:
     """Controller of a run: measurements, safety rules, script, stop."""
 
-    def __init__(self, run: Run, clock: Callable[[], float] = lambda: 0.0) -> None:
+    def __init__(self, run: Run) -> None:
         """Begin the way home from the posture that the servo holds.
 
         Args:
             run: State of the run, at its begin.
-            clock: Clock for the computing time of a policy in Python [s]; the default gives zero.
 
         Raises:
             ArmError: Home is too close to a limit for the excitation.
@@ -66,9 +65,7 @@ class RunController:
         """State of the run."""
         self.h = run.h
         """Time between ticks [s]."""
-        # A kernel takes the computer's time, which virtual time does not show.
-        compiled = run.request.policy.kernel is not None
-        self._script: Steps[End | None] = script(run, (lambda: 0.0) if compiled else clock)
+        self._script: Steps[End | None] = script(run)
         next(self._script)
         self._tick = Tick()
         self.end: End | None = None

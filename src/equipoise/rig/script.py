@@ -110,6 +110,7 @@ class Run:
         *,
         counts_per_rev: int,
         max_speed: float = inf,
+        clock: Callable[[], float] = lambda: 0.0,
     ) -> None:
         """Begin with an arm that rests at the measured joints.
 
@@ -118,11 +119,15 @@ class Run:
             q: Measured joints, all of them [rad].
             counts_per_rev: Counts per revolution that the rig's encoder reports.
             max_speed: Flange speed limit from the pre-flight [m/s].
+            clock: Clock for the computing time of a policy in Python [s]; the default gives zero.
 
         Raises:
             ArmError: Home is a singular posture.
             SettingsError: The delay exceeds the controller's history.
         """
+        # A kernel takes the computer's time, which virtual time does not show.
+        self.clock = clock if request.policy.kernel is None else lambda: 0.0
+        """Clock for the computing time of the policy [s]."""
         self.request, self.arm = request, request.settings.described_arm
         self._counts_per_rev, self._max_speed = counts_per_rev, max_speed
         self.assume(request.actuator)
@@ -256,14 +261,13 @@ class Run:
         return result
 
 
-def script(run: Run, clock: Callable[[], float]) -> Steps[End]:
+def script(run: Run) -> Steps[End]:
     """Run all phases, and return the end of a run whose pendulum has survived.
 
     The first setpoints are those before the first tick, which the servo holds already.
 
     Args:
         run: The run.
-        clock: Clock for the computing time of a policy in Python [s].
 
     Raises:
         ArmError: Home is too close to a limit of a joint for the excitation.
@@ -275,14 +279,14 @@ def script(run: Run, clock: Callable[[], float]) -> Steps[End]:
         yield from confirm(run)
         yield from take_zero(run)
     else:
-        yield from check_zero(run, clock)
+        yield from check_zero(run)
     if run.request.identify is not None:
         yield from excite(run, motion, run.request.identify)
     if run.request.start == HANGING:
-        yield from swing_up(run, clock)
+        yield from swing_up(run)
     else:
         yield from lift(run)
-    return (yield from balance(run, policy, clock))
+    return (yield from balance(run, policy))
 
 
 def home(run: Run) -> Steps[None]:
@@ -322,13 +326,13 @@ def take_zero(run: Run) -> Steps[None]:
             return
 
 
-def check_zero(run: Run, clock: Callable[[], float]) -> Steps[None]:
+def check_zero(run: Run) -> Steps[None]:
     """Damp the pendulum, and check its zero against the reference, which stays."""
     while not run.encoder.samples:
         yield run.still()
     run.begin_hanging()
     run.q = run.controller.q
-    yield from damp(run, clock)
+    yield from damp(run)
     while abs(v := run.controller.x_dot) > 1e-6:  # [m/s]
         yield run.accelerate(-min(max(v / run.h, -1.0), 1.0))  # [m/s^2]
     test = yield from swing_test(run)
@@ -489,7 +493,7 @@ def lift(run: Run) -> Steps[None]:
             run.notify("nudge", "Let go. If it stands by itself, nudge it.")
 
 
-def swing_up(run: Run, clock: Callable[[], float]) -> Steps[None]:
+def swing_up(run: Run) -> Steps[None]:
     """Swing the hanging pendulum up until the policy can balance it.
 
     A swing-up that takes too long is damped, and begins again.
@@ -501,19 +505,19 @@ def swing_up(run: Run, clock: Callable[[], float]) -> Steps[None]:
         again = "again" if attempt else f"for {limit:.0f} s at most"
         run.enter(Phase.SWINGING_UP, "swing-up", f"Swinging up, {again}. Press any key to stop.")
         while run.time < limit:
-            u = _decide(run, policy, clock, first=run.ticks == 0)
+            u = _decide(run, policy, first=run.ticks == 0)
             if policy.balancing:
                 run.controller.balancing = True
                 run.upright = took + run.time
                 return
             yield run.accelerate(u)
         took += run.time
-        yield from damp(run, clock)
+        yield from damp(run)
         took += run.time
     raise PhaseError(Outcome.NOT_UPRIGHT, value=limit)
 
 
-def damp(run: Run, clock: Callable[[], float]) -> Steps[None]:
+def damp(run: Run) -> Steps[None]:
     """Take the swing from the pendulum with the flange, until it nearly hangs."""
     policy, pendulum = _swinging(run, hang=True), run.params.pendulum
     run.enter(Phase.DAMPING, "damping", "Damping the pendulum. Press any key to stop.")
@@ -524,7 +528,7 @@ def damp(run: Run, clock: Callable[[], float]) -> Steps[None]:
         if run.time > time_limit(pendulum):
             text = f"the pendulum still swings by {degrees(swing):.0f} deg"
             raise PhaseError(Outcome.SELF_TEST, text=f"{text} after {run.time:.0f} s of damping")
-        yield run.accelerate(_decide(run, policy, clock, first=run.ticks == 0))
+        yield run.accelerate(_decide(run, policy, first=run.ticks == 0))
 
 
 def _swinging(run: Run, *, hang: bool = False) -> SwingUpPolicy:
@@ -535,26 +539,20 @@ def _swinging(run: Run, *, hang: bool = False) -> SwingUpPolicy:
     return SwingUpPolicy(kernel, law._replace(damps=hang))
 
 
-def balance(run: Run, policy: Policy, clock: Callable[[], float]) -> Steps[End]:
-    """Command the policy's accelerations for the duration of the request; return the end.
-
-    Args:
-        run: The run.
-        policy: The policy.
-        clock: Clock for its computing time [s].
-    """
+def balance(run: Run, policy: Policy) -> Steps[End]:
+    """Command the policy's accelerations for the duration of the request; return the end."""
     run.enter(Phase.BALANCING, "balancing", "Balancing. Press any key to stop.")
     begin, duration = run.balanced, run.request.duration
     while (run.balanced - begin) * run.h < duration - 0.5 * run.h:
-        yield run.accelerate(_decide(run, policy, clock, first=run.balanced == begin))
+        yield run.accelerate(_decide(run, policy, first=run.balanced == begin))
         if run.controller.limit_exceeded:
             raise PhaseError(Outcome.JOINT_LIMIT)
     return End(Outcome.SURVIVED, {"duration": duration})
 
 
-def _decide(run: Run, policy: Policy, clock: Callable[[], float], *, first: bool = False) -> float:
+def _decide(run: Run, policy: Policy, *, first: bool) -> float:
     """Return and record the policy's u [m/s^2]; stop where the policy fails."""
-    u, failure, began = nan, "", clock()
+    u, failure, began = nan, "", run.clock()
     try:
         if first:
             policy.reset()
@@ -564,7 +562,7 @@ def _decide(run: Run, policy: Policy, clock: Callable[[], float], *, first: bool
     except BaseException as error:  # not even a request to exit may end the loop
         failure = printable(str(error)) or type(error).__name__
     evidence: dict[str, float] = {}
-    took, limit = clock() - began, POLICY_TIME_FRACTION * run.h
+    took, limit = run.clock() - began, POLICY_TIME_FRACTION * run.h
     if not failure and took > limit:
         failure = f"it took {1e3 * took:.1f} ms, expected at most {1e3 * limit:.1f} ms"
         evidence = {"took": took, "limit": limit}
