@@ -3,7 +3,7 @@
 The board counts an angle on its own clock. Its inputs are bytes and times, its outputs bytes: it
 runs in virtual time behind a memory pipe and in real time on a pseudo-terminal (`Terminal`).
 
-Not modelled: single edges of the two lines (their faults are set by attributes), the bounce of the
+Not modelled: single edges of the two lines (`illegal` sets their fault), the bounce of the
 button, the transmission time of a line, and a full buffer.
 """
 
