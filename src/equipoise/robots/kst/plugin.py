@@ -20,6 +20,9 @@ from equipoise.robots.kst.codec import PORT
 from equipoise.robots.kst.emulator import KstHardware, KstServer
 from equipoise.robots.kst.robot import KstRobot, dial
 
+T1_SPEED: Final = 0.23
+"""Flange speed limit of a run in T1 [m/s]: the controller stops the arm with its brakes at 0.25
+m/s, and measured speeds are noisy."""
 SHAPED_FRACTION: Final = 0.8
 """Maximum fraction of a joint's speed limit for the shaped peak of its velocity [-]."""
 TRACK_STEP: Final = 0.005
@@ -114,8 +117,7 @@ PLUGIN: Final = RobotPlugin(
         "last target, which is always near, and software cannot stop it. The E-stop can."
     ),
     checklist=(
-        # In T1 the controller stops the arm with its brakes at 0.25 m/s; measured speeds are noisy.
-        ("t1", "Has this policy run in T1, or is T1 selected, with --max-speed 0.23?"),
+        ("t1", f"Has this policy run in T1, or is T1 selected, with --max-speed {T1_SPEED}?"),
     ),
     restart="start the server's application on the smartPAD",
 )
