@@ -231,14 +231,6 @@ class RunLog:
     """Box of the table that contains the state, shape (n,)."""
     u = _TickColumn()
     """Commanded acceleration of the flange along x [m/s^2], shape (n,)."""
-
-    @property
-    def tracked(self) -> Array:
-        """Acceleration u' of the flange over the tick, on a rig of its reference [m/s^2]."""
-        if len(self.truth.tracked):
-            return self.truth.tracked
-        return np.diff(self.x_dot, append=self.x_dot[-1:]) / self.conditions.h
-
     q = _TickColumn()
     """Joint positions commanded for the end of the tick [rad], shape (n, joints)."""
     dq = _TickColumn()
