@@ -24,6 +24,8 @@ from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
+from equipoise.robots.encoder.sensor import LineEncoder
+from equipoise.robots.kst.robot import KstRobot
 
 WORLD = "twin:nominal"
 START = "start"
@@ -144,8 +146,14 @@ class FaultHarness:
     def run(self) -> RunEnd:
         """Run the policy, and return the result; `Outcome.ERROR` for a refused run."""
         scenario = self.scenario
-        sensor = self.sensor.driver(self.encoder_tap.open, self.clock)
-        robot = self.robot.driver(self.robot_tap.open, DrainingClock(self.clock, sensor))
+        settings = scenario.settings
+        sensor = LineEncoder(
+            self.encoder_tap.open,
+            self.clock,
+            counts_per_rev=settings.counts_per_rev,
+            sign=settings.encoder_sign,
+        )
+        robot = KstRobot(self.robot_tap.open, DrainingClock(self.clock, sensor))
         rig = self.rig._replace(robot=robot, sensor=sensor, clock=self.clock)
         rig.operator.ignored = scenario.missed_messages
         request = RunRequest(

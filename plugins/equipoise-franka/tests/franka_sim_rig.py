@@ -21,7 +21,7 @@ from franka_sim.control_modes import ControlMode
 from franka_sim.franka_sim_server import FrankaSimServer
 from franka_sim.server import state_stream
 
-from equipoise.rig.simulated_rig import Bench, Mechanism
+from equipoise.rig.simulated_rig import Bench
 from equipoise.simulation.twin.physics import rod_inertia
 from equipoise_franka import franky
 
@@ -135,8 +135,8 @@ class FrankaSimRig(Bench):
         self.controller = Server(self.robot, hosts)
         model, data = self.robot.model, self.robot.data
         flange, rod = (model.body(name).id for name in (franky.LINK, "pendulum"))
-        mechanism = Mechanism(data, flange, rod, self.robot.phi, self.robot.cycle)
-        super().__init__(mechanism, bodies)
+        step, phi = self.robot.cycle, self.robot.phi
+        super().__init__(bodies, data, step, flange=flange, rod=rod, phi=phi)
 
     @property
     def q(self):

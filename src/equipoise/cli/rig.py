@@ -60,7 +60,7 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
             finding.name: {
                 "status": finding.status,
                 "evidence": finding.evidence,
-                "remedy": finding.remedy,
+                "remedy": "" if finding.status == "good" else finding.remedy,
             }
             for finding in findings
         },

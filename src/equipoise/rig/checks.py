@@ -50,35 +50,25 @@ class Finding(NamedTuple):
 
     name: str
     """Subject of the check."""
-    status: Literal["good", "warning", "bad"]
-    """Good; a warning, which goes into the log; or bad, which forbids a run."""
     evidence: str
     """Measured values, and the limit where it is not met."""
-    remedy: str = ""
-    """Action that helps; empty for a good result."""
+    remedy: str
+    """Action that helps."""
+    warning: bool = False
+    """Whether a warning is due, which goes into the log."""
+    bad: bool = False
+    """Whether a run is forbidden."""
+
+    @property
+    def status(self) -> Literal["good", "warning", "bad"]:
+        """The result in a word."""
+        return "bad" if self.bad else "warning" if self.warning else "good"
 
     @property
     def sentence(self) -> str:
         """The finding as a sentence for the operator."""
         text = f"{self.name}: {self.status}, {self.evidence}"
-        return f"{text}; {self.remedy}" if self.remedy else text
-
-
-def find(
-    name: str, evidence: str, remedy: str, *, warning: bool = False, bad: bool = False
-) -> Finding:
-    """Return a finding, without the remedy where it is good.
-
-    Args:
-        name: Subject of the check.
-        evidence: Measured values.
-        remedy: Action that helps.
-        warning: Whether a warning is due.
-        bad: Whether a run is forbidden.
-    """
-    if bad or warning:
-        return Finding(name, "bad" if bad else "warning", evidence, remedy)
-    return Finding(name, "good", evidence)
+        return text if self.status == "good" else f"{text}; {self.remedy}"
 
 
 def require(findings: Sequence[Finding], error: type[EquipoiseError] = InputError) -> None:
@@ -91,10 +81,9 @@ def require(findings: Sequence[Finding], error: type[EquipoiseError] = InputErro
     Raises:
         EquipoiseError: A finding is bad.
     """
-    bad = [finding for finding in findings if finding.status == "bad"]
+    bad = [f"{found.name}: {found.evidence}; {found.remedy}" for found in findings if found.bad]
     if bad:
-        sentences = (f"{finding.name}: {finding.evidence}; {finding.remedy}" for finding in bad)
-        raise error("; ".join(sentences))
+        raise error("; ".join(bad))
 
 
 def check_machine(granted: dict[str, str], paced: bool) -> list[Finding]:
@@ -109,14 +98,16 @@ def check_machine(granted: dict[str, str], paced: bool) -> list[Finding]:
         "rtprio 99` and `@realtime - memlock unlimited` into /etc/security/limits.conf; log in "
         "again"
     )
-    findings = [find(name, how, remedy, warning=how != "granted") for name, how in granted.items()]
+    findings = [
+        Finding(name, how, remedy, warning=how != "granted") for name, how in granted.items()
+    ]
     if paced and granted:
         realtime = Path("/sys/kernel/realtime").exists()
         kernel = f"{'with' if realtime else 'without'} PREEMPT_RT"
         remedy = (
             "install a kernel with PREEMPT_RT, see docs/how-to/real-time.md; expect lost packets"
         )
-        findings.append(find("kernel", kernel, remedy, warning=not realtime))
+        findings.append(Finding("kernel", kernel, remedy, warning=not realtime))
     return findings
 
 
@@ -130,7 +121,7 @@ def check_deadlines(late: Array, *, paced: bool = False) -> Finding:
     longest, limit = float(late.max()), STALL if paced else MAX_STALL
     # A fifth of the stream's period is far below the arm's delay.
     uneven = np.percentile(late, 99.0) > 0.2 * SETPOINT_PERIOD or longest > SETPOINT_PERIOD
-    return find(
+    return Finding(
         "deadlines",
         f"late by {_spread(late)}; a run ends at {1e3 * limit:g} ms",
         "end other programs, set the governor, install a kernel with PREEMPT_RT; see "
@@ -149,14 +140,14 @@ def check_link(trips: Array, *, paced: bool = False) -> Finding:
     """
     p99 = float(np.percentile(trips, 99.0))
     if paced:
-        return find(
+        return Finding(
             "link to the robot",
             f"a state each {_spread(trips)}; a run ends at {1e3 * STALL:g} ms",
             "use one direct cable and a network card of its own; see docs/how-to/real-time.md",
             warning=p99 > 2.0 * np.median(trips),
             bad=float(trips.max()) > STALL,
         )
-    return find(
+    return Finding(
         "link to the robot",
         f"round trips of {_spread(trips)}; good below {1e3 * GOOD_ROUND_TRIP:g} ms",
         "connect robot and computer by one direct cable, on a network card of their own (no "
@@ -187,13 +178,13 @@ def check_encoder(
     age = float(np.percentile(ages, 99.0))
     expected = counts if rig is None else rig.counts_per_rev
     return [
-        find(
+        Finding(
             "encoder's counts",
             f"{counts} per revolution, expected {expected}",
             "correct counts_per_rev in rig.toml, or COUNTS_PER_REV in the firmware",
             bad=counts != expected,
         ),
-        find(
+        Finding(
             "encoder's samples",
             f"{rate:.0f} per second, the newest {1e3 * age:.1f} ms old",
             "use a faster board with native USB (Teensy, Pico); set an adapter's latency timer to "
@@ -202,7 +193,7 @@ def check_encoder(
             warning=rate < 450.0 or age > 0.005,
             bad=rate < 200.0 or age > STALL,
         ),
-        find(
+        Finding(
             "encoder's line",
             f"{lost_fraction:.2%} of the samples lost, {illegal} illegal transitions",
             "check the encoder's supply, screen, plugs and baud rate, and keep its cable away "
@@ -233,25 +224,25 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> list[
         evidence = f"home_deg = {home}, the policy is for {other}"
     joint, margin = _nearest_limit(arm, arm.home)
     return [
-        find(
+        Finding(
             "policy and arm",
             evidence,
             "train a policy for this arm and home, or correct rig.toml",
             bad=not same,
         ),
-        find(
+        Finding(
             "arm's response",
             f"{_response(actuator)}, trained for {_response(policy.actuator)}",
             "train with --actuator and the file that identify makes of this rig's excitation",
             bad=not actuator_fits(policy, actuator),
         ),
-        find(
+        Finding(
             "encoder's resolution",
             f"{rig.counts_per_rev} counts, the policy's {plant.counts_per_rev}",
             "train with --set plant.counts_per_rev, or use a finer encoder",
             bad=rig.counts_per_rev < plant.counts_per_rev // 2,
         ),
-        find(
+        Finding(
             "home",
             f"{joint} is {margin:.1f} deg inside its limits",
             "choose a home further inside all limits",
@@ -276,7 +267,7 @@ def check_swing_up(request: RunRequest) -> Finding:
         policy, changed(policy.settings, values), actuator=request.actuator, with_baselines=False
     ).results.summary()
     typical, longest = results.upright or (inf, inf)
-    return find(
+    return Finding(
         "swing-up",
         f"{results.survived} of {trials} succeed in simulation, after {typical:.1f} s (median), "
         f"{longest:.1f} s (maximum)",
@@ -310,7 +301,7 @@ def check_speed(policy: TaskPolicy, limit: float) -> list[Finding]:
     trained = policy.settings.plant.max_speed
     evidence = f"stops at {limit:.3g} m/s, trained for {trained or 'any speed'}"
     remedy = f"train --set plant.max_speed={limit:.3g} makes a policy that keeps the limit"
-    return [find("flange speed", evidence, remedy, warning=trained is None or trained > limit)]
+    return [Finding("flange speed", evidence, remedy, warning=trained is None or trained > limit)]
 
 
 def check_posture(q: Array, rig: RigSettings) -> Finding:
@@ -318,7 +309,7 @@ def check_posture(q: Array, rig: RigSettings) -> Finding:
     joint, margin = _nearest_limit(rig.described_arm, q.tolist())
     remedy = f"move {joint} by hand to {rig.position_margin_deg:g} deg or more inside its limits"
     evidence = f"{joint} is {margin:.1f} deg inside its limits"
-    return find("posture", evidence, remedy, bad=margin < rig.position_margin_deg)
+    return Finding("posture", evidence, remedy, bad=margin < rig.position_margin_deg)
 
 
 def _spread(durations: Array) -> str:
@@ -412,7 +403,7 @@ def examine(
                     findings.append(check_link(trips, paced=paced))
         except LinkError as error:
             remedy = "check its power, its cable and its address"
-            findings.append(find(name, str(error), remedy, bad=True))
+            findings.append(Finding(name, str(error), remedy, bad=True))
         finally:
             device.close()
     return [*machine, check_deadlines(np.array(clock.late), paced=paced), *findings]

@@ -21,7 +21,7 @@ from equipoise.errors import InputError
 from equipoise.files import Fraction, Value
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.config import Load
-from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Robot, Transport
+from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Robot
 from equipoise.rig.simulated_rig import Bench, Bodies, SimulatedRig
 
 Plugin = TypeVar("Plugin")
@@ -62,8 +62,6 @@ class Emulated(NamedTuple):
     """The emulator, for tests that inject faults."""
     link: Any = None
     """The emulator's end of the link, a `MemoryPipe`."""
-    driver: Callable[[Callable[[], Transport], Clock], Any] | None = None
-    """Makes another driver on a transport, for tests that damage bytes."""
 
 
 class Hardware(Protocol):

@@ -45,30 +45,35 @@ class Bodies(NamedTuple):
     """Seed of all random numbers."""
 
 
-class Mechanism(NamedTuple):
-    """Arm and pendulum in MuJoCo."""
-
-    data: Any
-    """State of MuJoCo."""
-    flange: int
-    """Number of the flange's body."""
-    pendulum: int
-    """Number of the pendulum's body, whose x axis is across the rod and z along it."""
-    phi: int
-    """Index of phi, the pendulum's angle from upright relative to the flange, in qpos and qvel."""
-    step: Callable[[], object]
-    """Advances the mechanism by a millisecond."""
-
-
 class Bench:
     """A mechanism with the hand and the button of an operator, in time."""
 
-    def __init__(self, mechanism: Mechanism, bodies: Bodies) -> None:
-        """Stand at the mechanism of some bodies."""
+    def __init__(
+        self,
+        bodies: Bodies,
+        data: Any,
+        step: Callable[[], object],
+        *,
+        flange: int,
+        rod: int,
+        phi: int,
+    ) -> None:
+        """Stand at a mechanism in MuJoCo.
+
+        Args:
+            bodies: What the mechanism simulates.
+            data: State of MuJoCo.
+            step: Advances the mechanism by a millisecond.
+            flange: Number of the flange's body.
+            rod: Number of the pendulum's body, whose x axis is across the rod and z along it.
+            phi: Index of the pendulum's angle from upright, relative to the flange, in qpos and
+                qvel.
+        """
         pendulum, settings = bodies.pendulum, bodies.settings
         self.settings = settings
         """The world's numbers."""
-        self._mechanism = mechanism
+        self._data, self._step = data, step
+        self._flange, self._rod, self._phi = flange, rod, phi
         self._reach = rod_centre(pendulum.w2)
         self.hand = Hand(rod_inertia(pendulum.w2, settings.pendulum_mass), self._reach)
         """Hand of the operator, at the middle of the rod."""
@@ -87,13 +92,13 @@ class Bench:
         due = round((now - self._start) / TICK)
         while self._ticks < due:
             self._grasp()
-            self._mechanism.step()
+            self._step()
             self._ticks += 1
 
     @property
     def phi(self) -> float:
         """Angle of the pendulum from upright, relative to the flange, beyond a turn [rad]."""
-        return float(self._mechanism.data.qpos[self._mechanism.phi])
+        return float(self._data.qpos[self._phi])
 
     @property
     def theta(self) -> float:
@@ -147,7 +152,7 @@ class Bench:
             force: Force in base axes [N], shape (3,); zero ends the contact.
         """
         force = np.asarray(force, np.float64)
-        self._mechanism.data.xfrc_applied[self._mechanism.flange, :3] = force
+        self._data.xfrc_applied[self._flange, :3] = force
 
     def slip(self, angle: float) -> None:
         """Slip the encoder on its spindle, which adds an offset to its angle from now on [rad]."""
@@ -155,16 +160,16 @@ class Bench:
 
     def _grasp(self) -> None:
         """Apply the force of the hand at the middle of the rod, across it."""
-        data, pendulum = self._mechanism.data, self._mechanism.pendulum
+        data, rod = self._data, self._rod
         if self.hand.idle:
             if self._touching:
-                data.xfrc_applied[pendulum, :3] = 0.0
+                data.xfrc_applied[rod, :3] = 0.0
                 self._touching = False
             return
-        phi_dot = float(data.qvel[self._mechanism.phi])
+        phi_dot = float(data.qvel[self._phi])
         torque = self.hand.torque(self.now, self.phi, phi_dot)
-        across = data.xmat[pendulum, 0::3]
-        data.xfrc_applied[pendulum, :3] = torque / self._reach * across
+        across = data.xmat[rod, 0::3]
+        data.xfrc_applied[rod, :3] = torque / self._reach * across
         self._touching = True
 
 
@@ -188,10 +193,11 @@ class SimulatedRig(Bench):
         self.twin.reset(q, phi)
         self.body = SimulatedArm(self.twin)
         """Arm that an emulated robot moves and measures."""
-        mechanism = Mechanism(self.twin.data, FLANGE, ROD, self.joints, self._step)
-        super().__init__(mechanism, bodies)
+        super().__init__(
+            bodies, self.twin.data, self._tick, flange=FLANGE, rod=ROD, phi=self.joints
+        )
 
-    def _step(self) -> None:
+    def _tick(self) -> None:
         self.body.tick()
         self.twin.advance(TICK)
 

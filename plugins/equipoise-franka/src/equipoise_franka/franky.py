@@ -32,7 +32,7 @@ from equipoise.arrays import Array
 from equipoise.errors import InputError, OutsideError
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
-from equipoise.rig.simulated_rig import Bench, Bodies, Mechanism
+from equipoise.rig.simulated_rig import Bench, Bodies
 from equipoise.simulation.twin.physics import (
     DRY_TIME,
     bar_inertial,
@@ -277,8 +277,7 @@ class FrankyRig(Bench):
         self._bare.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
         self._bare_data = mujoco.MjData(self._bare)
         flange, rod = (model.body(name).id for name in (LINK, "pendulum"))
-        mechanism = Mechanism(data, flange, rod, int(phi), self._step)
-        super().__init__(mechanism, bodies)
+        super().__init__(bodies, data, self._cycle, flange=flange, rod=rod, phi=int(phi))
 
     @property
     def q(self) -> Array:
@@ -290,7 +289,7 @@ class FrankyRig(Bench):
         self.controller.cleanup()
         self._simulator.cleanup()
 
-    def _step(self) -> None:
+    def _cycle(self) -> None:
         self.controller.process_commands()
         if self._real_time:
             self.controller.send_state()

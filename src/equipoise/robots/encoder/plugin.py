@@ -128,8 +128,8 @@ def emulate(rig: SimulatedRig, clock: Clock, counts_per_rev: int, sign: int) -> 
             board.feed(wire.read())
             wire.write(sent)
 
-    driver = partial(LineEncoder, counts_per_rev=counts_per_rev, sign=sign)
-    return Emulated(driver(lambda: reader, clock), advance, board, wire, driver)
+    sensor = LineEncoder(lambda: reader, clock, counts_per_rev=counts_per_rev, sign=sign)
+    return Emulated(sensor, advance, board, wire)
 
 
 PLUGIN: Final = SensorPlugin(open=open_sensor, emulate=emulate)

@@ -70,8 +70,8 @@ def emulate(rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: i
             with suppress(LinkError):
                 cabinet.write(segment)
 
-    driver = partial(KstRobot, joints=rig.joints)
-    return Emulated(driver(lambda: host, session.clock), advance, server, cabinet, driver)
+    robot = KstRobot(lambda: host, session.clock, joints=rig.joints)
+    return Emulated(robot, advance, server, cabinet)
 
 
 def flange_speed(arm: Arm, period: float) -> float:
