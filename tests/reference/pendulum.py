@@ -49,12 +49,3 @@ def swing(time, theta, theta_dot, *, w2, c=0.0, coulomb=0.0, drag=0.0):
     times = np.concatenate([piece[0] for piece in pieces])
     first = np.searchsorted(times, time)
     return tuple(np.concatenate([piece[i] for piece in pieces])[first] for i in (1, 2))
-
-
-def angular_acceleration(phi, phi_dot, u, pendulum):
-    """Return phi_ddot from upright [rad/s^2], the pivot accelerated by u [m/s^2]."""
-    friction = pendulum.c * phi_dot + pendulum.coulomb * np.sign(phi_dot)
-    friction += pendulum.drag * abs(phi_dot) * phi_dot
-    if pendulum.linearised:
-        return pendulum.w2 * phi - friction - pendulum.k * u
-    return pendulum.w2 * np.sin(phi) - friction - pendulum.k * u * np.cos(phi)
