@@ -16,7 +16,6 @@ from equipoise.control.policy import (
     PolicyKernel,
     TabularPolicy,
     act,
-    table_kernel,
 )
 from equipoise.model.actuator import IDEAL_ACTUATOR
 from equipoise.model.grid import make_grid
@@ -56,14 +55,6 @@ def policy(pendulum):
 
 
 # What each kind commands
-
-
-@given(state=states, seed=st.integers(0, 99))
-def test_a_table_commands_what_stands_in_the_box_of_the_paper(state, seed):
-    x, x_dot, phi, phi_dot = state
-    u_of_box = np.random.default_rng(seed).uniform(-2, 2, (6, 5, 3, 3))
-    kernel = table_kernel(u_of_box.ravel(), BOXES)
-    assert act(kernel, x, x_dot, phi, phi_dot, 0.0) == u_of_box[place(x, x_dot, phi, phi_dot)]
 
 
 @given(state=states, gains=st.tuples(*[st.floats(-50, 50)] * 4))

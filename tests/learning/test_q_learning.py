@@ -12,7 +12,7 @@ from equipoise.learning.choice import ALGORITHMS, compile_functions, with_digest
 from equipoise.learning.q_learning import Transition, UpdateParams, epsilon_greedy, new_tables
 from equipoise.learning.rewards import REWARDS
 from equipoise.learning.train import train
-from equipoise.settings import LearningSettings
+from equipoise.settings import LearningSettings, changed
 from equipoise.user_code import load_object
 from tests.reference import learning as reference
 
@@ -167,8 +167,7 @@ def guest(tmp_path, monkeypatch):
 
 
 def trained(policy, settings, **changes):
-    learning = settings.learning.model_copy(update=changes)
-    settings = settings.model_copy(update={"learning": learning})
+    settings = changed(settings, {f"learning.{name}": value for name, value in changes.items()})
     return train(policy.pendulum, policy.arm, settings, actuator=policy.actuator, seed=7)
 
 
