@@ -10,7 +10,7 @@ from equipoise.identification.recording import read_swing
 from equipoise.identification.swing import identify
 from equipoise.learning.train import ATTEMPTS, train_to_target
 from equipoise.model.worlds import MODEL
-from equipoise.settings import resolve
+from equipoise.settings import changed, resolve
 from equipoise.simulation.evaluation import evaluate
 
 
@@ -62,8 +62,7 @@ def test_every_seed_stands_a_minute(request, pendulum, recorded, world, trials):
 def test_the_policy_that_ships_stands_on_the_twin():
     # It survived 200 of 200 trials of a minute: two falls in 16 have a chance below 1e-3.
     policy = shipped_policy()
-    tests = policy.settings.evaluation.model_copy(update={"trials": 16, "duration": 20.0})
-    settings = policy.settings.model_copy(update={"evaluation": tests})
+    settings = changed(policy.settings, {"evaluation.trials": 16, "evaluation.duration": 20.0})
     evaluation = evaluate(
         policy,
         settings,

@@ -15,7 +15,7 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.grid import JOINT_LIMIT, TRUNCATED
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.pendulum import step as pendulum_step
-from equipoise.settings import BoxSettings, Settings, resolve
+from equipoise.settings import BoxSettings, Settings, changed, resolve
 from equipoise.simulation.evaluation import evaluate
 from equipoise.simulation.plant import DomainRandomization, make_loop_params, scaled
 from tests.batch import Batch
@@ -225,8 +225,6 @@ def test_behind_an_actuator_a_pendulum_with_dry_friction_feels_the_pivot_as_it_m
 
 def test_a_policy_balances_behind_a_fast_lag_that_moves_in_steps():
     policy, actuator = shipped_policy(), Actuator.assumed("lag", delay=0.006, lag=0.002)
-    settings = policy.settings
-    trials = settings.evaluation.model_copy(update={"trials": 24, "duration": 20.0})
-    settings = settings.model_copy(update={"evaluation": trials})
+    settings = changed(policy.settings, {"evaluation.trials": 24, "evaluation.duration": 20.0})
     found = evaluate(policy, settings, actuator=actuator, with_baselines=False, workers=2)
     assert min(found.results.survival) == 20.0

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from equipoise.errors import SettingsError
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.settings import GRAVITY, Settings
+from equipoise.settings import GRAVITY, Settings, changed
 from equipoise.simulation.reachability import check_releases, diverging_angles
 
 
@@ -28,15 +28,13 @@ def test_a_longer_delay_warns_and_then_refuses():
 
 
 def test_friction_and_delay_change_the_angle_as_in_the_falling_pendulum():
-    exact = {"delay_spread": 0.0, "lag_spread": 0.0}
-    settings = Settings()
-    release = {"phi_low": pi / 60, "phi_high": pi / 60, "phi_dot_low": 0.2, "phi_dot_high": 0.2}
-    settings = settings.model_copy(
-        update={
-            "plant": settings.plant.model_copy(update=exact),
-            "evaluation": settings.evaluation.model_copy(update=release),
-        }
-    )
+    exact = {"plant.delay_spread": 0.0, "plant.lag_spread": 0.0}
+    release = {
+        f"evaluation.{name}_{end}": value
+        for name, value in (("phi", pi / 60), ("phi_dot", 0.2))
+        for end in ("low", "high")
+    }
+    settings = changed(Settings(), exact | release)
     pendulum = PendulumParameters(70.2, 70.2 / GRAVITY, 0.15, coulomb=0.5)
 
     def motion(_, s):

@@ -11,6 +11,7 @@ from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.outcomes import Outcome
 from equipoise.rig.simulate import excite, simulate_run
+from equipoise.settings import changed
 from equipoise.simulation.evaluation import evaluate
 
 pytestmark = pytest.mark.compiled_only
@@ -77,8 +78,7 @@ def test_model_and_twin_agree_about_a_regulator_on_a_pivot_with_dry_friction(beh
         update={"coulomb": Estimate.normal(1.957, 0.08, "identified")}
     )
     policy = behind_a_servo.model_copy(update={"pendulum": dry})
-    few = policy.settings.evaluation.model_copy(update={"trials": 6, "duration": 12.0})
-    settings = policy.settings.model_copy(update={"evaluation": few})
+    settings = changed(policy.settings, {"evaluation.trials": 6, "evaluation.duration": 12.0})
     for world in ("model", WORLD):
         told = evaluate(policy, settings, world=world)
         lqr = next(results for results in told.baselines if results.name == "LQR")
@@ -86,9 +86,7 @@ def test_model_and_twin_agree_about_a_regulator_on_a_pivot_with_dry_friction(beh
 
 
 def test_what_a_policy_was_trained_for_limits_its_speed_on_plant_and_twin(behind_a_servo):
-    settings = behind_a_servo.settings
-    plant = settings.plant.model_copy(update={"max_speed": 0.02})
-    slow = settings.model_copy(update={"plant": plant})
+    slow = changed(behind_a_servo.settings, {"plant.max_speed": 0.02})
     policy = behind_a_servo.model_copy(update={"settings": slow})
     for world in ("model", WORLD):
         results = evaluate(policy, world=world, seed=4, with_baselines=False).results
