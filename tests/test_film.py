@@ -29,7 +29,7 @@ def renderer():
         return pytest.skip(str(error))
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def run():
     return balanced_on_a_rig()
 

@@ -54,13 +54,13 @@ LATE = "plant.delay_spread=0.006"
     ("recipe", "kind", "episodes", "overrides"),
     [
         pytest.param(
-            *("robust", "ideal", 100, ["learning.episode_duration=0.4"]), marks=pytest.mark.full
+            *("robust", "ideal", 60, ["learning.episode_duration=0.4"]), marks=pytest.mark.full
         ),
-        ("robust", "ideal", 100, ["learning.epsilon_initial=0.5", "learning.mirrored=false"]),
-        ("paper", "ideal", 100, ["learning.epsilon_until=0.5", "learning.alpha_minimum=0.3"]),
-        pytest.param("paper", "ideal", 100, ["learning.reward=alive"], marks=pytest.mark.full),
+        ("robust", "ideal", 60, ["learning.epsilon_initial=0.5", "learning.mirrored=false"]),
+        ("paper", "ideal", 60, ["learning.epsilon_until=0.5", "learning.alpha_minimum=0.3"]),
+        pytest.param("paper", "ideal", 60, ["learning.reward=alive"], marks=pytest.mark.full),
         (
-            *("paper", "ideal", 100),
+            *("paper", "ideal", 60),
             ["learning.mirrored=true", "plant.inertia_sigma=0.1", "learning.episode_duration=1"],
         ),
         # Fewer than there are lanes, and one more.
