@@ -1,12 +1,10 @@
 """A user's world in one file: bring-a-world.md as printed, and the conformance suite on it."""
 
 import json
-import re
 import shlex
 import sys
 import tomllib
 from importlib.metadata import EntryPoint
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -18,10 +16,9 @@ from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, SettingsError
 from equipoise.simulation import setup_of, simulate, world_class
 from equipoise.simulation.evaluation import evaluate
+from tests.test_pages import blocks
 
-PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "bring-a-world.md"
-BLOCK = re.compile(r"^```(python|toml|sh)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-FOUND = BLOCK.findall(PAGE.read_text())
+FOUND = blocks("docs/how-to/bring-a-world.md", "python", "toml", "sh")
 BLOCKS = dict(FOUND)
 WORLD, SUITE = (text for language, text in FOUND if language == "python")
 POLICY = shipped_policy()

@@ -4,7 +4,6 @@ The arm has six joints, no spherical wrist, and links with masses.
 """
 
 import json
-import re
 import runpy
 import shlex
 import tomllib
@@ -30,9 +29,9 @@ from tests.faults.harness import Scenario
 from tests.faults.table import TABLE
 from tests.faults.verdicts import problems_of
 from tests.rig.replayed import replay
+from tests.test_pages import blocks, write
 
-PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "bring-an-arm.md"
-BLOCK = re.compile(r"^```(python|toml|sh)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+PAGE = "docs/how-to/bring-an-arm.md"
 
 
 @pytest.fixture(scope="module")
@@ -40,9 +39,8 @@ def folder(tmp_path_factory):
     """The files of the page, with the arm and a recorded swing."""
     folder = tmp_path_factory.mktemp("arm")
     (folder / "my_arm.urdf").write_text(ELBOW.read_text())
-    for language, text in BLOCK.findall(PAGE.read_text()):
-        if language != "sh":
-            (folder / re.match(r"# (\S+)\n", text)[1]).write_text(text)
+    for _, text in blocks(PAGE, "python", "toml"):
+        write(text, folder)
     return folder
 
 
@@ -83,8 +81,8 @@ def test_the_story_runs_as_it_is_printed(folder, monkeypatch, capsys):
     rows = np.column_stack((swing.time, np.degrees(swing.theta)))
     np.savetxt("swing.csv", rows, delimiter=",", header="time_s,theta_deg", comments="")
     said = {}
-    for language, text in BLOCK.findall(PAGE.read_text()):
-        for line in text.splitlines() if language == "sh" else ():
+    for _, text in blocks(PAGE, "sh"):
+        for line in text.splitlines():
             command, *words = shlex.split(line)
             assert command == "equipoise"
             capsys.readouterr()

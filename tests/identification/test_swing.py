@@ -38,6 +38,13 @@ def simulated(parameters=PENDULUM, **changes):
     return simulate_swing(parameters, **{**options, **changes})
 
 
+def gyro(amplitude, duration):
+    """Return times and the rates that a noisy gyro shows."""
+    time = np.arange(0.0, duration, 0.005)
+    _, rate = reference.swing(time, amplitude, 0.0, w2=70.2, c=0.15)
+    return time, rate + 0.005 * np.random.default_rng(2).standard_normal(len(time))
+
+
 def with_friction(model):
     return IdentificationSettings(friction=model)
 
@@ -174,10 +181,8 @@ def test_small_and_large_swings_give_the_same_pendulum(amplitude, rate_hz):
 
 @pytest.mark.parametrize("amplitude", [0.1, 1.5, 2.6])
 def test_a_gyro_gives_the_pendulum_and_its_bias(amplitude):
-    rng, time = np.random.default_rng(2), np.arange(0.0, 6.0, 0.005)
-    _, rate = reference.swing(time, amplitude, 0.0, w2=70.2, c=0.15)
-    recorded = rate + 0.3 + 0.005 * rng.standard_normal(len(time))
-    pendulum = identify(Trajectory(time=time, theta_dot=recorded))
+    time, rate = gyro(amplitude, 6.0)
+    pendulum = identify(Trajectory(time=time, theta_dot=rate + 0.3))
     assert gives_the_pendulum(pendulum)
     assert pendulum.fit.offset == pytest.approx(0.3, abs=2e-3)
 
@@ -316,14 +321,8 @@ def test_a_spring_is_named_and_no_other_friction_advised(friction):
     assert "--friction" not in said
 
 
-WRONG_UNITS = {
-    "four times too few counts per revolution": (4.0, "4 times smaller"),
-    "twice too many counts per revolution": (0.5, "2 times larger"),
-}
-
-
-@pytest.mark.parametrize(("factor", "said"), WRONG_UNITS.values(), ids=WRONG_UNITS)
 @pytest.mark.parametrize("amplitude", [0.6, 1.5])
+@pytest.mark.parametrize(("factor", "said"), [(4.0, "4 times smaller"), (0.5, "2 times larger")])
 @pytest.mark.full
 def test_counts_per_revolution_that_are_off_are_suspected_by_the_period(factor, said, amplitude):
     swing = simulated(theta0=amplitude, noise=1e-4, duration=8.0)
@@ -334,10 +333,8 @@ def test_counts_per_revolution_that_are_off_are_suspected_by_the_period(factor, 
 @pytest.mark.parametrize("amplitude", [0.5, 1.0, 2.4])
 @pytest.mark.full
 def test_deg_per_s_taken_for_rad_per_s_are_suspected_by_the_period(amplitude):
-    rng, time = np.random.default_rng(2), np.arange(0.0, 8.0, 0.005)
-    _, rate = reference.swing(time, amplitude, 0.0, w2=70.2, c=0.15)
-    recorded = np.rad2deg(rate + 0.005 * rng.standard_normal(len(time)))
-    said = refused_or_warned(Trajectory(time=time, theta_dot=recorded), "viscous")
+    time, rate = gyro(amplitude, 8.0)
+    said = refused_or_warned(Trajectory(time=time, theta_dot=np.rad2deg(rate)), "viscous")
     assert "57.3 times smaller than recorded" in said
 
 
