@@ -29,14 +29,8 @@ ACTUATOR = Actuator.assumed("kst", delay=0.010, lag=0.008)
 
 def with_w2(pendulum, factor):
     """The same pendulum with another moment of inertia."""
-    changes = {
-        name: Estimate(value=v, low=v, high=v, source="given")
-        for name, v in (
-            ("w2", factor * pendulum.w2.value),
-            ("k", factor * pendulum.k.value),
-        )
-    }
-    return pendulum.model_copy(update=changes)
+    w2, k = (Estimate.around(factor * one.value, 0.0, "given") for one in (pendulum.w2, pendulum.k))
+    return pendulum.model_copy(update={"w2": w2, "k": k})
 
 
 @functools.cache

@@ -107,15 +107,8 @@ class Loop:
     def __init__(self, arm, settings, actuator, pendulum, own, *, horizon, delay=0.0, factor=1.0):
         """Take what the controller knows, and what is different on the plant.
 
-        Args:
-            arm: The arm.
-            settings: Resolved settings.
-            actuator: What the controller knows of the arm's response.
-            pendulum: What it knows of the pendulum.
-            own: The pendulum as it is.
-            horizon: T [s].
-            delay: Added to the transport delay [s].
-            factor: On the lags.
+        `own` is the pendulum as it is; `delay` is added to the transport delay [s], and `factor`
+        multiplies the lags.
         """
         self.arm, self.settings, self.actuator = arm, settings, actuator
         self.pendulum, self.own, self.horizon = pendulum, own, horizon

@@ -127,9 +127,8 @@ KST = Actuator.assumed("kst", delay=0.010, lag=0.008)
 
 def differing(kind, delay, *lags):
     """Return an actuator whose joints differ."""
-    actuator = Actuator.assumed(kind, delay=delay)
-    lags = tuple(Estimate(value=lag, low=lag, high=lag, source="given") for lag in lags)
-    return actuator.model_copy(update={"lags": lags})
+    lags = tuple(Estimate.around(lag, 0.0, "given") for lag in lags)
+    return Actuator.assumed(kind, delay=delay).model_copy(update={"lags": lags})
 
 
 @pytest.mark.parametrize(
