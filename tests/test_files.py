@@ -67,11 +67,11 @@ def saved(path):
     return path
 
 
-def refusal(path, content, cls=Gauge):
+def refusal(path, content):
     """Return the sentence with which a file is refused."""
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(ArtefactError) as refused:
-        cls.load(path)
+        Gauge.load(path)
     message = str(refused.value)
     assert str(path) in message
     assert "\n" not in message

@@ -32,7 +32,7 @@ def run(installed, tmp_path):
     paths = [str(installed), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
-    def run(*arguments, code=0):
+    def run(*arguments):
         ran = subprocess.run(
             [sys.executable, *map(str, arguments)],
             cwd=tmp_path,
@@ -41,14 +41,14 @@ def run(installed, tmp_path):
             text=True,
             timeout=600,
         )
-        assert ran.returncode == code, ran.stdout + ran.stderr
+        assert ran.returncode == 0, ran.stdout + ran.stderr
         return ran
 
     return run
 
 
-def equipoise(run, *arguments, code=0):
-    return json.loads(run("-m", "equipoise", *arguments, "--json", code=code).stdout)
+def equipoise(run, *arguments):
+    return json.loads(run("-m", "equipoise", *arguments, "--json").stdout)
 
 
 PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "bring-a-robot.md"

@@ -153,7 +153,7 @@ def test_every_page_with_commands_is_run():
 def lines(text):
     """The lines of a block; a loop or a continued line is one of them."""
     text = re.sub(r"\\\n\s*", " ", text)
-    text = re.sub(r"(?m)^(for .*; do)\n((?:  .*\n)+)done", lambda m: _joined(m), text)
+    text = re.sub(r"(?m)^(for .*; do)\n((?:  .*\n)+)done", _joined, text)
     text = re.sub(r"(?m)^python -m pip install [^&\n]+ && ", "", text)  # done before
     return [line for line in text.splitlines() if line.strip()]
 

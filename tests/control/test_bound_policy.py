@@ -21,6 +21,7 @@ GAINS = lqr_gains(shipped_pendulum().parameters(), 0.01)
 OBSERVATION = np.array([0.05, -0.1, 0.02, -0.15])
 SOURCE = f"""
 import numbers
+import numpy
 G = {GAINS}
 
 def lqr(observation):
@@ -69,10 +70,7 @@ def text(observation):
     return "1.0"
 
 def array(observation):
-    return np_array
-
-import numpy
-np_array = numpy.array([[0.25]], numpy.float32)
+    return numpy.array([[0.25]], numpy.float32)
 """
 needs_onnx = pytest.mark.skipif(
     importlib.util.find_spec("onnxruntime") is None, reason="onnxruntime is not installed"

@@ -39,18 +39,13 @@ def made(actuator, *overrides, counts=8192, h=H):
     return make_controller_params(ARM, settings, actuator, PENDULUM, h=h, counts_per_rev=counts)
 
 
-def estimate(value, low=None, high=None):
-    low, high = value if low is None else low, value if high is None else high
-    return Estimate(value=value, low=low, high=high, source="identified")
-
-
 # How far it looks ahead
 
 
 @pytest.mark.parametrize(("high", "delay"), [(0.010, 0.015), (0.019, 0.019)])
 def test_the_horizon_is_the_delay_with_its_upper_end_or_the_margin_and_the_lag(high, delay):
     actuator = Actuator.assumed("lag", delay=0.010, lag=0.008).model_copy(
-        update={"delay": estimate(0.010, 0.002, high)}
+        update={"delay": Estimate(value=0.010, low=0.002, high=high, source="identified")}
     )
     # Whichever is more: 10 ms and a margin of 5 ms, or the upper end of the interval.
     assert horizon(ARM, actuator, 0.005) == pytest.approx(delay + 0.008, abs=1e-12)
@@ -59,7 +54,7 @@ def test_the_horizon_is_the_delay_with_its_upper_end_or_the_margin_and_the_lag(h
 def test_the_lags_of_the_joints_count_by_what_they_do_to_the_flange():
     lags = (0.004, 0.030, 0.010, 0.002, 0.020, 0.007)
     actuator = Actuator.assumed("lag", delay=0.0).model_copy(
-        update={"lags": tuple(estimate(lag) for lag in lags)}
+        update={"lags": tuple(Estimate.around(lag, 0.0, "identified") for lag in lags)}
     )
     # The arm moves along x and each joint stays behind by its lag: so far is the flange behind.
     home = ARM.kinematics(ARM.home_free)

@@ -38,9 +38,9 @@ def test_a_fault_ends_as_it_should(name):
 # The judge, on courses written by hand: 5 ms apart, joint 1 moves.
 
 
-def course(*speeds, begin=0.0):
+def course(*speeds):
     """Setpoints that begin at home and move joint 1 at these speeds [rad/s]."""
-    sent = [Sent(begin, tuple(HOME))]
+    sent = [Sent(0.0, tuple(HOME))]
     for speed in speeds:
         q = np.array(sent[-1].q)
         q[0] += speed * 0.005

@@ -140,10 +140,7 @@ def check_stop(arm, sent, stop):
 def ramp_reach(arm, q, before):
     """Return the distance that a ramp to rest covers in each joint [rad], shape (joints,).
 
-    Args:
-        arm: The arm.
-        q: The last setpoint before the stop [rad], shape (joints,).
-        before: The setpoint before that [rad], shape (joints,).
+    `q` is the last setpoint before the stop [rad], `before` the one before that.
     """
     dq = (q - before) / PERIOD
     twist = arm.kinematics(arm.without_held(q.tolist()), arm.without_held(dq.tolist())).twist
@@ -155,12 +152,7 @@ def ramp_reach(arm, q, before):
 
 
 def check_run(harness, outcome):
-    """Return the problems that no run or series may have, whatever fails in it.
-
-    Args:
-        harness: Record of the run.
-        outcome: Result that the run returns.
-    """
+    """Return the problems that no run or series may have, whatever fails in it."""
     *before, last = parts_of(harness)
     problems = _on_track(harness) + _log_problems(harness, outcome)
     for part, end in zip(before, harness.ends, strict=False):

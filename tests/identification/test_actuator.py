@@ -25,9 +25,9 @@ WAITING = 0.5e-3
 """From its arrival a setpoint waits for the next cycle, half a cycle on average."""
 
 
-def setpoints(rng, duration=10.0, scale=1.0, period=0.005):
+def setpoints(rng, duration, scale):
     """Three sines for each joint, of up to 1 rad/s together, in random phase."""
-    time = np.arange(0.0, duration, period)
+    time = np.arange(0.0, duration, 0.005)
     q = np.zeros((len(time), 6))
     for joint in range(6):
         for frequency, speed in ((0.23, 0.45), (0.61, 0.3), (1.3, 0.25)):
@@ -42,29 +42,24 @@ def cabinet(
     q,
     *,
     delay=0.010,
-    lags=LAGS,
     law="kst",
     cycle=1e-3,
-    jitter=1e-3,
-    phase=None,
     push=0.0,
-    strength=np.inf,
     noise=NOISE,
 ):
     """Return a log of joints behind a server's servo; each reply has its own, exact time."""
-    phase = rng.uniform(0.0, 1e-3) if phase is None else phase
-    arrival = np.maximum.accumulate(time + delay + rng.uniform(-jitter, jitter, len(time)))
+    phase = rng.uniform(0.0, 1e-3)
+    arrival = np.maximum.accumulate(time + delay + rng.uniform(-1e-3, 1e-3, len(time)))
     cycles = time[0] + phase + np.arange(round((time[-1] - time[0]) / 1e-3)) * 1e-3
     newest = np.maximum(np.searchsorted(arrival, cycles, side="right") - 1, 0)
-    keeps = np.exp(-1e-3 / np.asarray(lags)) if law != "ideal" else np.zeros(6)
+    keeps = np.exp(-1e-3 / LAGS) if law != "ideal" else np.zeros(6)
     position, velocity, path = q[0].copy(), np.zeros(6), [q[0].copy()]
     for target in q[newest]:
         e = target - position
         if law in ("kst", "unshaped"):
             step = np.sign(e) * 0.07 * -np.expm1(-((e / 0.0525) ** 2)) if law == "kst" else e
             wanted = step / cycle + push
-            change = (1.0 - keeps) * (wanted - velocity)
-            velocity = velocity + np.clip(change, -1e-3 * strength, 1e-3 * strength)
+            velocity = velocity + (1.0 - keeps) * (wanted - velocity)
             position = position + 1e-3 * velocity
         else:
             position = position + (1.0 - keeps) * e

@@ -54,6 +54,7 @@ def test_real_cart_poles_give_the_published_w2(recordings, name, A):
 # Known truths, integrated by SciPy: a hanging pendulum on a pivot that is shaken.
 
 TRUTH = PendulumParameters(w2=70.2, k=7.0, c=0.4, coulomb=0.3)
+K = TRUTH.w2 / GRAVITY
 TONES = np.array([[0.02, 0.9, 0.0], [0.012, 2.3, 1.0], [0.006, 4.1, 2.0]])
 """Amplitude [m], frequency [Hz] and phase of what shakes the pivot."""
 
@@ -66,26 +67,25 @@ def pivot(time, order=0):
 
 
 @functools.cache
-def shaken(k, duration=20.0):
+def shaken():
     def law(t, y):
-        push = k * pivot(np.array([t]), 2)[0] * np.cos(y[0])
+        push = K * pivot(np.array([t]), 2)[0] * np.cos(y[0])
         # Dry friction without its jump, which no integrator likes.
         dry = TRUTH.coulomb * np.tanh(y[1] / 1e-3)
         return [y[1], TRUTH.w2 * np.sin(y[0]) - push - TRUTH.c * y[1] - dry]
 
-    time = np.arange(0.0, duration, 0.01)
-    solution = solve_ivp(law, (0.0, duration), [pi - 0.8, 0.0], t_eval=time, rtol=1e-8, atol=1e-9)
+    time = np.arange(0.0, 20.0, 0.01)
+    solution = solve_ivp(law, (0.0, 20.0), [pi - 0.8, 0.0], t_eval=time, rtol=1e-8, atol=1e-9)
     return Log(time, solution.y[0], pivot(time))
 
 
 def test_a_noiseless_log_gives_back_what_made_it():
-    k = TRUTH.w2 / GRAVITY
-    time, phi, x = shaken(k)
+    time, phi, x = shaken()
     wrapped = np.mod(phi + 0.01 + pi, 2.0 * pi) - pi  # an encoder's angle jumps
     assert np.ptp(wrapped) > np.ptp(phi)
     fit = regress(time, wrapped, x)
     assert fit.w2.value == pytest.approx(TRUTH.w2, rel=1e-3)
-    assert fit.k.value == pytest.approx(k, rel=1e-3)
+    assert fit.k.value == pytest.approx(K, rel=1e-3)
     assert fit.c.value == pytest.approx(TRUTH.c, rel=0.02)
     assert fit.coulomb.value == pytest.approx(TRUTH.coulomb, rel=0.05)
     assert fit.zero.value == pytest.approx(0.01, rel=5e-3)
@@ -95,7 +95,7 @@ def test_a_noiseless_log_gives_back_what_made_it():
 
 
 def test_what_does_not_follow_the_equation_is_refused():
-    time, phi, x = shaken(TRUTH.w2 / GRAVITY)
+    time, phi, x = shaken()
     for log in (
         (time, phi - pi, x),
         (time, np.random.default_rng(1).permutation(phi), x),
@@ -111,11 +111,11 @@ def test_what_does_not_follow_the_equation_is_refused():
 # What an encoder and joints measure of it: counts, a wrong zero, noise.
 
 
-def measured(seed, *, counts=8192, noise=2.5e-5):
-    rng, (time, phi, x) = np.random.default_rng([3, seed]), shaken(TRUTH.w2 / GRAVITY)
-    count, zero = 2.0 * pi / counts, rng.uniform(-1.0, 1.0) * radians(0.2)
+def measured(seed):
+    rng, (time, phi, x) = np.random.default_rng([3, seed]), shaken()
+    count, zero = 2.0 * pi / 8192, rng.uniform(-1.0, 1.0) * radians(0.2)
     phi = np.round((phi + zero) / count) * count
-    return regress(time, phi, x + noise * rng.standard_normal(len(x)))
+    return regress(time, phi, x + 2.5e-5 * rng.standard_normal(len(x)))
 
 
 def test_the_intervals_cover_the_truth_of_some_logs():

@@ -34,10 +34,6 @@ def settings(*overrides, recipe="robust"):
     return resolve(recipe, overrides=[*QUICK, *overrides])
 
 
-def of_paper(*overrides):
-    return settings("selection.every=0", *overrides, recipe="paper")
-
-
 @pytest.fixture(scope="module")
 def policies(pendulum):
     """Policies of three seeds, each trained alone on one thread."""
@@ -104,11 +100,8 @@ def test_the_candidate_with_the_best_score_is_the_policy(pendulum, policies):
     assert best.score >= others[0].score
     # The table of the policy is the running average when that candidate was taken.
     setup = Setup(pendulum, ARM, settings(), shipped_actuator(), 0.01)
-    training, average, selection = (
-        Training(setup, "model", 5),
-        np.zeros((270, 8)),
-        settings().selection,
-    )
+    training, average = Training(setup, "model", 5), np.zeros((270, 8))
+    selection = setup.settings.selection
     for taken in range(1, best.episodes // selection.every + 1):
         training.run(taken * selection.every)
         average += max(selection.averaging, 1.0 / taken) * (training.tables.Q - average)
@@ -116,7 +109,7 @@ def test_the_candidate_with_the_best_score_is_the_policy(pendulum, policies):
 
 
 def test_without_candidates_the_last_table_is_kept(pendulum):
-    policy = train(pendulum, ARM, of_paper())
+    policy = train(pendulum, ARM, settings("selection.every=0", recipe="paper"))
     assert policy.recipe.startswith("custom: paper with learning.episodes = 60, ")
     assert policy.checkpoints == ()
 

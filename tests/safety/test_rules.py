@@ -238,21 +238,21 @@ def test_what_is_no_number_stops_the_run_whatever_else_is_wrong(name, number):
 # What goes on for a while.
 
 
-def seen(*views, guard=GUARD):
+def seen(*views):
     """Return what has been going on after these views, and the first violation."""
     watched, first = MonitorState(), None
     for view in views:
-        watched = update_monitor(guard, watched, view)
-        first = first or check(guard, watched, view)
+        watched = update_monitor(GUARD, watched, view)
+        first = first or check(GUARD, watched, view)
     return watched, first
 
 
-def along(n, follow, *, joint=1, speed=0.1):
+def along(n, follow, speed=0.1):
     """Return views of an arm that is expected to move steadily, and does by a fraction of it."""
     return [
         SafetyInputs(
-            measured=moved(HOME, joint, follow * speed * H * i),
-            expected=moved(HOME, joint, speed * H * i),
+            measured=moved(HOME, 1, follow * speed * H * i),
+            expected=moved(HOME, 1, speed * H * i),
         )
         for i in range(n)
     ]
