@@ -10,7 +10,13 @@ from equipoise.model.actuator import Servos, follow, lag_fraction
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import POSITION_DRIVES, TwinSettings
 from equipoise.simulation.twin.physics import TICK
-from equipoise.simulation.twin.servo_model import equivalent_actuator
+from equipoise.simulation.twin.servo_model import (
+    equivalent_actuator,
+    new_servo,
+    send,
+    serve,
+    start,
+)
 from equipoise.simulation.twin.twin import Twin
 from tests.model.test_actuator import STEADY_LAG_MS
 
@@ -44,6 +50,18 @@ def test_the_lag_on_a_ramp_is_that_of_the_server(cycle, lag):
     for speed, expected in STEADY_LAG_MS.items():
         lag_ms = 1e3 * steady_lag(settings, speed)
         assert lag_ms == pytest.approx(expected[(0.001, 0.002, 0.004).index(cycle)], abs=1.0)
+
+
+@pytest.mark.parametrize("cycle_ms", [1, 2, 4])
+def test_the_servo_follows_new_setpoints_once_per_cycle(cycle_ms):
+    servo = new_servo(ARM, AT_ONCE.model_copy(update={"cycle": 1e-3 * cycle_ms}))
+    q, force, speeds = np.zeros(7), np.zeros(7), []
+    start(servo, q)
+    for ms in range(12):
+        send(servo, np.full(7, 1e-3 * (ms + 1)), ms, 0, 0)
+        serve(servo, ms, q, q, q, force)
+        speeds.append(servo.velocity[0])
+    assert (np.flatnonzero(np.diff(speeds)) + 1).tolist() == list(range(cycle_ms, 12, cycle_ms))
 
 
 @pytest.mark.parametrize(
