@@ -1,4 +1,4 @@
-"""The command as a whole: help, imports, exit codes, interruption, and outputs that fail."""
+"""The command as a whole: help, imports, exit codes, interruption, and streams that are closed."""
 
 import json
 import os
@@ -14,6 +14,7 @@ import pytest
 
 from equipoise.cli.options import TABLES
 from equipoise.cli.output import Output
+from equipoise.simulation.evaluation import Evaluation
 from tests.cli.conftest import verbs
 
 HEAVY = ("numba", "numpy", "scipy", "mujoco", "matplotlib", "mcap")
@@ -155,7 +156,24 @@ def test_a_full_disk_is_told_in_one_sentence_and_a_closed_pipe_silently():
         [*COMMAND, *arguments], stdout=write, stderr=subprocess.PIPE, text=True, check=False
     )
     os.close(write)
-    assert (ran.returncode, ran.stderr) == (1, "")
+    assert (ran.returncode, ran.stderr) == (141, "")
+
+
+@pytest.mark.compiled_only
+@pytest.mark.skipif(os.name != "posix", reason="the shell closes streams")
+@pytest.mark.parametrize("closed", [pytest.param(">&-", marks=pytest.mark.full), "<&- >&- 2>&-"])
+def test_a_verb_works_with_closed_streams(tmp_path, closed):
+    words = "evaluate --trials=2 --duration=0.5 --no-baselines --out=found.json"
+    ran = subprocess.run(
+        ["sh", "-c", f"{sys.executable} -m equipoise {words} {closed}"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ran.returncode, ran.stdout) == (0, "")
+    assert "Traceback" not in ran.stderr
+    assert len(Evaluation.load(tmp_path / "found.json").results.survival) == 2
 
 
 @pytest.mark.parametrize("error", [OSError(5, "Input/output error", "swing.csv"), TimeoutError()])

@@ -8,8 +8,12 @@ import io
 import os
 import sys
 from collections.abc import Sequence
+from typing import Final
 
 from equipoise.errors import INTERRUPTED, EquipoiseError, OutsideError
+
+READER_GONE: Final = 141
+"""Exit code of a program that the system ends because nobody reads its output."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -20,35 +24,49 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns:
         The exit code: 0 done, 1 the result is bad, 2 wrong use or bad input, 3 the outside world
-        failed, 130 interrupted.
+        failed, 130 interrupted, 141 the reader of the output has gone.
     """
+    # Otherwise files that a verb opens get the numbers of streams that the caller has closed.
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115  (until the end)
     # Characters that the terminal cannot show must not end a verb.
-    for stream in (sys.stdout, sys.stderr):
+    stdout = sys.stdout
+    for stream in (stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    from equipoise.cli.app import app
     from equipoise.cli.output import complain
 
-    code, message = 0, ""
+    code, message = _run(sys.argv[1:] if arguments is None else arguments)
     try:
-        app(args=arguments, prog_name="equipoise")
-    except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else int(bool(end.code))
-    except EquipoiseError as error:
-        code, message = error.exit_code, str(error)
-    except KeyboardInterrupt:
-        code = INTERRUPTED
-    except OSError as error:
-        code = OutsideError.exit_code
-        message = f"a file or a link failed: {error}; check it, and repeat the command"
-    try:
-        sys.stdout.flush()
+        stdout.flush()
     except OSError as error:
         # Otherwise the interpreter tries at its end to write the rest again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stdout.fileno())
+        if isinstance(error, BrokenPipeError):
+            return READER_GONE
         code = OutsideError.exit_code
-        if not isinstance(error, BrokenPipeError):  # of a reader such as head, which has enough
-            message = f"cannot write to standard output: {error}; make room"
+        message = f"cannot write to standard output: {error}; make room"
     if message:
         complain(message, "error: ")
     return code
+
+
+def _run(arguments: Sequence[str]) -> tuple[int, str]:
+    """Run a command; return its exit code and the message of its error."""
+    from equipoise.cli.app import app
+
+    try:
+        app(args=arguments, prog_name="equipoise")
+    except SystemExit as end:
+        if isinstance(end.__context__, BrokenPipeError):  # from rich or typer
+            return READER_GONE, ""
+        return (end.code if isinstance(end.code, int) else int(bool(end.code))), ""
+    except EquipoiseError as error:
+        return error.exit_code, str(error)
+    except KeyboardInterrupt:
+        return INTERRUPTED, ""
+    except OSError as error:
+        message = f"a file or a link failed: {error}; check it, and repeat the command"
+        return OutsideError.exit_code, message
+    return 0, ""
