@@ -3,6 +3,8 @@
 The vector environment must equal Gymnasium's own vector form of the single one.
 """
 
+import copy
+import pickle
 import warnings
 
 import gymnasium as gym
@@ -164,6 +166,17 @@ def test_a_picture_shows_the_rig_and_changes(world):
     env.close()
 
 
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_is_a_new_environment_with_the_same_arguments(copied):
+    env = make("ideal", discrete=True, arm="iiwa14")
+    env.reset(seed=5)
+    env.step(3)
+    other = copied(env)
+    assert other.unwrapped.task.arm.name == "iiwa14"
+    assert np.array_equal(other.reset(seed=6)[0], env.reset(seed=6)[0])
+    assert np.array_equal(other.step(0)[0], env.step(0)[0])
+
+
 @pytest.mark.full
 def test_environments_run_in_processes_that_import_nothing_before():
     envs = gym.make_vec(NAME, 2, "async", vector_kwargs={"context": "spawn"}, world="ideal")
@@ -181,7 +194,7 @@ def test_an_action_that_is_no_number_is_refused(action):
         env.step(action)
 
 
-@pytest.mark.parametrize("options", [{"phi": 0.0}, {"trial": -1}, {"trial": "x"}])
+@pytest.mark.parametrize("options", [{"phi": 0.0}, {"trial": -1}, {"seed": 3}, {"trial": "x"}])
 def test_options_that_replay_no_trial_are_refused(options):
     with pytest.raises(InputError, match="options"):
         make("ideal").reset(options=options)

@@ -49,6 +49,7 @@ def test_a_file_wins_over_a_recipe_over_the_defaults_and_a_single_setting_over_a
     ("override", "wanted"),
     [
         ("  learning.gamma =  0.5 ", 0.5),
+        ("learning.episodes=1e4", 10_000),
         ("identification.friction=coulomb", "coulomb"),
         ('identification.friction="coulomb"', "coulomb"),
         ("boxes.x=[-0.1, 0.1]", (-0.1, 0.1)),

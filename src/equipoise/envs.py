@@ -12,6 +12,7 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
+from gymnasium.utils import EzPickle
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from pydantic import Field
@@ -55,7 +56,7 @@ OUTCOMES: Final = np.array(["", *TRIAL_OUTCOMES[1:]], object)
 """`outcome` of a step by the code that kernels return."""
 
 
-class BalanceEnv(gym.Env[Array, Any]):
+class BalanceEnv(gym.Env[Array, Any], EzPickle):
     r"""Balance an inverted pendulum on the flange of a robot arm.
 
     ## Description
@@ -114,6 +115,8 @@ class BalanceEnv(gym.Env[Array, Any]):
     | `pendulum`, `arm`, `actuator`, `settings` | those that ship | the task; values, names, files |
     | `render_mode` | `None` | `rgb_array`; `gymnasium.wrappers.HumanRendering` opens a window |
 
+    A copy or a pickle is a new environment with the same arguments, before its first `reset`.
+
     ## Version History
 
     * v0: Initial version.
@@ -141,6 +144,17 @@ class BalanceEnv(gym.Env[Array, Any]):
             SettingsError: The world does not exist.
             ArmError: The twin does not know the masses of the arm.
         """
+        EzPickle.__init__(
+            self,
+            world,
+            discrete=discrete,
+            reward=reward,
+            pendulum=pendulum,
+            arm=arm,
+            actuator=actuator,
+            settings=settings,
+            render_mode=render_mode,
+        )
         response = read_actuator(actuator)
         self.task = Setup(
             read_pendulum(pendulum),
@@ -179,8 +193,10 @@ class BalanceEnv(gym.Env[Array, Any]):
         simulation, number = self.simulation, self._number
         simulation.seed, simulation.stream = self._seed, ENVIRONMENT
         if options:
+            if "trial" not in options:
+                raise InputError("the options have no trial; give its number, and a seed if wanted")
             simulation.seed, simulation.stream = options.get("seed", self._seed), TEST
-            number = options.get("trial", number)
+            number = options["trial"]
         self._loop.reset(simulation.draw(1, first=number).trial(0))
         self._upright = 0
         observation = predicted(self._loop)

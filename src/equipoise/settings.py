@@ -424,14 +424,20 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
     # [bytes]: all settings with a comment each need less than 20 kB.
     text = read_text(path, 64 * 1024, f"a TOML file with {kind}", SettingsError)
     try:
-        return tomllib.loads(text)
+        return tomllib.loads(text, parse_float=_number)
     except (ValueError, RecursionError) as error:
         reason = shortened(str(error), 2 * MAX_QUOTE_LENGTH)
         raise SettingsError(f"{path} is not valid TOML ({reason}); correct it") from None
 
 
+def _number(text: str) -> float:
+    """Return a float of a TOML text; a whole number such as 1e4 is an int."""
+    value = float(text)
+    return int(value) if value.is_integer() and abs(value) < 2**53 else value
+
+
 def _toml_value(text: str) -> Any:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
+        return tomllib.loads(f"value = {text}", parse_float=_number)["value"]
     except (ValueError, RecursionError):
         return text

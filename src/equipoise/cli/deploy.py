@@ -211,7 +211,7 @@ def _run_on_rig(
         then = command("deploy", policy, run, rig.model_copy(update={"dry_run": False}), task)
     elif end.outcome is Outcome.UNIDENTIFIED and actuator is not None:
         pendulum = opt.file_of(loaded.pendulum.digest, eq.shipped_pendulum())
-        arm = task.arm or rig.rig or loaded.arm.name
+        arm = task.arm or rig.rig or opt.name_of(loaded.arm)
         then = command("train", task.pendulum or pendulum, arm=arm, actuator=actuator)
     output.result(
         **series,

@@ -104,7 +104,7 @@ def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:
         actuator,
         warnings=list(filter(None, [run.damage])),
         actuator=out,
-        then=command("train", pendulum, arm=run.conditions.arm.name, actuator=out),
+        then=command("train", pendulum, arm=opt.name_of(run.conditions.arm), actuator=out),
     )
 
 
@@ -137,7 +137,7 @@ def refine(output: Output, policy: Path, runs: list[Path], *, files: opt.Files) 
     if findings.actuator.digest != table.actuator.digest:
         paths["actuator"] = actuator = out.with_name(out.stem + "-actuator.json")
         findings.actuator.save(actuator, command="refine", inputs=inputs)
-    then = command("train", pendulum, arm=table.arm.name, actuator=actuator)
+    then = command("train", pendulum, arm=opt.name_of(table.arm), actuator=actuator)
     output.result(
         findings.fit,
         **findings.response,

@@ -313,3 +313,11 @@ def file_of(digest: str, shipped: "Artefact") -> Path | None:
             if shipped.load(path).digest == digest:
                 return path
     return Path(name.upper())
+
+
+def name_of(arm: "eq.Arm") -> str | None:
+    """Return the registered name of an arm: None for the default, ARM for one without a name."""
+    with suppress(InputError):
+        if read_arm(arm.name) == arm:
+            return None if arm.name == "iiwa7" else arm.name
+    return "ARM"
