@@ -318,6 +318,8 @@ def write_atomically(path: Path, content: str | bytes) -> None:
     Raises:
         OutsideError: The disk rejects the file.
     """
+    if not path.name:
+        raise OutsideError(f"cannot write {path}: it names a folder; give the name of a file")
     data = content.encode() if isinstance(content, str) else content
     temporary = temporary_name(path)
     try:

@@ -249,6 +249,12 @@ def read_world(name: str) -> World:
         twins = f"{', '.join(PREFIX + twin for twin in named_twins())} or {PREFIX}FILE.toml"
         remedy = suggest_world(name) or f"choose {twins}"
         raise SettingsError(f"there is no twin, and no such file, {quoted(name)}; {remedy}")
+    try:
+        which.encode()
+    except UnicodeEncodeError:  # results name their world
+        raise SettingsError(
+            f"the name of the world {quoted(name)} is not UTF-8; give the file another name"
+        ) from None
     differences = read_toml(file, "the numbers of a world")
     try:
         return World(name, TwinSettings.read(differences))
