@@ -25,8 +25,8 @@ from equipoise.simulation.plant import DomainRandomization, observed
 
 WINDOW: Final = 32
 """Number of episodes of a lane whose conditions are drawn together."""
-WORLDS_PER_THREAD: Final = 4
-"""Minimum number of worlds for a thread: waking it takes as long as a step of some."""
+WORLDS_AHEAD: Final = 12
+"""Number of worlds that the calling thread advances while another one wakes; one wakes for more."""
 
 
 class Lane(Protocol):
@@ -156,11 +156,12 @@ class Lanes:
         for world in worlds[1:]:
             append(self._worlds, world)
         self._step = functools.partial(step, self._worlds, self._lanes, simulation.setup.h)
-        threads = max(1, min(available_cores(), len(worlds) // WORLDS_PER_THREAD))
+        threads = max(1, min(available_cores(), len(worlds) // WORLDS_AHEAD - 1))
         self.pool = ThreadPoolExecutor(threads)
         """Threads; to be shut down."""
-        ends: list[int] = np.linspace(0, len(worlds), threads + 1).round().astype(int).tolist()
-        self._own, *self._others = pairwise(ends)
+        ahead = min(WORLDS_AHEAD, len(worlds))
+        ends = np.linspace(ahead, len(worlds), threads + 1).round().astype(int).tolist()
+        self._own, *self._others = pairwise([0, *ends[1:]])
 
     def release(self, rows: IntArray, seed: int | None = None) -> Records:
         """Begin the next episodes of some lanes, and return a `Lane` of each.
