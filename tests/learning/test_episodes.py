@@ -5,10 +5,8 @@ import pytest
 
 from equipoise import paper
 from equipoise.arm.iiwa import iiwa
-from equipoise.arrays import fields
 from equipoise.learning.choice import compile_functions
 from equipoise.learning.episodes import (
-    Totals,
     compiled_loop,
     new_training_state,
     training_config,
@@ -34,7 +32,7 @@ def trained(plant, parameters, settings, *stops, seed=0):
     train_episodes = compiled_loop(*compile_functions(settings.learning))
     for until in stops:
         train_episodes(plant, config, training, until, 16)
-    return training.tables, fields(training.totals, Totals)
+    return training.tables, training.totals[0]
 
 
 def same(progress, other):

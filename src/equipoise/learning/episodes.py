@@ -17,7 +17,7 @@ from typing import Annotated, Any, NamedTuple, Protocol
 import numpy as np
 
 from equipoise import paper
-from equipoise.arrays import Array, IntArray, Records, fields, new_records, rows_of
+from equipoise.arrays import Array, IntArray, Records, new_records, rows_of
 from equipoise.control.control_step import LANES, Observed
 from equipoise.control.policy import LearningPoint
 from equipoise.elementary import BATCH_SIZE
@@ -325,7 +325,7 @@ class Training:
         self._state = new_training_state(setup.settings.boxes.count, algorithm.tables)
         self.tables = self._state.tables
         """The tables."""
-        self.totals = fields(self._state.totals, Totals)
+        self.totals: Totals = self._state.totals[0]
         """Progress."""
         if world == MODEL:
             plant = PlantSimulation(MODEL, setup, seed=seed, stream=TRAINING_NOISE)

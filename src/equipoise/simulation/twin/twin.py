@@ -322,6 +322,7 @@ class Twin:
         one record each. As an array of one it takes a microsecond, by itself it takes forty."""
         self.state = state = own[0]
         """Constants and state."""
+        self._now = own["now"]
         state.model_address, state.data_address = physics.addresses(self.model, self.data)
         state.home = state.setpoint = arm.home
         state.home_x = arm.kinematics(arm.home_free).position[0]
@@ -374,7 +375,7 @@ class Twin:
     @property
     def now(self) -> float:
         """The time [s]."""
-        return float(self.state.now) * TICK
+        return float(self._now[0]) * TICK
 
     def send(self, q: Sequence[float] | Array) -> None:
         """Send a setpoint of the free joints [rad], shape (6,), now."""
