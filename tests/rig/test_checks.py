@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from equipoise.control.policy import shipped_policy
+from equipoise.model.actuator import Actuator
 from equipoise.rig import checks
 from equipoise.rig.checks import TimedClock, listen, round_trips
 from equipoise.rig.config import RigSettings
@@ -50,6 +51,10 @@ def posture(by):
     return [checks.check_posture(q, RIG)]
 
 
+SLUGGISH = Actuator.assumed("kst", delay=0.01, lag=0.02, cycle=0.1)
+"""An actuator with which half of the trials fall."""
+
+
 def later(change):
     delay = ACTUATOR.delay.model_copy(update={"value": ACTUATOR.delay.value + change * SPREAD})
     return checks.check_fit(POLICY, ACTUATOR.model_copy(update={"delay": delay}), RIG)
@@ -88,7 +93,8 @@ def later(change):
         (posture(0.1), "posture", "good"),
         (posture(0.01), "posture", "bad"),
         (later(0.9), "arm's response", "good"),
-        (later(1.1), "arm's response", "bad"),
+        (later(1.1), "arm's response", "good"),
+        (checks.check_fit(POLICY, SLUGGISH, RIG), "arm's response", "bad"),
     ],
 )
 def test_verdicts(findings, name, verdict):

@@ -17,7 +17,7 @@ import numpy as np
 from equipoise.arm.arm import Arm
 from equipoise.arrays import Array
 from equipoise.control.controller import Controller, FlangeKinematics
-from equipoise.control.policy import TaskPolicy, shipped_policy, tick_policy
+from equipoise.control.policy import TaskPolicy, tick_policy
 from equipoise.control.swing_up import SwingUpPolicy, make_swing_up
 from equipoise.errors import EquipoiseError, InputError, LinkError
 from equipoise.identification.driven_swing import MODEL_STEP, driven_swing
@@ -29,10 +29,9 @@ from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import Rig
 from equipoise.rig.host import prepare
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Robot
-from equipoise.rig.request import RunRequest, actuator_fits
+from equipoise.rig.request import TRIALS, RunRequest, judge_response, simulate_trials
 from equipoise.rig.script import POLICY_TIME_FRACTION
-from equipoise.settings import HANGING, changed
-from equipoise.simulation.evaluation import evaluate
+from equipoise.settings import HANGING
 from equipoise.user_code import user_code
 
 STALL: Final = 0.020
@@ -223,6 +222,7 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> list[
         )
         evidence = f"home_deg = {home}, the policy is for {other}"
     joint, margin = _nearest_limit(arm, arm.home)
+    response, fits = judge_response(policy, actuator)
     return [
         Finding(
             "policy and arm",
@@ -232,9 +232,9 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> list[
         ),
         Finding(
             "arm's response",
-            f"{_response(actuator)}, trained for {_response(policy.actuator)}",
+            response,
             "train with --actuator and the file that identify makes of this rig's excitation",
-            bad=not actuator_fits(policy, actuator),
+            bad=not fits,
         ),
         Finding(
             "encoder's resolution",
@@ -258,22 +258,16 @@ def check_swing_up(request: RunRequest) -> Finding:
         InputError: A swing-up cannot end with the policy.
         SettingsError: The pendulum is linearised.
     """
-    policy, trials = request.policy, 20
-    numbers = {"start": HANGING, "trials": trials, "duration": 1.0}  # [s]
-    values = {f"evaluation.{name}": value for name, value in numbers.items()}
-    if request.max_speed is not None:
-        values["plant.max_speed"] = request.max_speed
-    results = evaluate(
-        policy, changed(policy.settings, values), actuator=request.actuator, with_baselines=False
-    ).results.summary()
+    policy, actuator, limit = request.policy, request.actuator, request.max_speed
+    results = simulate_trials(policy, actuator, HANGING, 1.0, limit)  # [s]
     typical, longest = results.upright or (inf, inf)
     return Finding(
         "swing-up",
-        f"{results.survived} of {trials} succeed in simulation, after {typical:.1f} s (median), "
+        f"{results.survived} of {TRIALS} succeed in simulation, after {typical:.1f} s (median), "
         f"{longest:.1f} s (maximum)",
         "use a pendulum with a period below a second, raise --max-speed, or start by hand",
-        warning=results.survived < trials,
-        bad=results.survived < trials / 2,
+        warning=results.survived < TRIALS,
+        bad=results.survived < TRIALS / 2,
     )
 
 
@@ -324,10 +318,6 @@ def _nearest_limit(arm: Arm, q: Sequence[float]) -> tuple[str, float]:
     margins = [degrees(min(angle - joint.lower, joint.upper - angle)) for joint, angle in pairs]
     nearest = int(np.argmin(margins))
     return arm.joints[nearest].name, margins[nearest]
-
-
-def _response(actuator: Actuator) -> str:
-    return f"{actuator.kind} with a delay of {1e3 * actuator.delay.value:.1f} ms"
 
 
 def preflight(
@@ -412,7 +402,7 @@ def examine(
 def warm_up(request: RunRequest) -> None:
     """Run all code of a tick and of the self-test's model, to compile it before the stream starts.
 
-    The policy's part is timed. The policy that an identified arm is compared with is read.
+    The policy's part is timed.
 
     Raises:
         ArmError: Home is a singular posture.
@@ -436,8 +426,6 @@ def warm_up(request: RunRequest) -> None:
     FlangeKinematics(arm, params).pose(arm.home)
     if request.start == HANGING and (kernel := request.policy.kernel) is not None:
         SwingUpPolicy(kernel, make_swing_up(params, inf)).act(np.zeros(4))
-    if request.identify is not None:
-        shipped_policy()  # to read it in a tick takes 50 ms, once all memory is locked
     typical, limit = median(took), POLICY_TIME_FRACTION * request.policy.h
     if typical > limit:
         raise InputError(

@@ -3,12 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import inf, radians
+from typing import Final
 
 import numpy as np
 
 from equipoise.arrays import Array
 from equipoise.control.control_step import ControllerParams, horizon, make_controller_params
-from equipoise.control.policy import TaskPolicy, shipped_policy
+from equipoise.control.policy import TaskPolicy
 from equipoise.identification.actuator import excitation
 from equipoise.log.conditions import Reference, RunConditions
 from equipoise.model.actuator import Actuator
@@ -16,6 +17,10 @@ from equipoise.outcomes import Phase
 from equipoise.rig.config import RigSettings
 from equipoise.safety.rules import SafetyParams, make_safety_params
 from equipoise.settings import Start, changed
+from equipoise.simulation.evaluation import Summary, evaluate
+
+TRIALS: Final = 20
+"""Number of simulated trials that judge a policy for a rig."""
 
 
 @dataclass(frozen=True)
@@ -163,17 +168,49 @@ def actuator_fits(policy: TaskPolicy, actuator: Actuator) -> bool:
     return not slow and all(abs(ratio - 1.0) <= plant.lag_spread for ratio in ratios)
 
 
-def describe_fit(policy: TaskPolicy, actuator: Actuator) -> str:
-    """Return a sentence: an identified actuator, and whether it fits the policy.
+def judge_response(policy: TaskPolicy, actuator: Actuator) -> tuple[str, bool]:
+    """Return how an arm's response compares with that of the training, and whether a run may begin.
+
+    Outside the spread of the training simulation decides: with this actuator in plant and
+    controller every trial has to survive.
+    """
+    own, trained = (
+        f"{response.kind} with a delay of {1e3 * response.delay.value:.1f} ms"
+        for response in (actuator, policy.actuator)
+    )
+    evidence = f"{own}, trained for {trained}"
+    if actuator_fits(policy, actuator):
+        return evidence, True
+    if actuator.kind == "ideal":
+        return f"{evidence}; no robot follows at once", False
+    survived = simulate_trials(policy, actuator, "hand", 10.0).survived  # [s]
+    return f"{evidence}; {survived} of {TRIALS} trials survive in simulation", survived == TRIALS
+
+
+def simulate_trials(
+    policy: TaskPolicy,
+    actuator: Actuator,
+    start: Start,
+    duration: float,
+    max_speed: float | None = None,
+) -> Summary:
+    """Simulate trials of a policy with the response of a rig's arm.
 
     Args:
-        policy: The policy of the run.
-        actuator: The identified actuator.
+        policy: The policy.
+        actuator: The response.
+        start: Start of the trials.
+        duration: Their duration [s].
+        max_speed: Flange speed at which a trial stops [m/s]; None without one.
+
+    Raises:
+        InputError: A swing-up cannot end with the policy.
+        SettingsError: The delay exceeds the controller's history; or a pendulum to be swung up is
+            linearised.
     """
-    text = f"The arm: {actuator.summary}."
-    if actuator_fits(policy, actuator):
-        return f"{text} It fits the actuator of {policy.name}."
-    remedy = "train one with equipoise train --actuator and the actuator of this run"
-    if actuator_fits(shipped_policy(), actuator):
-        remedy = "the shipped policy fits"
-    return f"{text} It does not fit the actuator of {policy.name}; {remedy}."
+    numbers = {"start": start, "trials": TRIALS, "duration": duration}
+    values = {f"evaluation.{name}": value for name, value in numbers.items()}
+    if max_speed is not None:
+        values["plant.max_speed"] = max_speed
+    settings = changed(policy.settings, values)
+    return evaluate(policy, settings, actuator=actuator, with_baselines=False).results.summary()

@@ -37,7 +37,7 @@ from equipoise.outcomes import End, Outcome, Phase
 from equipoise.printable import printable
 from equipoise.rig.readings import ArmReadings, EncoderReadings, TimedJoints
 from equipoise.rig.release import ReleaseDetector, ReleaseState
-from equipoise.rig.request import RunRequest, actuator_fits, describe_fit
+from equipoise.rig.request import RunRequest, judge_response
 from equipoise.safety.rules import STOP_DECELERATION, largest_difference
 from equipoise.safety.stop import Ramp, ramp, slow_path, stoppable_speeds, way_back
 from equipoise.settings import HANGING
@@ -453,13 +453,15 @@ def excite(run: Run, motion: Array, identify: Callable[[Array, Array], Actuator]
     try:
         job = partial(identify, _free_joints(run, sent), _free_joints(run, measured))
         run.identified = actuator = yield from run.work(job, run.still)
-        text = describe_fit(run.request.policy, actuator)
-        if not actuator_fits(run.request.policy, actuator):
-            raise InputError(text)
+        judge = partial(judge_response, run.request.policy, actuator)
+        response, fits = yield from run.work(judge, run.still)
+        if not fits:
+            remedy = "train with equipoise train --actuator and the actuator of this run"
+            raise InputError(f"the arm's response: {response}; {remedy}")
         run.assume(actuator)
     except Exception as error:  # the arm comes to rest, whatever failed
         raise PhaseError(Outcome.UNIDENTIFIED, text=printable(str(error))) from error
-    run.notify("identified", text)
+    run.notify("identified", f"The arm's response: {response}.")
 
 
 def _free_joints(run: Run, rows: list[TimedJoints]) -> Array:
