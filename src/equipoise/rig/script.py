@@ -19,7 +19,7 @@ from equipoise.arm.arm import FREE_JOINTS
 from equipoise.arrays import Array
 from equipoise.control.controller import Controller, FlangeKinematics
 from equipoise.control.minimum_jerk import MinimumJerk
-from equipoise.control.policy import Policy, tick_policy
+from equipoise.control.policy import Policy, TaskPolicy, tick_policy
 from equipoise.control.swing_up import SwingUpPolicy, amplitude, make_swing_up, time_limit
 from equipoise.control.ticks import OK, Job, OperatorMessage, Sample, TickRecord
 from equipoise.errors import InputError
@@ -451,10 +451,10 @@ def excite(run: Run, motion: Array, identify: Callable[[Array, Array], Actuator]
             run.q, run.dq, setpoints = second, tuple(speeds.tolist()), (first, second)
     run.notify("notice", "The arm is identified; this takes some seconds.")
     try:
-        job = partial(identify, _free_joints(run, sent), _free_joints(run, measured))
-        run.identified = actuator = yield from run.work(job, run.still)
-        judge = partial(judge_response, run.request.policy, actuator)
-        response, fits = yield from run.work(judge, run.still)
+        motions = _free_joints(run, sent), _free_joints(run, measured)
+        job = partial(_identify, identify, run.request.policy, *motions)
+        actuator, response, fits = yield from run.work(job, run.still)
+        run.identified = actuator
         if not fits:
             remedy = "train with equipoise train --actuator and the actuator of this run"
             raise InputError(f"the arm's response: {response}; {remedy}")
@@ -462,6 +462,14 @@ def excite(run: Run, motion: Array, identify: Callable[[Array, Array], Actuator]
     except Exception as error:  # the arm comes to rest, whatever failed
         raise PhaseError(Outcome.UNIDENTIFIED, text=printable(str(error))) from error
     run.notify("identified", f"The arm's response: {response}.")
+
+
+def _identify(
+    identify: Callable[[Array, Array], Actuator], policy: TaskPolicy, sent: Array, measured: Array
+) -> tuple[Actuator, str, bool]:
+    """Return the identified actuator, and the judgement of the policy with it."""
+    actuator = identify(sent, measured)
+    return actuator, *judge_response(policy, actuator)
 
 
 def _free_joints(run: Run, rows: list[TimedJoints]) -> Array:
