@@ -29,6 +29,7 @@ REFUSED = {
     ("play", "nowhere"): "nowhere",
     # A wrong word comes before the name of a file.
     ("evaluate", "--world", "nominal", "--out", "taken.json"): "did you mean twin:nominal?",
+    ("evaluate", "--world", "twin:w\udcff.toml", "--out", "taken.json"): "not UTF-8",
     ("evaluate", "--actuator", "none.json", "--out", "taken.json"): "none.json",
     ("train", "--algorithm", "sarsaa", "--out", "taken.json"): "unknown algorithm 'sarsaa'",
     ("train", "--reward", "nope", "--out", "taken.json"): "unknown reward 'nope'",
@@ -53,6 +54,7 @@ REFUSED = {
 def files(tmp_path, swing, policy_file, pendulum_file):
     (tmp_path / "taken.json").write_text("{}")
     (tmp_path / "taken.mcap").write_text("")
+    (tmp_path / "w\udcff.toml").write_text("")
     policy_file.rename(tmp_path / "small.json")
     pendulum_file.rename(tmp_path / "pen.json")
     (tmp_path / "full").mkdir()
