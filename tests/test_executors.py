@@ -5,8 +5,10 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -71,6 +73,32 @@ def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch):
     message = "no Dask scheduler answers at 'tcp://127.0.0.1:9'"
     with pytest.raises(OutsideError, match=message), open_workers("tcp://127.0.0.1:9"):
         pass
+
+
+@FULL
+@pytest.mark.parametrize(
+    ("scheme", "sends", "message"),
+    [
+        ("tcp", b"", "nothing came within 0.5 s; start it with: dask scheduler$"),
+        ("tcp", b"SSH-2.0-OpenSSH_9.2\r\n", "no Dask scheduler answers"),
+        ("tls", b"", "check the certificates in Dask's configuration$"),
+    ],
+    ids=["silent", "other protocol", "no certificates"],
+)
+def test_another_server_is_an_error(monkeypatch, scheme, sends, message):
+    monkeypatch.setattr("equipoise.executors.CONNECT_TIMEOUT", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve():
+            with contextlib.suppress(OSError), server.accept()[0] as link:
+                link.sendall(sends)
+                while link.recv(4096):
+                    pass
+
+        threading.Thread(target=serve, daemon=True).start()
+        named = f"{scheme}://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(OutsideError, match=message), open_workers(named):
+            pass
 
 
 class Cluster:
@@ -247,7 +275,35 @@ def evaluate_on(cluster):
 @FULL
 def test_a_cluster_without_workers_is_an_error(cluster):
     cluster.scheduler()
-    with pytest.raises(OutsideError, match="has no workers; start one with: dask worker tcp://"):
+    with pytest.raises(OutsideError, match="has no workers yet; start one with: dask worker tcp:"):
+        evaluate_on(cluster)
+
+
+@FULL
+def test_the_address_of_a_worker_is_an_error(cluster):
+    cluster.scheduler()
+    cluster.worker()
+    (cluster.address,) = cluster.client.scheduler_info(n_workers=-1)["workers"]
+    with pytest.raises(OutsideError, match="no Dask scheduler answers at .*: a Worker does"):
+        evaluate_on(cluster)
+
+
+@FULL
+def test_certificates_come_from_the_configuration_of_dask(cluster, tmp_path, monkeypatch):
+    import dask
+
+    words = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=dask"]
+    words += ["-keyout", "key.pem", "-out", "cert.pem"]
+    subprocess.run(words, cwd=tmp_path, check=True, capture_output=True)
+    mine = {"cert": str(tmp_path / "cert.pem"), "key": str(tmp_path / "key.pem")}
+    tls = {"ca-file": mine["cert"], "scheduler": mine, "worker": mine, "client": mine}
+    config = {"distributed": {"comm": {"require-encryption": True, "tls": tls}}}
+    (tmp_path / "dask.yaml").write_text(json.dumps(config))
+    monkeypatch.setenv("DASK_CONFIG", str(tmp_path / "dask.yaml"))
+    with dask.config.set(dask.config.merge(dask.config.config, config)):
+        cluster.scheduler()
+        cluster.worker()
+        assert cluster.address.startswith("tls://")
         evaluate_on(cluster)
 
 

@@ -5,6 +5,7 @@ they are. Compiled kernels release the interpreter, so that threads use all core
 `concurrent.futures` takes the tasks as well; on a cluster that is Dask's.
 """
 
+import asyncio
 import functools
 import logging
 import os
@@ -20,7 +21,7 @@ from equipoise.errors import InputError, OutsideError, import_optional
 from equipoise.files import package_versions, quoted
 
 CONNECT_TIMEOUT: Final = 5.0
-"""Maximum time to connect to a scheduler [s]."""
+"""Maximum time until a scheduler answers [s]."""
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -86,17 +87,24 @@ def open_workers(named: str | None = None) -> Generator[int | Executor]:
     for logger in ("distributed", "distributed.client", "tornado"):  # errors are raised as well
         logging.getLogger(logger).setLevel(logging.CRITICAL)
     try:
+        with ThreadPoolExecutor(1) as thread:  # an event loop may run in this one
+            thread.submit(asyncio.run, _find_scheduler(named)).result()
         client = distributed.Client(named, timeout=CONNECT_TIMEOUT, set_as_default=False)
-    except OSError as error:
+    except Exception as error:  # other servers, and wrong certificates, fail in many ways
+        reason = str(error) or f"nothing came within {CONNECT_TIMEOUT:g} s"
+        hint = "start it with: dask scheduler"
+        if named.startswith("tls"):
+            hint += ", and check the certificates in Dask's configuration"
         raise OutsideError(
-            f"no Dask scheduler answers at {quoted(named)}: {error}; start it with: dask scheduler"
+            f"no Dask scheduler answers at {quoted(named)}: {reason}; {hint}"
         ) from None
     with client:
         try:
             found = client.run(versions, on_error="return")
             if not found:
                 raise OutsideError(
-                    f"the scheduler at {named} has no workers; start one with: dask worker {named}"
+                    f"the scheduler at {named} has no workers yet; start one with: dask worker "
+                    f"{named}, or wait until it starts"
                 )
             for worker, theirs in found.items():
                 if isinstance(theirs, Exception):
@@ -119,6 +127,20 @@ def open_workers(named: str | None = None) -> Generator[int | Executor]:
                 f"the scheduler at {named} lacks a package: {error.__cause__}; install there what "
                 "is installed here, and start it again"
             ) from None
+
+
+async def _find_scheduler(address: str) -> None:
+    """Raise an exception unless a scheduler answers in time; Dask's client may wait for ever."""
+    import distributed
+
+    certificates = distributed.Security().get_connection_args("client")
+    async with asyncio.timeout(CONNECT_TIMEOUT):
+        link = await distributed.connect(address, **certificates)
+        await link.write({"op": "identity", "reply": True})
+        kind = (await link.read())["type"]
+        await link.close()
+    if kind != "Scheduler":
+        raise OSError(f"a {kind} does")
 
 
 class _Cluster(Executor):
