@@ -133,7 +133,7 @@ async def _find_scheduler(address: str) -> None:
     """Raise an exception unless a scheduler answers in time; Dask's client may wait for ever."""
     import distributed
 
-    certificates = distributed.Security().get_connection_args("client")
+    certificates: Any = distributed.Security().get_connection_args("client")
     async with asyncio.timeout(CONNECT_TIMEOUT):
         link = await distributed.connect(address, **certificates)
         await link.write({"op": "identity", "reply": True})
