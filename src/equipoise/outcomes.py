@@ -7,7 +7,7 @@ A safety rule is a row of `Outcome`. Rules over one of the `SafetyInputs` have t
 `equipoise.safety.rules` evaluates all.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from enum import Enum, StrEnum
 from math import degrees, inf, radians
 from types import MappingProxyType
@@ -101,8 +101,8 @@ class SafetyInputs(NamedTuple):
 class Bound(NamedTuple):
     """Limit of a safety rule on one input."""
 
-    value: Callable[[SafetyInputs], float]
-    """The input."""
+    name: str
+    """Name of the input, a field of `SafetyInputs`."""
     limit: float
     """Its largest permitted value."""
 
@@ -168,7 +168,7 @@ class Outcome(EndCause):
         CHECK_LINK,
         "the robot has not answered for {value_ms:.0f} ms, expected at most {limit_ms:.0f} ms; "
         "software may be unable to stop it: use the emergency stop",
-        Bound(lambda inputs: inputs.overdue, MAX_STALL),
+        Bound("overdue", MAX_STALL),
     )
     NOT_FOLLOWING = (
         "robot not following",
@@ -250,41 +250,41 @@ class Outcome(EndCause):
         FREE_COMPUTER,
         "the loop was {value_ms:.1f} ms late, expected at most {limit_ms:g} ms; `equipoise rig "
         "doctor` looks for the cause",
-        Bound(lambda inputs: inputs.lateness, MAX_STALL),
+        Bound("lateness", MAX_STALL),
     )
     MEASUREMENT_STALE = (
         "stale joints",
         CHECK_LINK,
         "the joints were last measured {value_ms:.0f} ms ago, expected at most {limit_ms:g} ms: "
         "the robot's link is too slow; look at its cable and its network",
-        Bound(lambda inputs: inputs.measured_age, MAX_MEASUREMENT_AGE),
+        Bound("measured_age", MAX_MEASUREMENT_AGE),
     )
     ENCODER_STALE = (
         "stale encoder",
         CHECK_ENCODER,
         "the newest encoder sample is {value_ms:.1f} ms old, expected at most {limit_ms:g} ms; "
         "look at its cable",
-        Bound(lambda inputs: inputs.encoder_age, MAX_STALL),
+        Bound("encoder_age", MAX_STALL),
     )
     ENCODER_ILLEGAL = (
         "illegal transition",
         CHECK_ENCODER,
         "the encoder's lines changed both at once: counts are lost; look at its wiring",
-        Bound(lambda inputs: inputs.encoder_illegal, 0.0),
+        Bound("encoder_illegal", 0.0),
     )
     ENCODER_GAP = (
         "encoder gap",
         CHECK_ENCODER,
         "{value:g} encoder samples are missing, expected one at most, and that seldom; look at "
         "its cable and at the load of this machine",
-        Bound(lambda inputs: inputs.encoder_missing, 0.0),
+        Bound("encoder_missing", 0.0),
     )
     ENCODER_JUMP = (
         "count jump",
         CHECK_ENCODER,
         "the encoder jumped by {value_deg:.2f} deg more than a pendulum moves, expected at most "
         "{limit_deg:g} deg; look at its coupling",
-        Bound(lambda inputs: inputs.encoder_jump, MAX_COUNT_JUMP),
+        Bound("encoder_jump", MAX_COUNT_JUMP),
     )
     ANGLE = (
         "angle",

@@ -367,9 +367,9 @@ def check(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> 
 def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> list[End]:
     """Return the broken rules in the order of `SAFETY_RULES`; arguments as of `check`."""
     broken = [
-        _violation(rule, float(bound.value(inputs)), bound.limit)
+        _violation(rule, float(value), bound.limit)
         for rule in SAFETY_RULES
-        if (bound := rule.bound) is not None and bound.value(inputs) > bound.limit
+        if (bound := rule.bound) and (value := getattr(inputs, bound.name)) > bound.limit
     ]
     for name, value in inputs._asdict().items():
         if value is None or (name == "manipulability" and value == inf):
