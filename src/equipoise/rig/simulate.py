@@ -94,6 +94,8 @@ def simulate_run(
             "encoder": {"time": rows.encoder[:, 1], "counts": rows.encoder[:, 0]},
         }
     boxes = make_grid(settings.boxes, pendulum.parameters().k)
+    box = box_indices(rows.observation, boxes)
+    decided = (*rows.observation.T, box, rows.u, *rows.estimate.T)
     return simulated_log(
         RunConditions(
             arm=arm,
@@ -120,10 +122,7 @@ def simulate_run(
         {
             "time": time,
             "state": np.arange(len(time)) < end.upright,  # swinging up, in the conditions' phases
-            **dict(zip(state, rows.observation.T, strict=True)),
-            "box": box_indices(rows.observation, boxes),
-            "u": rows.u,
-            **dict(zip(TickRecord._fields[-5:], rows.estimate.T, strict=True)),
+            **dict(zip(TickRecord._fields, decided, strict=False)),
             "q": _all_joints(arm, rows.q),
             "dq": _all_joints(arm, rows.dq, held=0.0),
         },
