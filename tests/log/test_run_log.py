@@ -2,7 +2,6 @@
 
 import json
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +15,6 @@ from equipoise.log.conditions import RunEnd
 from equipoise.log.run_log import RunLog, simulated_log
 from equipoise.outcomes import Outcome
 from tests.log.made_up import conditions, made_up
-
-PAGE = Path(__file__).parents[2] / "docs" / "reference" / "run-log.md"
 
 
 def messages(file):
@@ -114,10 +111,3 @@ def test_other_files_are_refused(tmp_path):
     for name in ("nowhere.mcap", "text.mcap", "empty.mcap", "foreign.mcap", ""):
         with pytest.raises(ArtefactError):
             RunLog.load(tmp_path / name, damaged=True)
-
-
-@pytest.mark.parametrize("table", TABLES)
-def test_the_page_lists_the_columns_with_their_units(table):
-    fields = [f"`{c.name}`" + (f" [{c.unit}]" if c.unit else "") for c in TABLES[table]]
-    (row,) = [line for line in PAGE.read_text().splitlines() if line.startswith(f"| `/{table}`")]
-    assert row.split("|")[3].strip().replace("²", "^2") == ", ".join(fields)

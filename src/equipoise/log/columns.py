@@ -12,8 +12,8 @@ A table is a structured array with one row per message of the topic with its nam
 Times are those of the run's clock [s]: on a rig its monotonic clock, in simulation the time since
 the release. NaN represents an unknown number; the message omits its field.
 
-Rings, messages, JSON schemas, files, CSV tables and `docs/reference/run-log.md` follow from
-`TABLES`: a field of the log is a row here.
+Rings, messages, JSON schemas, files and CSV tables follow from `TABLES`. The value of a field comes
+from `equipoise.log.recorder` on a rig, from `equipoise.rig.simulate` in simulation.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
