@@ -8,7 +8,7 @@ below any error of a formula.
 import numpy as np
 import pytest
 
-from equipoise.arm.compiler import BIAS, FRAME_SIZE, JACOBIAN, POSITION, ROTATION, TWIST
+from equipoise.arm.compiler import FRAME_SIZE, J_DOT_DQ, JACOBIAN, POSITION, ROTATION, TWIST
 from equipoise.elementary import BATCH_SIZE
 from equipoise.jit import call, kernel
 from tests.arm.witnesses import ARMS, MuJoCo, Pinocchio
@@ -55,8 +55,8 @@ def test_the_motion_is_the_same_bits_without_jacobian_and_bias(case):
     arm, _, q, dq, frames = case
     motions = np.full_like(frames, np.nan)
     frames_of(arm.compiled()._replace(kinematics=arm.compiled().motion), q, dq, motions)
-    np.testing.assert_array_equal(motions[:, :BIAS], frames[:, :BIAS])
-    assert not motions[:, BIAS:].any()
+    np.testing.assert_array_equal(motions[:, :J_DOT_DQ], frames[:, :J_DOT_DQ])
+    assert not motions[:, J_DOT_DQ:].any()
 
 
 @pytest.mark.parametrize("library", [pytest.param(Pinocchio, marks=pytest.mark.full), MuJoCo])
@@ -71,8 +71,8 @@ def test_pose_jacobian_and_bias_equal_those_of_an_independent_library(case, libr
         J = flange.jacobian[:, free]
         assert frame[POSITION:ROTATION] == pytest.approx(flange.position, abs=TOLERANCE)
         assert frame[ROTATION:TWIST] == pytest.approx(flange.rotation.ravel(), abs=TOLERANCE)
-        assert frame[TWIST:BIAS] == pytest.approx(J @ dq_i, abs=TOLERANCE)
-        assert frame[BIAS:JACOBIAN] == pytest.approx(flange.bias, abs=TOLERANCE)
+        assert frame[TWIST:J_DOT_DQ] == pytest.approx(J @ dq_i, abs=TOLERANCE)
+        assert frame[J_DOT_DQ:JACOBIAN] == pytest.approx(flange.bias, abs=TOLERANCE)
         assert frame[JACOBIAN:] == pytest.approx(J.ravel(), abs=TOLERANCE)
 
 

@@ -16,12 +16,12 @@ lambda = lambda_0 (1 - w/w_0).
 Records are blocks of lanes, see `equipoise.elementary`.
 """
 
-from math import sqrt
+from math import isnan, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from equipoise.arm.compiler import BIAS, JACOBIAN, POSITION, ROTATION, TWIST
+from equipoise.arm.compiler import J_DOT_DQ, JACOBIAN, POSITION, ROTATION, TWIST
 from equipoise.arrays import Array
 from equipoise.elementary import BATCH_SIZE, fma
 from equipoise.jit import compilable, inlined
@@ -29,7 +29,7 @@ from equipoise.jit import compilable, inlined
 Point = tuple[float, float, float]
 Twist = tuple[float, float, float, float, float, float]
 
-GAMMA: Final = BIAS
+GAMMA: Final = J_DOT_DQ
 REFERENCE_SIZE: Final = GAMMA + 6
 """Rows of a reference."""
 ANGULAR: Final = JACOBIAN + 18
@@ -98,7 +98,7 @@ def joint_acceleration(
     for i in range(6):
         for n in range(BATCH_SIZE):
             e_dot = reference[TWIST + i, n] - frame[TWIST + i, n]
-            wanted = reference[GAMMA + i, n] - frame[BIAS + i, n]
+            wanted = reference[GAMMA + i, n] - frame[J_DOT_DQ + i, n]
             e[i, n] = fma(parameters.K_p, e[i, n], fma(parameters.K_d, e_dot, wanted))
     solve(frame, e, parameters, ddq, lanes)
 
@@ -107,7 +107,7 @@ def joint_acceleration(
 def solve(frame: Array, rhs: Array, parameters: ClikParameters, y: Array, lanes: int) -> None:
     """Solve J y = rhs in each lane, damped near singularities."""
     wrist, w_0 = parameters.wrist, parameters.w_0
-    if wrist[0] != wrist[0]:
+    if isnan(wrist[0]):  # the last three axes do not meet
         for n in range(lanes):
             _solve_damped(frame, rhs, parameters, y, n)
         return

@@ -20,7 +20,7 @@ The kinematics writes one record of `FRAME_SIZE` rows for each lane of a block (
     POSITION  0:3    position of the flange [m]
     ROTATION  3:12   R, flange to base, row by row
     TWIST    12:18   J dq: linear [m/s], angular [rad/s]
-    BIAS     18:24   J_dot dq [m/s^2], [rad/s^2]
+    J_DOT_DQ 18:24   J_dot dq [m/s^2], [rad/s^2]
     JACOBIAN 24:60   J, row by row, linear rows first
 """
 
@@ -44,7 +44,7 @@ KinematicsFunction = Callable[[Any, Any, Any, int], None]
 [rad/s] and writes the records of the first `lanes` lanes."""
 
 
-POSITION, ROTATION, TWIST, BIAS, JACOBIAN = PARTS = (0, 3, 12, 18, 24)
+POSITION, ROTATION, TWIST, J_DOT_DQ, JACOBIAN = PARTS = (0, 3, 12, 18, 24)
 """First row of each part of a record."""
 FRAME_SIZE: Final = 60
 """Number of rows of a record."""
@@ -275,7 +275,7 @@ def source(arm: "Arm") -> str:
     """Return the module of an arm as text."""
     tape, record = trace(links(arm))
     tape.fuse(record)
-    moving = dict(list(record.items())[:BIAS])
+    moving = dict(list(record.items())[:J_DOT_DQ])
     inputs = [f"s{i}, c{i} = sincos(q[{_entry(i)}])" for i in range(FREE_JOINTS)]
     inputs += [f"dq{i} = dq[{_entry(i)}]" for i in range(FREE_JOINTS)]
     text = "from equipoise.elementary import fma, sincos\n"
