@@ -106,19 +106,19 @@ def compiled_lanes(
         for b in range(first, last):
             world, begin = worlds[b], b * worlds[b].batch_size
             batch, own = world.states[0], lanes[begin : begin + world.batch_size]
-            memory = batch.controller
+            controller = batch.controller
             for n in range(len(own)):
-                memory.u[n] = min(max(u[begin + n], -paper.U_MAX), paper.U_MAX)
+                controller.u[n] = min(max(u[begin + n], -paper.U_MAX), paper.U_MAX)
             advance(world, own.seed, own.tick, own.number, len(own))
             for n in range(len(own)):
                 lane = own[n]
-                if memory.balancing[n] == 0:
+                if controller.balancing[n] == 0:
                     lane.upright, stands = upright_ticks(lane.upright, batch.state.phi[n], h)
-                    memory.balancing[n] = stands
+                    controller.balancing[n] = stands
                 x, x_dot, phi, phi_dot = lane.observation
                 before = Observation(x, x_dot, phi, phi_dot)
-                after, failed = observed(memory.observation, n), batch.cause[n] != TRUNCATED
-                lane.reward = reward(before, memory.u[n], after, failed)
+                after, failed = observed(controller.observation, n), batch.cause[n] != TRUNCATED
+                lane.reward = reward(before, controller.u[n], after, failed)
                 lane.tick, lane.cause = lane.tick + 1, batch.cause[n]
                 read(batch, lane, n)
 

@@ -59,7 +59,7 @@ from equipoise.model.random import normal_radius, philox, turn, uniform
 from equipoise.safety.rules import SPEED_CODE
 from equipoise.settings import Settings
 
-SETPOINT_HISTORY: Final = 32
+SETPOINTS_IN_FLIGHT: Final = 32
 """Number of setpoints that may be in flight to the arm."""
 
 
@@ -135,7 +135,7 @@ class BatchState(Protocol):
     commanded ones."""
     frame: Annotated[Array, (FRAME_SIZE, BATCH_SIZE)]
     """Kinematics at their joints: position, orientation and twist of the flange."""
-    setpoints: Annotated[Array, (SETPOINT_HISTORY, *ROWS)]
+    setpoints: Annotated[Array, (SETPOINTS_IN_FLIGHT, *ROWS)]
     """Last setpoints [rad]."""
     delay: Annotated[IntArray, LANES]
     """Whole setpoints of the transport delay."""
@@ -204,37 +204,37 @@ def reset(
             the pendulum from upright [rad] and its angular velocity [rad/s].
         n: Lane.
     """
-    controller, memory, state, arm = plant.controller, batch.controller, batch.state, batch.arm
+    params, controller, state, arm = plant.controller, batch.controller, batch.state, batch.arm
     x, x_dot, phi, phi_dot = start
-    zero = variation.zero if controller.has_sensor else 0.0
-    measured = controller, memory, x, x_dot, phi + zero, phi_dot, n
-    call(controller.code.start_controller, measured)
-    own = scaled(controller.pendulum, variation.inertia_factor, variation.friction_factor)
+    zero = variation.zero if params.has_sensor else 0.0
+    measured = params, controller, x, x_dot, phi + zero, phi_dot, n
+    call(params.code.start_controller, measured)
+    own = scaled(params.pendulum, variation.inertia_factor, variation.friction_factor)
     pendula = batch.pendula
     pendula.w2[n], pendula.k[n], pendula.c[n] = own.w2, own.k, own.c
     pendula.coulomb[n], pendula.drag[n] = own.coulomb, own.drag
-    state.x[n] = memory.frame[POSITION, n] - controller.home_reference[POSITION]
-    state.x_dot[n] = memory.frame[TWIST, n]
+    state.x[n] = controller.frame[POSITION, n] - params.home_reference[POSITION]
+    state.x_dot[n] = controller.frame[TWIST, n]
     state.phi[n], state.phi_dot[n], batch.u_tracked[n] = phi, phi_dot, 0.0
     batch.cause[n] = TRUNCATED
-    if not controller.has_sensor:
+    if not params.has_sensor:
         return
-    delay = max(controller.delay + variation.delay, 0.0)
+    delay = max(params.delay + variation.delay, 0.0)
     batch.zero[n] = zero
-    apart = controller.h / SETPOINTS_PER_TICK
+    apart = params.h / SETPOINTS_PER_TICK
     cycles, delayed = round(apart / CYCLE), round(delay / CYCLE)
     batch.delay[n] = delayed // cycles
     for i in range(FREE_JOINTS):
-        q, dq = memory.q[i, n], memory.dq[i, n]
-        lag = controller.lags[i] * variation.lag_factor
-        behind = dq * delay + steady_error(dq, lag, controller.actuator)
+        q, dq = controller.q[i, n], controller.dq[i, n]
+        lag = params.lags[i] * variation.lag_factor
+        behind = dq * delay + steady_error(dq, lag, params.actuator)
         arm.q[i, n], arm.dq[i, n], arm.fraction[i, n] = q - behind, dq, lag_fraction(lag)
-        for j in range(SETPOINT_HISTORY):
-            batch.setpoints[(batch.newest[0] - j) % SETPOINT_HISTORY, i, n] = q - j * apart * dq
+        for j in range(SETPOINTS_IN_FLIGHT):
+            batch.setpoints[(batch.newest[0] - j) % SETPOINTS_IN_FLIGHT, i, n] = q - j * apart * dq
         arm.turn[i, n] = float(delayed % cycles)
         arm.target[i, n] = q - batch.delay[n] * apart * dq
     for i in range(FRAME_SIZE):
-        batch.frame[i, n] = memory.frame[i, n]
+        batch.frame[i, n] = controller.frame[i, n]
 
 
 def step(plant: LoopParams, batch: BatchState, lanes: int) -> None:
@@ -248,45 +248,45 @@ def step(plant: LoopParams, batch: BatchState, lanes: int) -> None:
         batch: Changed in place.
         lanes: Number of lanes.
     """
-    controller, memory, state, cause = plant.controller, batch.controller, batch.state, batch.cause
-    noise, h, home_x = memory.noise, controller.h, controller.home_reference[POSITION]
+    params, controller, state, cause = plant.controller, batch.controller, batch.state, batch.cause
+    noise, h, home_x = controller.noise, params.h, params.home_reference[POSITION]
     for i in range(6):
         sigma = plant.position_noise if i < 3 else plant.orientation_noise
         for n in range(BATCH_SIZE):
             noise[i, n] *= sigma
-    frame = batch.frame if controller.has_sensor else memory.frame
+    frame = batch.frame if params.has_sensor else controller.frame
     for n in range(BATCH_SIZE):
-        batch.pivot_v[n] = pivot_velocity(frame, controller.pivot, n)
-    call(controller.code.command, (controller, memory, lanes))
+        batch.pivot_v[n] = pivot_velocity(frame, params.pivot, n)
+    call(params.code.command, (params, controller, lanes))
     dry = False
     for n in range(lanes):
         dry = dry or batch.pendula.coulomb[n] > 0.0
     # Dry friction depends on the sign of the rate, which the vibration of a pivot behind an
     # actuator changes within a step: there such pendulums advance cycle by cycle.
-    by_cycles = controller.has_sensor and dry
+    by_cycles = params.has_sensor and dry
     if by_cycles:
-        move_arms_and_pendula(controller, batch, lanes)
-    elif controller.has_sensor:
-        move_arms(controller, batch, lanes)
+        move_arms_and_pendula(params, batch, lanes)
+    elif params.has_sensor:
+        move_arms(params, batch, lanes)
     for n in range(BATCH_SIZE):
-        v = pivot_velocity(frame, controller.pivot, n)
+        v = pivot_velocity(frame, params.pivot, n)
         batch.u_tracked[n] = (v - batch.pivot_v[n]) / h
         state.x[n] = frame[POSITION, n] - home_x
         state.x_dot[n] = frame[TWIST, n]
     if not by_cycles:
-        advance_pendula(batch, batch.u_tracked, h, controller.pendulum.linearised, dry, lanes)
+        advance_pendula(batch, batch.u_tracked, h, params.pendulum.linearised, dry, lanes)
     for n in range(BATCH_SIZE):
-        exceeded = memory.limit_exceeded[n] != 0
+        exceeded = controller.limit_exceeded[n] != 0
         state.phi[n] = wrapped(state.phi[n])
-        balancing = memory.balancing[n] != 0
+        balancing = controller.balancing[n] != 0
         cause[n] = failure(
             state.x[n], state.x_dot[n], state.phi[n], exceeded, plant.max_speed, balancing
         )
-    if controller.has_sensor:
-        measure(controller, batch)
-        call(controller.code.observe, (controller, memory, 0.0, 0.0, lanes))
+    if params.has_sensor:
+        measure(params, batch)
+        call(params.code.observe, (params, controller, 0.0, 0.0, lanes))
     else:
-        seen = memory.observation
+        seen = controller.observation
         for n in range(BATCH_SIZE):
             seen.x[n], seen.x_dot[n] = state.x[n], state.x_dot[n]
             seen.phi[n], seen.phi_dot[n] = state.phi[n], state.phi_dot[n]
@@ -314,30 +314,30 @@ def failure(
 
 
 @inlined
-def move_arms(controller: ControllerParams, batch: BatchState, lanes: int) -> None:
+def move_arms(params: ControllerParams, batch: BatchState, lanes: int) -> None:
     """Send the setpoints of the tick, and move the arms of the first lanes by one tick."""
-    arm, cycles = batch.arm, round(controller.h / SETPOINTS_PER_TICK / CYCLE)
+    arm, cycles = batch.arm, round(params.h / SETPOINTS_PER_TICK / CYCLE)
     for s in range(SETPOINTS_PER_TICK):
         _send(batch, s, lanes)
-        call(controller.code.follow_setpoint, (arm, controller.actuator, cycles, True, lanes))
-    velocity = motion_of(arm, controller.actuator)
-    kinematics(controller.code.motion, arm.q, velocity, batch.frame, lanes)
+        call(params.code.follow_setpoint, (arm, params.actuator, cycles, True, lanes))
+    velocity = motion_of(arm, params.actuator)
+    kinematics(params.code.motion, arm.q, velocity, batch.frame, lanes)
 
 
 @inlined
-def move_arms_and_pendula(controller: ControllerParams, batch: BatchState, lanes: int) -> None:
+def move_arms_and_pendula(params: ControllerParams, batch: BatchState, lanes: int) -> None:
     """Move arms and pendulums of the first lanes by one tick, cycle by cycle."""
-    arm, frame, cycles = batch.arm, batch.frame, round(controller.h / SETPOINTS_PER_TICK / CYCLE)
-    linearised = controller.pendulum.linearised
+    arm, frame, cycles = batch.arm, batch.frame, round(params.h / SETPOINTS_PER_TICK / CYCLE)
+    linearised = params.pendulum.linearised
     for s in range(SETPOINTS_PER_TICK):
         _send(batch, s, lanes)
         for cycle in range(cycles):
             for n in range(BATCH_SIZE):
-                batch.cycle_pivot_v[n] = pivot_velocity(frame, controller.pivot, n)
-            follow(arm, controller.actuator, cycle, lanes)
-            kinematics(controller.code.motion, arm.q, arm.dq, frame, lanes)
+                batch.cycle_pivot_v[n] = pivot_velocity(frame, params.pivot, n)
+            follow(arm, params.actuator, cycle, lanes)
+            kinematics(params.code.motion, arm.q, arm.dq, frame, lanes)
             for n in range(BATCH_SIZE):
-                v = pivot_velocity(frame, controller.pivot, n)
+                v = pivot_velocity(frame, params.pivot, n)
                 batch.cycle_u[n] = (v - batch.cycle_pivot_v[n]) * (1.0 / CYCLE)
             advance_pendula(batch, batch.cycle_u, CYCLE, linearised, True, lanes)
 
@@ -346,7 +346,7 @@ def move_arms_and_pendula(controller: ControllerParams, batch: BatchState, lanes
 def _send(batch: BatchState, s: int, lanes: int) -> None:
     """Send setpoint `s` of the tick, and take the next one that comes into force in each lane."""
     before, target, delay = batch.arm.before, batch.arm.target, batch.delay
-    newest = (batch.newest[0] + 1) % SETPOINT_HISTORY
+    newest = (batch.newest[0] + 1) % SETPOINTS_IN_FLIGHT
     for n in range(BATCH_SIZE):
         batch.newest[n] = newest
     sent = batch.setpoints[newest]
@@ -361,7 +361,7 @@ def _send(batch: BatchState, s: int, lanes: int) -> None:
         least, most = min(least, delay[n]), max(most, delay[n])
     # The delays of all lanes span few setpoints: whole rows are read for each of them.
     for age in range(least, most + 1):
-        old = batch.setpoints[(newest - age) % SETPOINT_HISTORY]
+        old = batch.setpoints[(newest - age) % SETPOINTS_IN_FLIGHT]
         for i in range(FREE_JOINTS):
             for n in range(BATCH_SIZE):
                 now, then = target[i, n], old[i, n]
@@ -369,16 +369,16 @@ def _send(batch: BatchState, s: int, lanes: int) -> None:
 
 
 @inlined
-def measure(controller: ControllerParams, batch: BatchState) -> None:
+def measure(params: ControllerParams, batch: BatchState) -> None:
     """Write encoder counts and measured joints to the controllers of all lanes."""
-    memory, state, frame = batch.controller, batch.state, batch.frame
+    controller, state, frame = batch.controller, batch.state, batch.frame
     for n in range(BATCH_SIZE):
-        tilt = -pose_error(frame, memory.reference, n)[4]
+        tilt = -pose_error(frame, controller.reference, n)[4]
         theta = pi - (state.phi[n] - tilt + batch.zero[n])
-        memory.counts[n] = floor(theta * (1.0 / controller.resolution) + 0.5)
+        controller.counts[n] = floor(theta * (1.0 / params.resolution) + 0.5)
     for i in range(FREE_JOINTS):
         for n in range(BATCH_SIZE):
-            memory.measured[i, n] = batch.arm.q[i, n]
+            controller.measured[i, n] = batch.arm.q[i, n]
 
 
 @inlined

@@ -80,14 +80,14 @@ def release(
         start: x, x_dot, phi, phi_dot at the release in SI units; the first two are not used.
         n: Lane, the first one.
     """
-    twin, controller, batch = world.twins[0], world.params, world.states[0]
+    twin, params, batch = world.twins[0], world.params, world.states[0]
     phi, phi_dot = start[2], start[3]
     reset(twin, world.arrays[0], twin.home, phi, phi_dot)
     counts, stamp = encoder(twin)
-    shown = pi - counts * controller.resolution - stamp * phi_dot
-    begun = controller, batch.controller, 0.0, 0.0, shown, phi_dot, n
-    call(controller.code.start_controller, begun)
-    reset_trial_monitor(world.monitor, controller.home)
+    shown = pi - counts * params.resolution - stamp * phi_dot
+    begun = params, batch.controller, 0.0, 0.0, shown, phi_dot, n
+    call(params.code.start_controller, begun)
+    reset_trial_monitor(world.monitor, params.home)
     _read_truth(world)
 
 
@@ -109,42 +109,38 @@ def step(world: TwinWorld, seed: IntArray, tick: IntArray, number: IntArray, lan
         number: Not used.
         lanes: Not used: there is one.
     """
-    world.states[0].cause[0] = _cause_of_step(world)
-
-
-@inlined
-def _cause_of_step(world: TwinWorld) -> int:
-    twin, data, controller, monitor = world.twins[0], world.arrays[0], world.params, world.monitor
-    q = world.q
-    state = world.states[0].controller
-    call(controller.code.command, (controller, state, 1))
+    twin, data, params, monitor = world.twins[0], world.arrays[0], world.params, world.monitor
+    batch, q = world.states[0], world.q
+    controller = batch.controller
+    call(params.code.command, (params, controller, 1))
     for s in range(SETPOINTS_PER_TICK):
         for i in range(FREE_JOINTS):
-            q[i] = state.setpoints[s, i, 0]
+            q[i] = controller.setpoints[s, i, 0]
         if monitor.active:
             broken = setpoint_violation(monitor, q, twin.now * TICK)
             if broken != NO_VIOLATION:
                 _read_truth(world)
-                return SAFETY_STOP + broken
+                batch.cause[0] = SAFETY_STOP + broken
+                return
         send_free(twin, q)
-        advance(twin, data, round(controller.h / SETPOINTS_PER_TICK / TICK))
-    tick = twin.now
+        advance(twin, data, round(params.h / SETPOINTS_PER_TICK / TICK))
+    now = twin.now
     counts, counted = encoder(twin)
     measured = reply(twin, q)
-    state.counts[0] = counts
+    controller.counts[0] = counts
     for i in range(FREE_JOINTS):
-        state.measured[i, 0] = q[i]
-    ages = tick * TICK - counted, tick * TICK - measured
-    call(controller.code.observe, (controller, state, ages[0], ages[1], 1))
+        controller.measured[i, 0] = q[i]
+    ages = now * TICK - counted, now * TICK - measured
+    call(params.code.observe, (params, controller, ages[0], ages[1], 1))
     _read_truth(world)
-    real, exceeded = world.states[0].state, state.limit_exceeded[0] != 0
-    balancing = state.balancing[0] != 0
+    real, exceeded = batch.state, controller.limit_exceeded[0] != 0
+    balancing = controller.balancing[0] != 0
     cause = failure(real.x[0], real.x_dot[0], real.phi[0], exceeded, inf, balancing)
     if cause == TRUNCATED and monitor.active:
-        broken = trial_violation(monitor, controller, state, q, measured)
+        broken = trial_violation(monitor, params, controller, q, measured)
         if broken != NO_VIOLATION:
-            return SAFETY_STOP + broken
-    return cause
+            cause = SAFETY_STOP + broken
+    batch.cause[0] = cause
 
 
 run_trials = kernel(trial_loop(release, step))
