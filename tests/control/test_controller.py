@@ -75,5 +75,5 @@ def test_in_a_pause_the_model_comes_to_rest_with_the_twins_arm(unsent):
     assert own.x_dot == 0.0
     assert own.x == pytest.approx(rig.twin.truth().x, abs=2e-3)
     # The estimate of the observer is that of the arm now, a delay behind the command.
-    assert own.estimate.v == pytest.approx(rig.twin.truth().x_dot, abs=0.01)
+    assert own.estimate.pivot_v == pytest.approx(rig.twin.truth().x_dot, abs=0.01)
     assert delay < 2 * H

@@ -468,6 +468,7 @@ def observe(
     on_phi, on_phi_dot, on_bias = controller.gains
     resolution, correction = controller.resolution, controller.correction
 
+    # The offset of the joints, at the time of their measurement.
     back = (delay + reply_age) / h
     near, far = tick_before(state, int(back)), tick_before(state, int(back) + 1)
     f = back - int(back)
@@ -478,6 +479,7 @@ def observe(
         for n in range(BATCH_SIZE):
             offset[i, n] += correction * (measured[i, n] - motion.q[i, n] - offset[i, n])
 
+    # The angle that the counts show, at their time: the encoder turns with the flange.
     back = (delay + encoder_age) / h
     near, far = tick_before(state, int(back)), tick_before(state, int(back) + 1)
     f = back - int(back)
@@ -485,6 +487,7 @@ def observe(
         tilt = near.tilt[n]
         shown[n] = pi - counts[n] * resolution + tilt + f * (far.tilt[n] - tilt)
 
+    # The observer: u is the acceleration of the pivot over the last tick.
     whole = int(delay / h)
     near, far, f = tick_before(state, whole), tick_before(state, whole + 1), delay / h - whole
     for n in range(BATCH_SIZE):
@@ -506,20 +509,21 @@ def observe(
         observation.phi[n], observation.phi_dot[n] = estimate.phi[n], estimate.phi_dot[n]
     if controller.horizon == 0.0:
         return
-    part = delay - whole * h
+    # The prediction: the motion in flight until t + d, tick by tick, then until the horizon.
+    time = delay - whole * h
     for j in range(whole, -1, -1):
-        if part > 1e-9:  # [s]: not a rounding
+        if time > 1e-9:  # [s]: not a rounding
             then = tick_before(state, j)
             for n in range(BATCH_SIZE):
                 motion.pivot_v[n] = then.pivot_v[n]
             for n in range(BATCH_SIZE):
-                _propagate(observation, motion.pivot_v[n], part, pendulum, n)
-        part = h
-    part = controller.horizon - delay
+                _propagate(observation, motion.pivot_v[n], time, pendulum, n)
+        time = h
+    time = controller.horizon - delay
     home_x = controller.home_reference[POSITION]
-    if part > 1e-9:  # [s]: not a rounding
+    if time > 1e-9:  # [s]: not a rounding
         for n in range(BATCH_SIZE):
-            _propagate(observation, frame[TWIST, n], part, pendulum, n)
+            _propagate(observation, frame[TWIST, n], time, pendulum, n)
     for n in range(BATCH_SIZE):
         observation.x[n] = frame[POSITION, n] - home_x
         observation.x_dot[n] = frame[TWIST, n]

@@ -50,7 +50,7 @@ class StateEstimate(NamedTuple):
     """Its rate [rad/s]."""
     bias: float
     """Encoder zero offset [rad]."""
-    v: float
+    pivot_v: float
     """Velocity of the pivot along x [m/s]."""
     x: float
     """Displacement of the flange from home [m]."""

@@ -226,7 +226,7 @@ class RunController:
         if run.phase in OBSERVED and rules.check(params, self._monitor, measured) is None:
             self._observe(now)
             estimate = run.controller.estimate
-            inputs = inputs._replace(x_dot=estimate.v, phi=estimate.phi)
+            inputs = inputs._replace(x_dot=estimate.pivot_v, phi=estimate.phi)
         broken = list(rules.violations(params, self._monitor, inputs))
         for violation in broken:
             self.stop(violation)
@@ -262,7 +262,7 @@ class RunController:
             inputs = inputs._replace(measured=joints.q, expected=expected)
         phase = run.phase if self.end is None else self._stopped
         if phase not in OFF_TRACK and self._pose is not None:
-            x_dot = controller.estimate.v if observed else controller.x_dot
+            x_dot = controller.estimate.pivot_v if observed else controller.x_dot
             if run.phase is Phase.STOPPING and run.ticks > 0:
                 # The controller does not know the way to rest, which has begun.
                 before = [q - run.h * dq for q, dq in zip(run.q, run.dq, strict=True)]
