@@ -60,7 +60,7 @@ for lean in (-8, -3, -0.5, 0.5, 3, 8):
 # %%
 learning = policy.settings.learning
 tables = new_tables(270, 0)
-update = training_config(policy.settings, policy.pendulum.k.value, 0).update._replace(
+update = training_config(policy.settings, policy.pendulum.k.value, 0).update_params._replace(
     mirrored=False
 )
 falls = Transition(

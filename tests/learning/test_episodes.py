@@ -113,7 +113,7 @@ def test_one_update_is_equation_1():
     Q[7, 3] = -0.5
     Q[20] = -0.25
     given = {"gamma": 0.9, "alpha_initial": 0.1, "alpha_decay": 0.0, "mirrored": False}
-    constants = training_config(resolve(), 5.0, 0).update._replace(**given)
+    constants = training_config(resolve(), 5.0, 0).update_params._replace(**given)
     q_learning(tables, Transition(7, 3, 0.0, 20, False, False, 0.0, 0.0, 0), constants)
     # (1 - 0.1) (-0.5) + 0.1 (0 + 0.9 (-0.25)) by hand.
     assert Q[7, 3] == pytest.approx(-0.4725, rel=1e-15)

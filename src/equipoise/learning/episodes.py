@@ -66,7 +66,7 @@ class TrainingConfig(NamedTuple):
     """Number of steps after which an episode ends without a failure."""
     epsilon_initial: float
     epsilon_until: float
-    update: UpdateParams
+    update_params: UpdateParams
     """Constants of an update."""
     start: tuple[float, float, float, float]
     """Half widths of the ranges of x, x_dot, phi, phi_dot at the start, SI units."""
@@ -100,7 +100,7 @@ class Episodes(Protocol):
     """Probability of a random action in the episode."""
     chance: Annotated[Array, LANES]
     """Uniform random number in [0, 1) of the step, for the algorithm."""
-    place: Annotated[IntArray, LANES]
+    lane: Annotated[IntArray, LANES]
     """Index among the running episodes, constant over an episode."""
     episode: Annotated[IntArray, LANES]
     """Number of the episode."""
@@ -130,7 +130,7 @@ class TrainingState(NamedTuple):
     """Tables that the algorithm changes."""
     episodes: Records
     """`Episodes`."""
-    lanes: IntArray
+    rows: IntArray
     """Bits of the episodes as rows of lanes, from `rows_of`."""
     totals: Records
     """`Totals`."""
@@ -144,9 +144,9 @@ def new_training_state(boxes: int, tables: int = 0) -> TrainingState:
         tables: Number of tables of the algorithm's own.
     """
     episodes = new_records(Episodes)
-    episodes["place"] = np.arange(BATCH_SIZE)
-    lanes = rows_of(episodes, BATCH_SIZE)
-    return TrainingState(new_tables(boxes, tables), episodes, lanes, new_records(Totals))
+    episodes["lane"] = np.arange(BATCH_SIZE)
+    rows = rows_of(episodes, BATCH_SIZE)
+    return TrainingState(new_tables(boxes, tables), episodes, rows, new_records(Totals))
 
 
 @inlined
@@ -283,11 +283,11 @@ def episode_loop(
                 failed = batch.cause[n] != TRUNCATED
                 ended = failed or tick[n] >= config.max_steps
                 r = reward(observed(before, n), u[n], observed(seen, n), failed)
-                s, s_next, lane = box[n], running.box_next[n], running.place[n]
+                s, s_next, lane = box[n], running.box_next[n], running.lane[n]
                 transition = Transition(
                     s, action[n], r, s_next, failed, ended, epsilon[n], chance[n], lane
                 )
-                update(tables, transition, config.update)
+                update(tables, transition, config.update_params)
                 box[n] = s_next
                 if not ended:
                     continue
@@ -297,7 +297,7 @@ def episode_loop(
                     begin(n)
                 else:
                     lanes -= 1
-                    copy_lane(training.lanes, lanes, n)
+                    copy_lane(training.rows, lanes, n)
         totals.running = lanes
 
     return train_episodes
@@ -331,10 +331,10 @@ class Training:
             plant = PlantSimulation(MODEL, setup, seed=seed, stream=TRAINING_NOISE)
             # The boxes do not resolve speeds below the limit; selection finds tables that keep it.
             self._world: Any = plant.params._replace(max_speed=inf)
-            self._train = compiled_loop(update, reward, cached)
+            self._train_episodes = compiled_loop(update, reward, cached)
         else:
             self._world = simulate(world, setup, seed=seed, stream=TRAINING_NOISE).loop()
-            self._train = episode_loop(update, reward, release_in_world, step_in_world)
+            self._train_episodes = episode_loop(update, reward, release_in_world, step_in_world)
         self._batch_size = BATCH_SIZE if world == MODEL else 1
 
     def run(self, until: int) -> LearningPoint:
@@ -346,7 +346,7 @@ class Training:
         totals, learning = self.totals, self._settings.learning
         ended, ended_steps = int(totals.ended), int(totals.ended_steps)
         with user_code(f"the algorithm {learning.algorithm} or the reward {learning.reward}"):
-            self._train(self._world, self._config, self._state, until, self._batch_size)
+            self._train_episodes(self._world, self._config, self._state, until, self._batch_size)
         if not np.isfinite(self.tables.Q).all():
             raise InputError(
                 f"the table holds a value that is not finite after {totals.ended} episodes with "
@@ -380,7 +380,7 @@ def training_config(settings: Settings, k: float, seed: int) -> TrainingConfig:
         max_steps=round(learning.episode_duration / paper.STEP),
         epsilon_initial=learning.epsilon_initial,
         epsilon_until=learning.epsilon_until,
-        update=UpdateParams(**learning.model_dump(include=set(UpdateParams._fields))),
+        update_params=UpdateParams(**learning.model_dump(include=set(UpdateParams._fields))),
         start=(learning.start_x, learning.start_x_dot, learning.start_phi, learning.start_phi_dot),
         inertia_sigma=plant.inertia_sigma,
         friction_sigma=plant.friction_sigma,

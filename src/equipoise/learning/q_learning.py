@@ -1,8 +1,8 @@
 r"""Interface of an algorithm, the parts that algorithms share, and the paper's: Q-learning.
 
-A `Algorithm` says how a table learns from one step: the episode loop
-(`equipoise.learning.episodes`) calls its `update` with a `Transition`. A user brings a `Algorithm`,
-or its `update` alone, as MODULE:NAME. `q_learning` is the paper's equation (1):
+An `Algorithm` says how a table learns from one step: the episode loop
+(`equipoise.learning.episodes`) calls its `update` with a `Transition`. A user brings an
+`Algorithm`, or its `update` alone, as MODULE:NAME. `q_learning` is the paper's equation (1):
 
 .. math:: Q(s, a) = (1 - \alpha) Q(s, a) + \alpha (r + \gamma \max_{a'} Q(s', a'))
 """
@@ -79,19 +79,19 @@ def best_value(Q: Array, box: int) -> float:
 
 
 @inlined
-def best_action(Q: Array, box: int, chance: float) -> int:
+def best_action(Q: Array, box: int, choice: float) -> int:
     """Return the action of the largest value of a box.
 
     Args:
         Q: State-action values, shape (boxes, 8).
         box: The box.
-        chance: Uniform random number in [0, 1) that decides between equal values.
+        choice: Uniform random number in [0, 1) that decides between equal values.
     """
     best = best_value(Q, box)
     ties = 0
     for i in range(ACTIONS):
         ties += Q[box, i] == best
-    skip = int(ties * chance)
+    skip = int(ties * choice)
     # Without branches: the action is the number of those before the chosen one.
     action, found = 0, 0
     for i in range(ACTIONS):
@@ -131,17 +131,17 @@ def move_towards(
 
 
 @inlined
-def epsilon_greedy(Q: Array, box: int, epsilon: float, chance: float, choice: float) -> int:
+def epsilon_greedy(Q: Array, box: int, epsilon: float, explore: float, choice: float) -> int:
     """Return a random action with probability epsilon, else the best one.
 
     Args:
         Q: State-action values, shape (boxes, 8).
         box: Box of the state.
         epsilon: Probability of a random action.
-        chance: Uniform random number in [0, 1) that decides whether the action is random.
+        explore: Uniform random number in [0, 1) that decides whether the action is random.
         choice: Uniform random number in [0, 1) that selects among several actions.
     """
-    if chance < epsilon:
+    if explore < epsilon:
         return int(ACTIONS * choice)
     return best_action(Q, box, choice)
 

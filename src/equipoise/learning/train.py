@@ -98,18 +98,18 @@ def train(
     check_task(pendulum, settings, actuator, world=world)
     response = actuator_in(world, settings, actuator)
     settings = settings.model_copy(update={"learning": with_digests(settings.learning)})
-    rule, episodes = settings.selection, settings.learning.episodes
+    selection, episodes = settings.selection, settings.learning.episodes
     setup = Setup(pendulum, arm, settings, response, paper.STEP)
     training = Training(setup, world, seed)
     Q = training.tables.Q
     average, candidates = np.zeros_like(Q), list[tuple[int, Array]]()
-    every = rule.every or max(1, episodes // 50)  # points of a curve without candidates
+    every = selection.every or max(1, episodes // 50)  # points of a curve without candidates
     curve: list[LearningPoint] = []
     while (ended := int(training.totals.ended)) < episodes:
         point = training.run(min(ended + every, episodes))
         curve.append(point)
-        average += max(rule.averaging, 1.0 / len(curve)) * (Q - average)
-        if rule.every and point.episodes > (1.0 - rule.late) * episodes:
+        average += max(selection.averaging, 1.0 / len(curve)) * (Q - average)
+        if selection.every and point.episodes > (1.0 - selection.late) * episodes:
             candidates.append((point.episodes, average.copy()))
         show("train", point.episodes / episodes, f"mean episode: {point.duration:.1f} s")
     results = score_tables(
@@ -117,7 +117,7 @@ def train(
         [(n, greedy_accelerations(table)) for n, table in candidates],
         seed=seed,
         workers=workers,
-        done=counted("select", rule.trials * len(candidates), show),
+        done=counted("select", selection.trials * len(candidates), show),
     )
     order = sorted(range(len(results)), key=lambda i: -results[i].score)
     chosen = candidates[order[0]][1] if order else Q
@@ -167,16 +167,16 @@ def score_tables(
 def _score_table(simulation: PlantSimulation, candidate: tuple[int, Array]) -> Checkpoint:
     """Score a candidate: its number of training episodes, and its accelerations [m/s^2]."""
     (episodes, u_of_box), setup = candidate, simulation.setup
-    rule, boxes = setup.settings.selection, make_grid(setup.settings.boxes, simulation.pendulum.k)
-    trials = simulation.draw(rule.trials)
-    rows = range(rule.trials)
-    simulation.run(table_kernel(u_of_box, boxes), trials, rows, duration=rule.duration)
+    boxes = make_grid(setup.settings.boxes, simulation.pendulum.k)
+    selection = setup.settings.selection
+    trials, rows = simulation.draw(selection.trials), range(selection.trials)
+    simulation.run(table_kernel(u_of_box, boxes), trials, rows, duration=selection.duration)
     mean_duration = float(np.mean(trials.steps)) * setup.h
     rms_x = float(np.sqrt(np.sum(trials.sum_x2) / np.sum(trials.steps)))
-    score = mean_duration / rule.duration - RMS_X_WEIGHT * rms_x / paper.X_LIMIT
+    score = mean_duration / selection.duration - RMS_X_WEIGHT * rms_x / paper.X_LIMIT
     return Checkpoint(
         episodes=episodes,
-        trials=rule.trials,
+        trials=selection.trials,
         survived=int(np.sum(trials.cause == TRUNCATED)),
         mean_duration=mean_duration,
         rms_x=rms_x,
@@ -201,20 +201,20 @@ def measure_survival(
         workers: Number of threads, or an executor; the result does not depend on it.
         done: Called with the number of trials that have just finished.
     """
-    rule = policy.settings.selection
+    selection = policy.settings.selection
     simulation = PlantSimulation(
         MODEL, setup_of(policy, MODEL), seed=policy.seed, stream=TARGET_TEST
     )
-    trials = simulation.draw(rule.test_trials)
-    rows = range(rule.test_trials)
-    simulation.run(policy, trials, rows, duration=rule.duration, workers=workers, done=done)
+    trials = simulation.draw(selection.test_trials)
+    rows = range(selection.test_trials)
+    simulation.run(policy, trials, rows, duration=selection.duration, workers=workers, done=done)
     found = trial_results(policy.name, trials, policy.h).summary()
     return TargetTest(
         target=target,
-        duration=rule.duration,
-        trials=rule.test_trials,
+        duration=selection.duration,
+        trials=selection.test_trials,
         survived=found.survived,
-        at_least=lower_bound(found.survived, rule.test_trials, confidence),
+        at_least=lower_bound(found.survived, selection.test_trials, confidence),
         causes=found.outcomes,
     )
 
