@@ -83,7 +83,7 @@ class Heart:
         return ARM.home[6] + 0.005 * (1.0 - cos(4.0 * n * H / 2.0))
 
 
-def move(request, rig, operators, recorder, *, measures, submit, follow):
+def move(request, rig, operators, recorder, *, prepare, submit, follow):
     """Be the course: no more than a stream."""
     clock, (operator,) = SystemClock(), operators
     arm, heart = Arm(clock), Heart()
@@ -127,12 +127,12 @@ def waiting(request, memory, joints, pipe):
     processes._loop(request, memory, joints, pipe)
 
 
-def three(request, rig, operators, recorder, *, measures, submit, follow):
+def three(request, rig, operators, recorder, *, prepare, submit, follow):
     """Be a series of three runs."""
     for _ in range(2):
-        end = move(None, rig, operators, recorder, measures=measures, submit=submit, follow=follow)
+        end = move(None, rig, operators, recorder, prepare=prepare, submit=submit, follow=follow)
         follow(end, request)
-    return move(None, rig, operators, recorder, measures=measures, submit=submit, follow=follow)
+    return move(None, rig, operators, recorder, prepare=prepare, submit=submit, follow=follow)
 
 
 def series(request, memory, joints, pipe):

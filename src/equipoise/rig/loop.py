@@ -99,11 +99,11 @@ def run_loop(
                 except LinkError as error:
                     sensor_lost = True
                     faults.append(End(Outcome.ENCODER_LOST, {"text": str(error)}))
-            replies, words = robot.robot.replies(), operator.read_input()
+            replies, lines = robot.robot.replies(), operator.read_input()
             result = None
             if pending is not None and pending.done():
                 result, pending = pending.exception() or pending.result(), None
-            inputs = TickInputs(samples, replies, words, faults, now - due, result, unsent)
+            inputs = TickInputs(samples, replies, lines, faults, now - due, result, unsent)
             output, faults = controller.tick(now, inputs), []
             if output.setpoints:
                 from_rest = still or inputs.paused(h)

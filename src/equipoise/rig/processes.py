@@ -265,7 +265,7 @@ def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
                 rig,
                 [operator],
                 recorder,
-                measures=host.prepare,
+                prepare=host.prepare,
                 submit=helper.submit,
                 follow=follow,
             )

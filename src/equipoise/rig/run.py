@@ -107,7 +107,7 @@ def run_on_rig(
     operators: Sequence[Operator],
     recorder: Recorder,
     *,
-    measures: Callable[[], dict[str, str]] = dict,
+    prepare: Callable[[], dict[str, str]] = dict,
     submit: Callable[[Job], "Future[Any]"] = run_inline,
     idle: Callable[[], None] = lambda: None,
     follow: Callable[[RunEnd, RunRequest], None] = lambda *_: None,
@@ -119,7 +119,7 @@ def run_on_rig(
         rig: The rig, not connected yet.
         operators: Operators; each receives the messages and may type.
         recorder: Rings for the log.
-        measures: Applies the real-time settings of this process, and returns their results.
+        prepare: Applies the real-time settings of this process, and returns their results.
         submit: Starts a long job (default: inline).
         idle: Called in each tick, e.g. to drain the rings.
         follow: Called between two runs of a series, with the end of one and the next request.
@@ -146,7 +146,7 @@ def run_on_rig(
         tell(OperatorMessage(CONNECTING, f"Connecting to {request.robot}."))
         rig.sensor.connect()
         rig.robot.connect()
-        granted = measures()
+        granted = prepare()
         results, max_speed = preflight(request, rig, granted)
         fit = check_fit(request.policy, request.actuator, request.settings)
         for result in (*fit, *results):
