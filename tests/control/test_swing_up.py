@@ -19,6 +19,7 @@ from equipoise.control.swing_up import (
     SwingUpState,
     begin_swing_up,
     calibrate,
+    pump,
     saves,
     time_limit,
 )
@@ -55,7 +56,7 @@ def swung(law, pendulum, policy, seconds):
 
 
 @settings(max_examples=6)
-@given(st.floats(0.5, 1.1), st.floats(0.0, 0.3))
+@given(st.floats(0.5, 1.4), st.floats(0.0, 0.3))
 def test_any_pendulum_comes_upright_within_the_papers_limits(period, c):
     w2 = (2.0 * pi / period) ** 2
     pendulum = PendulumParameters(w2, w2 / 9.81, c, 0.0, 0.0, False)
@@ -101,6 +102,16 @@ def test_swings_calibrate_the_energy(factor):
 def test_it_hands_over_where_the_policy_saves_the_pendulum(state, saved):
     states = fields(new_records(SwingUpState), SwingUpState)
     assert saves(LAW, states, shipped_policy().kernel, *state, 0) is saved
+
+
+@pytest.mark.parametrize(
+    ("x_dot", "phi", "u"),
+    [(0.29, radians(50.0), 1.0), (0.31, radians(50.0), 0.0), (-0.31, radians(130.0), -1.0)],
+)
+def test_above_the_pivot_it_pumps_at_speeds_at_which_the_policy_can_catch(x_dot, phi, u):
+    states = fields(new_records(SwingUpState), SwingUpState)
+    begin_swing_up(LAW, states, 0)
+    assert pump(LAW, states, 0.0, x_dot, phi, -3.0, 0) == u  # too slow to come upright
 
 
 @pytest.mark.parametrize("world", ["model", "twin:nominal"])
