@@ -265,7 +265,7 @@ def check_swing_up(request: RunRequest) -> Finding:
         "swing-up",
         f"{results.survived} of {TRIALS} succeed in simulation, after {typical:.1f} s (median), "
         f"{longest:.1f} s (maximum)",
-        "use a pendulum with a period below a second, raise --max-speed, or start by hand",
+        "use a shorter pendulum, raise --max-speed, or start by hand",
         warning=results.survived < TRIALS,
         bad=results.survived < TRIALS / 2,
     )
