@@ -280,12 +280,12 @@ def test_each_lane_has_the_bits_of_a_single_environment_in_all_its_episodes(worl
 
 
 def test_more_lanes_than_one_thread_takes_are_equal_to_few():
-    few, many = (gym.make_vec(NAME, lanes, world="ideal") for lanes in (5, 300))
-    few.reset(seed=SEED), many.reset(seed=SEED)
+    few, many = (gym.make_vec(NAME, lanes, world="ideal") for lanes in (5, 600))
+    few.reset(seed=SEED + 595), many.reset(seed=SEED)
     for _ in range(60):
-        ours, theirs = few.step(np.full((5, 1), 0.5)), many.step(np.full((300, 1), 0.5))
+        ours, theirs = few.step(np.full((5, 1), 0.5)), many.step(np.full((600, 1), 0.5))
         for one, other in zip(ours[:4], theirs[:4], strict=True):
-            np.testing.assert_array_equal(one, other[:5])
+            np.testing.assert_array_equal(one, other[-5:])  # of another thread
     many.close()
 
 
