@@ -41,9 +41,10 @@ def test_a_dry_run_ends_before_the_arm_moves_and_names_the_run_itself(equipoise)
 
 @pytest.mark.full
 def test_an_arm_that_fits_no_policy_leads_to_a_training_for_it(equipoise, pendulum, tmp_path):
-    slow = Actuator.assumed("kst", delay=0.05, lag=0.008)
-    policy = shipped_policy().model_copy(update={"pendulum": pendulum, "actuator": slow})
-    policy.save(tmp_path / "slow.json", command="test")
+    slow, shipped = Actuator.assumed("kst", delay=0.05, lag=0.008), shipped_policy()
+    worst = tuple(tuple(-value for value in row) for row in shipped.Q)
+    new = {"pendulum": pendulum, "actuator": slow, "Q": worst}
+    shipped.model_copy(update=new).save(tmp_path / "slow.json", command="test")
     pendulum.save(tmp_path / "my-pendulum.json", command="test")
     ran = equipoise(
         "deploy", "slow.json", "--robot", "twin:nominal", "--arm", "iiwa7", "--identify"
