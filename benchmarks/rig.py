@@ -41,7 +41,12 @@ from equipoise.log.run_log import RunLog
 
 ANSWERS = ((re.compile(r"Type (\w+)\."), None), (re.compile(r"y or n"), "y"))
 """Pattern of each prompt, and its answer; None if the first group of the match is the answer."""
-HAND = (("button", "press"), ("Lift the pendulum", "lift"), ("Armed", "release"))
+HAND = (
+    ("button", "press"),
+    ("Lift the pendulum", "lift"),
+    ("Armed", "release"),
+    ("nudge it", "push"),  # dry friction may hold a pendulum that was released upright
+)
 """Prompts, and the words that make the emulated hand follow them."""
 STALL = "the host stalled"
 ATTEMPTS = 4
