@@ -159,8 +159,7 @@ class Lanes:
         threads = max(1, min(available_cores(), len(worlds) // WORLDS_AHEAD - 1))
         self.pool = ThreadPoolExecutor(threads)
         """Threads; to be shut down."""
-        ahead = min(WORLDS_AHEAD, len(worlds))
-        ends = np.linspace(ahead, len(worlds), threads + 1).round().astype(int).tolist()
+        ends = np.linspace(WORLDS_AHEAD, len(worlds), threads + 1).round().astype(int).tolist()
         self._own, *self._others = pairwise([0, *ends[1:]])
 
     def release(self, rows: IntArray, seed: int | None = None) -> Records:
