@@ -18,7 +18,7 @@ from equipoise.rig.config import RigSettings
 from equipoise.rig.interfaces import Reply, Sample
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
-from equipoise.rig.script import Run
+from equipoise.rig.script import Run, script
 
 JOBS = {"self-test", "actuator", "identified"}
 """Names of events in ticks that receive the result of a job."""
@@ -62,7 +62,7 @@ def replay(run, policy):
         max_speed=inf if limit is None else limit,
         clock=clock,
     )
-    return compared(run, RunController(state), clock)
+    return compared(run, RunController(state, script(state)), clock)
 
 
 def compared(run, controller, clock):

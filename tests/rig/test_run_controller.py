@@ -71,7 +71,8 @@ class Course:
 
     def __init__(self, q=ARM.home, identify=None, request=REQUEST):
         request = replace(request, identify=identify)
-        self.pilot = RunController(Run(request, q, counts_per_rev=COUNTS))
+        run = Run(request, q, counts_per_rev=COUNTS)
+        self.pilot = RunController(run, script.script(run))
         self.guard = self.pilot.run.safety
         self.tick_number, self.now = 0, 0.0
         self.theta = lambda time: 0.0

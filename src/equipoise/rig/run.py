@@ -26,7 +26,7 @@ from equipoise.rig.interfaces import Clock, Operator
 from equipoise.rig.loop import run_inline, run_loop
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
-from equipoise.rig.script import Run
+from equipoise.rig.script import Run, script
 from equipoise.rig.series import LEADS_ON, RunLogs
 from equipoise.settings import HANGING
 
@@ -225,7 +225,7 @@ def _run_once(
         max_speed=max_speed,
         clock=rig.clock.now,
     )
-    controller = RunController(run)
+    controller = RunController(run, script(run))
     ending = run_loop(
         robot,
         rig.sensor,

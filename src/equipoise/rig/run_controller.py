@@ -32,7 +32,6 @@ from equipoise.rig.script import (
     Steps,
     Tick,
     come_to_rest,
-    script,
 )
 from equipoise.safety import rules
 from equipoise.safety.monitors import MAX_REPEATS, REPEAT_WINDOW, RepeatMonitor
@@ -52,11 +51,12 @@ OFF_TRACK: Final = {Phase.HOMING, Phase.EXCITING}
 class RunController:
     """Controller of a run: measurements, safety rules, script, stop."""
 
-    def __init__(self, run: Run) -> None:
-        """Begin the way home from the posture that the servo holds.
+    def __init__(self, run: Run, script: Steps[End]) -> None:
+        """Begin a run with the first step of its script.
 
         Args:
             run: State of the run, at its begin.
+            script: The setpoints of its phases, from `equipoise.rig.script.script`.
 
         Raises:
             ArmError: Home is too close to a limit for the excitation.
@@ -65,7 +65,7 @@ class RunController:
         """State of the run."""
         self.h = run.h
         """Time between ticks [s]."""
-        self._script: Steps[End | None] = script(run)
+        self._script: Steps[End | None] = script
         next(self._script)
         self._tick = Tick()
         self.end: End | None = None
