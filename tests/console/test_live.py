@@ -94,6 +94,13 @@ def test_questions_and_stop(played):
         wait_until(lambda: "balancing" in shown(page, "#equipoise-state")[0], "phase")
         assert "Run 3 of 10" in shown(page, "#equipoise-state")[0]
         wait_until(lambda: "<img" in "".join(shown(page, "#equipoise-messages")), "message as text")
+        wait_until(lambda: "balanced " in shown(page, "#equipoise-state")[0], "length")
+        run.phase = Phase.STOPPING
+        wait_until(lambda: "stopping" in shown(page, "#equipoise-state")[0], "rest")
+        # A busy page may miss the homing of the next run.
+        push_event(run.recorder.event, 0.0, OperatorMessage("run", "Run 4 of 10; all survived."))
+        wait_until(lambda: "Run 4 of 10" in shown(page, "#equipoise-state")[0], "next run")
+        assert "balanced" not in shown(page, "#equipoise-state")[0]
 
         page.execute_script(
             "const send = window.fetch; window.fetch = (path, options) => { if (path === '/stop') "

@@ -192,9 +192,9 @@ class LivePage:
                 late = 1e3 * max(run.late, 0.0)
                 self._history.append((run.time, degrees(run.phi), 1e3 * x, run.u, late))
                 self._draw_plots()
-            if run.phase is Phase.HOMING:  # also in the next run of a series
+            if any(event.name == "run" for event in run.events):  # the next one of a series
                 self._began = nan
-            elif run.phase is Phase.BALANCING:
+            if run.phase is Phase.BALANCING:
                 self._began = self._began if isfinite(self._began) else run.time
                 self._ended = run.time
             self._describe(run)
