@@ -36,7 +36,8 @@ CHANGES: dict[str, tuple[str, ...]] = {
     "+ look-ahead": ("boxes",),
     "+ mirrored updates": ("learning.mirrored",),
     "+ failure alone costs": ("learning.reward",),
-    "+ averages of tables: the default": ("selection",),
+    "+ averages of tables": ("selection",),
+    "+ wider starts: the default": ("learning",),
 }
 """Sections and settings of recipe `robust` that each rung takes up."""
 

@@ -209,14 +209,15 @@ class LearningSettings(Value):
     mirrored: bool = True
     """Whether each update is repeated for the mirror image: the task is symmetric, and experience
     counts twice."""
-    start_x: float = Field(default=0.13, ge=0.0, lt=paper.X_LIMIT)
+    start_x: float = Field(default=0.14, ge=0.0, lt=paper.X_LIMIT)
     """Half width of the uniform initial x of episodes [m]: exploring starts visit boxes that a good
     policy seldom reaches. Wider starts are often lost under any policy, and teach little."""
-    start_x_dot: float = Field(default=0.19, ge=0.0, le=10.0)
+    start_x_dot: float = Field(default=0.3, ge=0.0, le=10.0)
     """Half width of the uniform initial x_dot [m/s]: a table holds little beyond it."""
-    start_phi: float = Field(default=0.004, ge=0.0, lt=radians(paper.PHI_LIMIT_DEG))
-    """Half width of the uniform initial phi [rad]."""
-    start_phi_dot: float = Field(default=0.57, ge=0.0, le=100.0)
+    start_phi: float = Field(default=radians(3.5), ge=0.0, lt=radians(paper.PHI_LIMIT_DEG))
+    """Half width of the uniform initial phi [rad]: episodes that begin inclined teach a table to
+    recover from pushes."""
+    start_phi_dot: float = Field(default=radians(23.0), ge=0.0, le=100.0)
     """Half width of the uniform initial phi_dot [rad/s]."""
 
 
@@ -312,6 +313,10 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
         "plant.orientation_error_sigma": 5e-4,
         "learning.reward": "centred",
         "learning.mirrored": False,
+        "learning.start_x": 0.13,
+        "learning.start_x_dot": 0.19,
+        "learning.start_phi": 0.004,
+        "learning.start_phi_dot": 0.57,
         "selection.averaging": 1.0,
         "selection.every": 60,
     },
