@@ -5,9 +5,7 @@ Speed itself is measured, not tested: it depends on the machine.
 
 import numpy as np
 import pytest
-from benchmarks.bench import (
-    PinocchioLoop,
-)
+from benchmarks.bench import PinocchioLoop
 
 from equipoise import paper
 from equipoise.arm.iiwa import iiwa

@@ -11,13 +11,7 @@ import pytest
 
 from equipoise.arm.urdf import read_urdf
 from equipoise.errors import ArtefactError, InputError, OutsideError
-from equipoise.files import (
-    Artefact,
-    Value,
-    read_document,
-    reserved,
-    value_digest,
-)
+from equipoise.files import Artefact, Value, read_document, reserved, value_digest
 from equipoise.identification.recording import read_swing
 from equipoise.settings import resolve
 
@@ -144,12 +138,7 @@ def test_what_is_no_file_of_equipoise_is_refused(tmp_path, saved):
 
 
 @pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ('"count": 3', '"count": 4'),
-        ("0.1", "0.10000000000000002"),
-        ("2.5", "NaN"),
-    ],
+    ("old", "new"), [('"count": 3', '"count": 4'), ("0.1", "0.10000000000000002"), ("2.5", "NaN")]
 )
 def test_an_edited_file_is_refused(saved, old, new):
     text = saved.read_text()

@@ -61,11 +61,9 @@ def test_a_live_display_escapes_its_words(capsys, monkeypatch):
     assert "\x1b]0;" not in said
 
 
-HOSTILE_ARM = iiwa(7).model_copy(
-    update={
-        "joints": (iiwa(7).joints[0].model_copy(update={"name": HOSTILE}), *iiwa(7).joints[1:]),
-    }
-)
+FIRST, *OTHERS = iiwa(7).joints
+HOSTILE_JOINTS = (FIRST.model_copy(update={"name": HOSTILE}), *OTHERS)
+HOSTILE_ARM = iiwa(7).model_copy(update={"joints": HOSTILE_JOINTS})
 
 
 @pytest.fixture

@@ -8,13 +8,7 @@ import pytest
 
 from equipoise.arm.iiwa import iiwa7
 from equipoise.console.live import RunWatch
-from equipoise.log.recorder import (
-    RunInfo,
-    live_runs,
-    open_recorder,
-    push_event,
-    share,
-)
+from equipoise.log.recorder import RunInfo, live_runs, open_recorder, push_event, share
 from equipoise.outcomes import Phase
 from equipoise.rig.interfaces import OperatorMessage
 from equipoise.rig.processes import OperatorProxy

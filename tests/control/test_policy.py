@@ -9,14 +9,7 @@ from hypothesis import strategies as st
 
 from equipoise import paper
 from equipoise.arm.iiwa import iiwa
-from equipoise.control.policy import (
-    LINEAR,
-    RANDOM,
-    SNAPPED,
-    PolicyKernel,
-    TabularPolicy,
-    act,
-)
+from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, PolicyKernel, TabularPolicy, act
 from equipoise.model.actuator import IDEAL_ACTUATOR
 from equipoise.model.grid import make_grid
 from equipoise.settings import BoxSettings, Settings

@@ -13,14 +13,7 @@ import numpy as np
 import pytest
 
 from equipoise.errors import InputError
-from equipoise.robots.encoder.codec import (
-    Banner,
-    Decoder,
-    Flags,
-    Reading,
-    count_requests,
-    encode,
-)
+from equipoise.robots.encoder.codec import Banner, Decoder, Flags, Reading, count_requests, encode
 
 HERE = Path(__file__).parent
 SKETCH = HERE.parents[1] / "firmware" / "equipoise_encoder"

@@ -36,17 +36,7 @@ def setpoints(rng, duration, scale):
     return time, q
 
 
-def cabinet(
-    rng,
-    time,
-    q,
-    *,
-    delay=0.010,
-    law="kst",
-    cycle=1e-3,
-    push=0.0,
-    noise=NOISE,
-):
+def cabinet(rng, time, q, *, delay=0.010, law="kst", cycle=1e-3, push=0.0, noise=NOISE):
     """Return a log of joints behind a server's servo; each reply has its own, exact time."""
     phase = rng.uniform(0.0, 1e-3)
     arrival = np.maximum.accumulate(time + delay + rng.uniform(-1e-3, 1e-3, len(time)))
@@ -109,10 +99,7 @@ def test_delay_lags_and_shaping_law_are_found_together_and_a_steady_load_moves_n
     assert actuator.fit.warnings == ()
 
 
-@pytest.mark.parametrize(
-    ("law", "cycle"),
-    [("kst", 0.016), ("unshaped", 0.03)],
-)
+@pytest.mark.parametrize(("law", "cycle"), [("kst", 0.016), ("unshaped", 0.03)])
 def test_a_slow_servo_is_found_with_or_without_the_shaping_law(law, cycle):
     actuator = identified(recorded(law=law, cycle=cycle, duration=6.0))
     assert actuator.kind == law

@@ -6,11 +6,7 @@ import pytest
 from equipoise import paper
 from equipoise.arm.iiwa import iiwa
 from equipoise.learning.choice import compile_functions
-from equipoise.learning.episodes import (
-    compiled_loop,
-    new_training_state,
-    training_config,
-)
+from equipoise.learning.episodes import compiled_loop, new_training_state, training_config
 from equipoise.learning.q_learning import Transition, new_tables, q_learning
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.settings import resolve

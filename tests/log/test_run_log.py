@@ -42,11 +42,7 @@ def excited():
     return simulated_log(conditions(), end, {}, stream={"time": time, "q": q}, replies=replies)
 
 
-RUNS = {
-    "no ticks": lambda: made_up(0),
-    "all tables": made_up,
-    "an excitation": excited,
-}
+RUNS = {"no ticks": lambda: made_up(0), "all tables": made_up, "an excitation": excited}
 
 
 @pytest.mark.parametrize("kind", RUNS)

@@ -81,8 +81,7 @@ def test_any_ends_give_the_box_that_numpy_gives_and_its_mirror_image(ends, state
 
 
 @pytest.mark.parametrize(
-    "ends",
-    ["x=[0.1, -0.1]", "x=[-0.1, 0.05]", "x=[-0.22, 0.22]", "phi_deg=[-5, 5]", "x_dot=[nan]"],
+    "ends", ["x=[0.1, -0.1]", "x=[-0.1, 0.05]", "x=[-0.22, 0.22]", "phi_deg=[-5, 5]", "x_dot=[nan]"]
 )
 def test_ends_that_divide_nothing_are_refused(ends):
     with pytest.raises(SettingsError) as refused:

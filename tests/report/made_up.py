@@ -207,13 +207,7 @@ def swung_up(of, balanced=2.0, cause=Outcome.SURVIVED):
 
 
 def results(
-    *,
-    recipe="robust",
-    given=None,
-    warnings=(),
-    falls=(3.0, 20.0),
-    world="twin:nominal",
-    **of_run,
+    *, recipe="robust", given=None, warnings=(), falls=(3.0, 20.0), world="twin:nominal", **of_run
 ):
     """All of it. `given` is the name of a recording, where one was given."""
     trajectory = swing(source=given or "simulated swing")

@@ -13,11 +13,7 @@ from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.report.page import build
 from equipoise.reproduction.pipeline import TWIN, reproduce
 from equipoise.reproduction.results import POLICY, SWING
-from equipoise.reproduction.synthetic_swing import (
-    SIMULATED_C,
-    SIMULATED_HOLD,
-    synthetic_swing,
-)
+from equipoise.reproduction.synthetic_swing import SIMULATED_C, SIMULATED_HOLD, synthetic_swing
 from equipoise.settings import resolve
 from tests.arm.witnesses import ELBOW
 from tests.arms import without_masses

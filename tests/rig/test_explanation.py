@@ -10,12 +10,7 @@ from equipoise.identification.refine import read_motion
 from equipoise.log.conditions import RunEnd
 from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Outcome, Phase
-from equipoise.rig.explanation import (
-    RootCause,
-    explain,
-    root_causes,
-    unexplained_rate,
-)
+from equipoise.rig.explanation import RootCause, explain, root_causes, unexplained_rate
 from equipoise.rig.simulate import simulate_run
 from equipoise.settings import changed
 from tests.log.made_up import changed_table

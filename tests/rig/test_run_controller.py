@@ -15,13 +15,7 @@ from equipoise.errors import RecordingError
 from equipoise.identification.driven_swing import SelfTest, SelfTestVerdict
 from equipoise.log.conditions import Reference
 from equipoise.model.actuator import Actuator
-from equipoise.outcomes import (
-    MAX_MEASUREMENT_AGE,
-    End,
-    Outcome,
-    Phase,
-    describe,
-)
+from equipoise.outcomes import MAX_MEASUREMENT_AGE, End, Outcome, Phase, describe
 from equipoise.rig import script
 from equipoise.rig.config import RigSettings
 from equipoise.rig.request import RunRequest

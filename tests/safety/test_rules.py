@@ -250,8 +250,7 @@ def along(n, follow, speed=0.1):
     """Return views of an arm that is expected to move steadily, and does by a fraction of it."""
     return [
         SafetyInputs(
-            measured=moved(HOME, 1, follow * speed * H * i),
-            expected=moved(HOME, 1, speed * H * i),
+            measured=moved(HOME, 1, follow * speed * H * i), expected=moved(HOME, 1, speed * H * i)
         )
         for i in range(n)
     ]

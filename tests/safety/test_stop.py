@@ -10,12 +10,7 @@ from hypothesis import strategies as st
 from equipoise.arm.iiwa import iiwa
 from equipoise.errors import InputError
 from equipoise.safety.rules import STOP_DECELERATION, check_setpoint, limits_of
-from equipoise.safety.stop import (
-    SLOW_FRACTION,
-    ramp,
-    stoppable_speeds,
-    way_back,
-)
+from equipoise.safety.stop import SLOW_FRACTION, ramp, stoppable_speeds, way_back
 
 ARM = iiwa(14)
 LIMITS = limits_of(ARM)

@@ -10,13 +10,7 @@ from equipoise.model.actuator import Servos, follow, lag_fraction
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import POSITION_DRIVES, TwinSettings
 from equipoise.simulation.twin.physics import TICK
-from equipoise.simulation.twin.servo_model import (
-    equivalent_actuator,
-    new_servo,
-    send,
-    serve,
-    start,
-)
+from equipoise.simulation.twin.servo_model import equivalent_actuator, new_servo, send, serve, start
 from equipoise.simulation.twin.twin import Twin
 from tests.model.test_actuator import STEADY_LAG_MS
 
@@ -65,9 +59,7 @@ def test_the_servo_follows_new_setpoints_once_per_cycle(cycle_ms):
 
 
 @pytest.mark.parametrize(
-    "changes",
-    [{}, POSITION_DRIVES | {"shaped": False}, {"reach_time": 0.040}],
-    ids=str,
+    "changes", [{}, POSITION_DRIVES | {"shaped": False}, {"reach_time": 0.040}], ids=str
 )
 def test_an_arm_without_load_moves_as_the_equivalent_actuator(changes):
     settings = UNLOADED.model_copy(update=changes)

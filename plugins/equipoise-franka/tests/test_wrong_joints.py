@@ -14,13 +14,7 @@ from equipoise.rig.config import RigSettings
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.plugins import Session
 from equipoise_franka.robot import FrankaRobot
-from tests.rig.test_run_controller import (
-    POLICY,
-    REQUEST,
-    Course,
-    H,
-    balancing,
-)
+from tests.rig.test_run_controller import POLICY, REQUEST, Course, H, balancing
 
 from .controller import Controller
 
