@@ -33,8 +33,7 @@ ARGUMENTS = {
     [(function, name) for function, names in ARGUMENTS.items() for name in names],
     ids=lambda value: getattr(value, "__name__", value),
 )
-def test_a_wrong_argument_gives_one_sentence(function, name, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_wrong_argument_gives_one_sentence(function, name):
     for value in WRONG:
         with pytest.raises(InputError) as refusal:
             function(**{name: value})
@@ -42,8 +41,7 @@ def test_a_wrong_argument_gives_one_sentence(function, name, tmp_path, monkeypat
         assert len(str(refusal.value)) < 300
 
 
-def test_names_and_files_stand_for_values(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_names_and_files_stand_for_values():
     eq.shipped_pendulum().save("p.json")
     eq.shipped_policy().save("policy.json")
     assert eq.iiwa("iiwa14") == eq.iiwa(14)

@@ -52,10 +52,9 @@ pytestmark = pytest.mark.compiled_only
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
+def folder(tmp_path):
     (tmp_path / "own_world.py").write_text(WORLD)
     (tmp_path / "broken_world.py").write_text(BROKEN)
-    monkeypatch.chdir(tmp_path)
     yield
     for name in ("own_world", "broken_world"):
         sys.modules.pop(name, None)

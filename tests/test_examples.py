@@ -27,9 +27,8 @@ SAY = {
 
 
 @pytest.fixture
-def example(tmp_path, monkeypatch, capsys):
+def example(monkeypatch, capsys):
     """Run an example as a script; return what it prints."""
-    monkeypatch.chdir(tmp_path)
 
     def run(name, *arguments):
         monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])

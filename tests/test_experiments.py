@@ -37,9 +37,8 @@ WRITES = {"table_search": "best.json", "value_iteration": "solved.json"}
 
 
 @pytest.fixture
-def experiment(tmp_path, monkeypatch, capsys):
+def experiment(monkeypatch, capsys):
     """Run an experiment as a script; return what it prints."""
-    monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(EXPERIMENTS)
 
     def run(name, *arguments, folder=EXPERIMENTS):

@@ -121,8 +121,7 @@ def test_drawings_of_a_link_are_not_judged(edited, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_warnings_of_mujoco_are_neither_printed_nor_written(tmp_path, monkeypatch, capfd):
-    monkeypatch.chdir(tmp_path)
+def test_warnings_of_mujoco_are_neither_printed_nor_written(tmp_path, capfd):
     model = mujoco().MjModel.from_xml_string(
         '<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>'
     )

@@ -24,9 +24,8 @@ class Ran(NamedTuple):
 
 
 @pytest.fixture
-def equipoise(tmp_path, monkeypatch, capfd):
-    """Run the command in an empty folder; each call returns what came of it."""
-    monkeypatch.chdir(tmp_path)
+def equipoise(monkeypatch, capfd):
+    """Run the command; each call returns what came of it."""
     monkeypatch.setenv("COLUMNS", "200")
     capfd.readouterr()
 

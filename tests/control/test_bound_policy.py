@@ -80,7 +80,6 @@ needs_onnx = pytest.mark.skipif(
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A folder with policies of all kinds, which is the current one."""
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     (tmp_path / "guest.py").write_text(SOURCE)
     (tmp_path / "lqr.onnx").write_bytes(linear_network([[gain] for gain in GAINS]))

@@ -158,7 +158,6 @@ number = 3
 
 @pytest.fixture
 def guest(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(__import__("sys").modules, "guest_of_tests", raising=False)
     monkeypatch.syspath_prepend(tmp_path)
     path = tmp_path / "guest_of_tests.py"
