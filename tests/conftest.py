@@ -14,7 +14,7 @@ from equipoise.model.actuator import IDEAL_ACTUATOR
 from equipoise.model.pendulum import Pendulum
 from equipoise.physics_engine import mujoco
 from equipoise.reproduction.warm_up import is_warm, warm_up
-from equipoise.settings import resolve
+from equipoise.settings import EvaluationSettings, LearningSettings, SelectionSettings, Settings
 
 mujoco()  # before a test imports MuJoCo, which chooses its OpenGL then
 
@@ -63,17 +63,10 @@ def pendulum():
 @pytest.fixture(scope="session")
 def quick_settings():
     """A training of a second, with a selection, and trials of three seconds."""
-    return resolve(
-        overrides=[
-            "learning.episodes=120",
-            "learning.episode_duration=2",
-            "selection.every=40",
-            "selection.trials=4",
-            "selection.duration=2",
-            "selection.test_trials=20",
-            "evaluation.trials=20",
-            "evaluation.duration=2",
-        ]
+    return Settings(
+        learning=LearningSettings(episodes=120, episode_duration=2),
+        selection=SelectionSettings(every=40, trials=4, duration=2, test_trials=20),
+        evaluation=EvaluationSettings(trials=20, duration=2),
     )
 
 
@@ -121,16 +114,8 @@ def record_rig(path):
     world = read_world("twin:nominal")
     real = pendulum_on(policy.pendulum, world.settings)
     rig = emulated_rig(world, settings, real, seed=3, robot="kst")
-    request = RunRequest(
-        policy=policy,
-        actuator=policy.actuator,
-        settings=settings,
-        robot="kst://emulated",
-        encoder="serial:///emulated",
-        duration=1.5,
-        dry_run=False,
-        seed=3,
-    )
+    links = ("kst://emulated", "serial:///emulated")
+    request = RunRequest(policy, policy.actuator, settings, *links, duration=1.5, seed=3)
     assert run_virtually(request, path, rig=rig).outcome == "survived"
 
 

@@ -19,14 +19,9 @@ from equipoise.simulation.evaluation import Evaluation
 from tests.cli.conftest import contents
 
 SHORT = (
-    "--episodes=40",
-    "--workers=1",
-    "--set=learning.episode_duration=1",
-    "--set=selection.every=20",
-    "--set=selection.late=1",
-    "--set=selection.trials=4",
-    "--set=selection.duration=4",
-    "--set=selection.test_trials=100",
+    *("--episodes=40", "--workers=1", "--set=learning.episode_duration=1"),
+    *("--set=selection.every=20", "--set=selection.late=1", "--set=selection.trials=4"),
+    *("--set=selection.duration=4", "--set=selection.test_trials=100"),
 )
 FEW = ("--trials=4", "--duration=1", "--workers=1")
 

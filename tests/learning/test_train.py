@@ -10,7 +10,7 @@ from equipoise.files import Estimate
 from equipoise.learning import train as train_module
 from equipoise.learning.episodes import Training
 from equipoise.learning.train import check_task, measure_survival, train, train_to_target
-from equipoise.model.actuator import Actuator, shipped_actuator
+from equipoise.model.actuator import shipped_actuator
 from equipoise.settings import resolve
 from equipoise.simulation import Setup
 
@@ -19,15 +19,9 @@ pytestmark = pytest.mark.compiled_only
 
 ARM = iiwa(14)
 QUICK = [
-    "learning.episodes=60",
-    "learning.episode_duration=1",
-    "selection.every=20",
-    "selection.trials=20",
-    "selection.duration=2",
-    "selection.test_trials=100",
+    *("learning.episodes=60", "learning.episode_duration=1", "selection.every=20"),
+    *("selection.trials=20", "selection.duration=2", "selection.test_trials=100"),
 ]
-KST = Actuator.assumed("kst", delay=0.0125, lag=0.008)
-SLOW = Actuator.assumed("kst", delay=0.01, lag=0.004, cycle=0.016)
 
 
 def settings(*overrides, recipe="robust"):

@@ -14,21 +14,14 @@ from equipoise.report.page import build
 from equipoise.reproduction.pipeline import TWIN, reproduce
 from equipoise.reproduction.results import POLICY, SWING
 from equipoise.reproduction.synthetic_swing import SIMULATED_C, SIMULATED_HOLD, synthetic_swing
-from equipoise.settings import resolve
+from equipoise.settings import EvaluationSettings, LearningSettings, SelectionSettings, Settings
 from tests.arm.witnesses import ELBOW
 from tests.arms import without_masses
 
-SHORT = resolve(
-    overrides=[
-        "learning.episodes=60",
-        "learning.episode_duration=2",
-        "selection.every=20",
-        "selection.trials=4",
-        "selection.duration=2",
-        "selection.test_trials=600",
-        "evaluation.trials=8",
-        "evaluation.duration=2",
-    ]
+SHORT = Settings(
+    learning=LearningSettings(episodes=60, episode_duration=2),
+    selection=SelectionSettings(every=20, trials=4, duration=2, test_trials=600),
+    evaluation=EvaluationSettings(trials=8, duration=2),
 )
 
 

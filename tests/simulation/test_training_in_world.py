@@ -10,20 +10,17 @@ from equipoise.learning.episodes import Training
 from equipoise.learning.train import actuator_in, train
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.pendulum import Pendulum
-from equipoise.settings import resolve
+from equipoise.settings import LearningSettings, SelectionSettings, Settings
 from equipoise.simulation import Setup
 from equipoise.simulation.ideal import PlantSimulation
 
 pytestmark = pytest.mark.compiled_only
 
 ARM, PENDULUM = iiwa(7), Pendulum.assumed(70.2, 0.15)
-FEW = [
-    "learning.episodes=6",
-    "learning.episode_duration=0.5",
-    "selection.every=3",
-    "selection.trials=4",
-    "selection.duration=0.5",
-]
+FEW = Settings(
+    learning=LearningSettings(episodes=6, episode_duration=0.5),
+    selection=SelectionSettings(every=3, trials=4, duration=0.5),
+)
 
 
 @pytest.mark.full
@@ -32,7 +29,7 @@ def test_an_episode_in_a_world_teaches_what_it_teaches_compiled(actuator, monkey
     monkeypatch.setattr(
         episodes, "simulate", lambda _, *setup, **key: PlantSimulation("model", *setup, **key)
     )
-    settings = resolve(overrides=["learning.episodes=1"])
+    settings = Settings(learning=LearningSettings(episodes=1))
     setup = Setup(PENDULUM, ARM, settings, actuator, paper.STEP)
     for seed in range(3):
         compiled, stepped = (Training(setup, world, seed) for world in ("model", "own:Plant"))
@@ -46,20 +43,18 @@ def test_an_episode_in_a_world_teaches_what_it_teaches_compiled(actuator, monkey
 
 
 def test_training_on_a_twin_differs_from_training_on_the_model():
-    settings, world = resolve(overrides=FEW), "twin:nominal"
-    whole = train(PENDULUM, ARM, settings, seed=2, world=world)
+    whole = train(PENDULUM, ARM, FEW, seed=2, world="twin:nominal")
     assert [point.episodes for point in whole.learning_curve] == [3, 6]
-
-    assert train(PENDULUM, ARM, settings, seed=2).digest != whole.digest
+    assert train(PENDULUM, ARM, FEW, seed=2).digest != whole.digest
 
 
 def test_a_world_that_cannot_train_is_refused():
-    settings, own = resolve(overrides=FEW), Actuator.assumed("lag", delay=0.01, lag=0.01)
+    own = Actuator.assumed("lag", delay=0.01, lag=0.01)
     kinematic = "coppeliasim://localhost"
     with pytest.raises(InputError):
-        actuator_in("ideal", settings, None)
+        actuator_in("ideal", FEW, None)
     with pytest.raises(InputError):
-        actuator_in(kinematic, settings, own)
-    assert actuator_in(kinematic, settings, None) == IDEAL_ACTUATOR
+        actuator_in(kinematic, FEW, own)
+    assert actuator_in(kinematic, FEW, None) == IDEAL_ACTUATOR
     with pytest.raises(SettingsError):
-        actuator_in("moon", settings, None)
+        actuator_in("moon", FEW, None)
