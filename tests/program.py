@@ -21,6 +21,12 @@ def wait_until(condition, what, limit=LONGEST):
     return value
 
 
+def run_program(*words, check=True, **options):
+    """Run a program to its end; return its exit code, its output and its errors."""
+    words = [str(word) for word in words]
+    return subprocess.run(words, capture_output=True, text=True, check=check, **options)
+
+
 class Program:
     """A program of Equipoise, and the lines that it prints."""
 

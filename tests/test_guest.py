@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.program import run_program
+
 GUEST = Path(__file__).parent / "guest"
 
 pytestmark = [pytest.mark.full, pytest.mark.compiled_only]
@@ -33,14 +35,8 @@ def run(installed, tmp_path):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
     def run(*arguments):
-        ran = subprocess.run(
-            [sys.executable, *map(str, arguments)],
-            cwd=tmp_path,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=600,
-        )
+        options = {"cwd": tmp_path, "env": environment, "timeout": 600}
+        ran = run_program(sys.executable, *arguments, check=False, **options)
         assert ran.returncode == 0, ran.stdout + ran.stderr
         return ran
 

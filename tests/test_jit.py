@@ -2,10 +2,11 @@
 
 import os
 import re
-import subprocess
 import sys
 
 import pytest
+
+from tests.program import run_program
 
 JIT = os.environ.get("NUMBA_DISABLE_JIT", "0") == "0"
 
@@ -48,14 +49,8 @@ def session(folder, factor="2.0", **environment):
     """Run the session above; return four, six, its cache hits, and what it warns of."""
     (folder / "tried.py").write_text(MODULE.replace("FACTOR", factor))
     (folder / "session.py").write_text(SESSION)
-    run = subprocess.run(
-        [sys.executable, str(folder / "session.py"), str(folder)],
-        env={**os.environ, "EQUIPOISE_CACHE_DIR": str(folder / "cache"), **environment},
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=300,
-    )
+    env = {**os.environ, "EQUIPOISE_CACHE_DIR": str(folder / "cache"), **environment}
+    run = run_program(sys.executable, folder / "session.py", folder, env=env, timeout=300)
     return run.stdout.split(), run.stderr
 
 

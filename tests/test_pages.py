@@ -4,7 +4,6 @@ import ast
 import os
 import re
 import shlex
-import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -16,6 +15,7 @@ from equipoise.control.policy import shipped_policy
 from equipoise.identification.recording import write_swing
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from tests.cli.conftest import parse
+from tests.program import run_program
 from tests.reference.onnx_network import FLOAT, linear_network
 
 ROOT = Path(__file__).parents[1]
@@ -201,14 +201,7 @@ def test_the_commands_of_a_page_run(page, folder):
     environment = os.environ | {"PATH": f"{bin_folder}{os.pathsep}{os.environ['PATH']}"}
 
     def shell(line):
-        return subprocess.run(
-            ["bash", "-c", line],
-            cwd=folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        return run_program("bash", "-c", line, cwd=folder, env=environment, check=False)
 
     for log in ("run.mcap", "other-run.mcap"):
         line = f"equipoise deploy policy.json --duration 10 --world twin:nominal --out {log}"

@@ -2,13 +2,13 @@
 
 import inspect
 import json
-import subprocess
 import sys
 
 import pytest
 from pydantic import BaseModel
 
 import equipoise
+from tests.program import run_program
 
 HEAVY = ("numpy", "numba", "scipy", "mujoco", "matplotlib", "pydantic", "typer", "rich", "mcap")
 NAMES = [name for name in equipoise.__all__ if not name.startswith("__")]
@@ -18,10 +18,7 @@ def test_importing_the_package_imports_nothing_that_is_slow():
     program = (
         f"import equipoise, sys, json; print(json.dumps([m for m in {HEAVY} if m in sys.modules]))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert json.loads(done.stdout) == []
+    assert json.loads(run_program(sys.executable, "-c", program).stdout) == []
 
 
 def test_every_name_is_there_and_listed():

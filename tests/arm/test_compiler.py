@@ -1,7 +1,6 @@
 """The generator: what it simplifies, and the machine code that is found again."""
 
 import os
-import subprocess
 import sys
 
 import pytest
@@ -10,6 +9,7 @@ from hypothesis import strategies as st
 
 from equipoise.arm import compiler
 from equipoise.elementary import fma
+from tests.program import run_program
 
 INPUTS = {"a": 0.7, "b": -1.3, "c": 2.1}
 NUMBERS = st.sampled_from([0.0, 1.0, -1.0, 0.5, -2.5])
@@ -66,13 +66,8 @@ print(round(height, 12))
 @pytest.mark.full
 def test_the_machine_code_of_an_arm_is_found_again(tmp_path):
     def run():
-        return subprocess.run(
-            [sys.executable, "-c", OTHER_ARM],
-            env=os.environ | {"EQUIPOISE_CACHE_DIR": str(tmp_path)},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.split()
+        own_cache = os.environ | {"EQUIPOISE_CACHE_DIR": str(tmp_path)}
+        return run_program(sys.executable, "-c", OTHER_ARM, env=own_cache).stdout.split()
 
     height = str(round(0.34 + 0.4 + 0.4 + 0.2, 12))
     assert run() == [height]

@@ -16,6 +16,7 @@ from equipoise.cli.options import TABLES
 from equipoise.cli.output import Output
 from equipoise.simulation.evaluation import Evaluation
 from tests.cli.conftest import verbs
+from tests.program import run_program
 
 HEAVY = ("numba", "numpy", "scipy", "mujoco", "matplotlib", "mcap")
 COMMAND = (sys.executable, "-m", "equipoise")
@@ -64,10 +65,7 @@ main(['train', '--help'])
 import sys
 print([name for name in {HEAVY} if name in sys.modules])
 """
-    ran = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert ran.stdout.endswith("\n[]\n")
+    assert run_program(sys.executable, "-c", program).stdout.endswith("\n[]\n")
 
 
 def test_a_result_is_text_or_one_object(capsys):
@@ -164,13 +162,8 @@ def test_a_full_disk_is_told_in_one_sentence_and_a_closed_pipe_silently():
 @pytest.mark.parametrize("closed", [pytest.param(">&-", marks=pytest.mark.full), "<&- >&- 2>&-"])
 def test_a_verb_works_with_closed_streams(tmp_path, closed):
     words = "evaluate --trials=2 --duration=0.5 --no-baselines --out=found.json"
-    ran = subprocess.run(
-        ["sh", "-c", f"{sys.executable} -m equipoise {words} {closed}"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    line = f"{sys.executable} -m equipoise {words} {closed}"
+    ran = run_program("sh", "-c", line, cwd=tmp_path, check=False)
     assert (ran.returncode, ran.stdout) == (0, "")
     assert "Traceback" not in ran.stderr
     assert len(Evaluation.load(tmp_path / "found.json").results.survival) == 2

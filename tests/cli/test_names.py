@@ -1,6 +1,5 @@
 """Names of files: second calls, calls at the same time, and calls that fail."""
 
-import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -12,6 +11,7 @@ from equipoise.log.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
 from equipoise.rig.simulate import simulate_run
 from tests.cli.conftest import contents
+from tests.program import run_program
 
 RUN = ("deploy", "--duration=0.3", "--json")
 
@@ -27,13 +27,8 @@ def together(tmp_path):
 
     def start(*commands):
         def run(words):
-            ran = subprocess.run(
-                [sys.executable, "-m", "equipoise", *words],
-                cwd=tmp_path,
-                capture_output=True,
-                text=True,
-                check=False,
-            )
+            command = (sys.executable, "-m", "equipoise", *words)
+            ran = run_program(*command, cwd=tmp_path, check=False)
             return ran.returncode, ran.stderr
 
         with ThreadPoolExecutor(len(commands)) as pool:
