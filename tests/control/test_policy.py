@@ -11,11 +11,9 @@ from equipoise import paper
 from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, PolicyKernel, TabularPolicy, act
 from equipoise.model.actuator import IDEAL_ACTUATOR
-from equipoise.model.grid import make_grid
 from equipoise.settings import BoxSettings, Settings
 from tests.reference.intervals import place
 
-BOXES = make_grid(BoxSettings(look_ahead=0.0), 1.0)
 STATE = (0.0, 0.0, 0.01, 0.0)
 states = st.tuples(
     st.floats(-0.219, 0.219), st.floats(-2, 2), st.floats(-0.19, 0.19), st.floats(-9, 9)

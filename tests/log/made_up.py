@@ -59,24 +59,23 @@ def rig_conditions(**changes):
     return conditions(**(rig | changes))
 
 
-def made_up(count=40, rig=True, **changes):
+def made_up(count=40, **changes):
     """A run of random numbers, with other tables where they are given."""
     rng = np.random.default_rng(3)
     tick = {name: rng.standard_normal(count) for name in COLUMNS}
     tick |= {"time": 0.01 * np.arange(count), "box": rng.integers(0, 270, count)}
     tick |= {name: rng.standard_normal((count, JOINTS)) for name in ("q", "dq")}
-    given = {}
-    if rig:
-        state = ("x", "x_dot", "phi", "phi_dot", "tracked")
-        given["truth"] = {name: rng.standard_normal(count) for name in state}
-        given["truth"]["q"] = rng.standard_normal((count, JOINTS))
-        sent = 0.005 * np.arange(2 * count)
-        given["stream"] = {"time": sent, "q": rng.standard_normal((2 * count, JOINTS))}
-        # The first reply and the first count were measured before the release.
-        measured = 0.005 * np.arange(count) - 0.004
-        given["replies"] = {"time": measured, "q": rng.standard_normal((count, JOINTS))}
-        counts = rng.integers(-4096, 4096, count)
-        given["encoder"] = {"time": 0.01 * np.arange(count) - 0.001, "counts": counts}
+    state = ("x", "x_dot", "phi", "phi_dot", "tracked")
+    truth = {name: rng.standard_normal(count) for name in state}
+    truth["q"] = rng.standard_normal((count, JOINTS))
+    sent = 0.005 * np.arange(2 * count)
+    stream = {"time": sent, "q": rng.standard_normal((2 * count, JOINTS))}
+    # The first reply and the first count were measured before the release.
+    measured = 0.005 * np.arange(count) - 0.004
+    replies = {"time": measured, "q": rng.standard_normal((count, JOINTS))}
+    counts = rng.integers(-4096, 4096, count)
+    encoder = {"time": 0.01 * np.arange(count) - 0.001, "counts": counts}
+    given = {"truth": truth, "stream": stream, "replies": replies, "encoder": encoder}
     end = RunEnd(outcome=Outcome.TRACK, survival=0.01 * count)
     return simulated_log(conditions(), end, tick, **given | changes)
 

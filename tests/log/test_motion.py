@@ -9,8 +9,7 @@ from equipoise.errors import InputError, RecordingError
 from equipoise.log.conditions import RunEnd
 from equipoise.log.motion import Motion
 from equipoise.log.run_log import simulated_log
-from equipoise.outcomes import Outcome, Phase
-from equipoise.rig.run_controller import PHASES
+from equipoise.outcomes import Outcome
 from tests.log.made_up import (
     RELEASE,
     balanced_on_a_rig,
@@ -19,8 +18,6 @@ from tests.log.made_up import (
     phi_on_a_rig,
     x_on_a_rig,
 )
-
-LIFTING = np.full(901, PHASES.index(Phase.LIFTING))
 
 
 @pytest.fixture(scope="module")
@@ -37,10 +34,9 @@ def test_a_rig_is_shown_as_it_was_measured(run):
         now = motion.at(time)
         assert now.x == pytest.approx(x_on_a_rig(RELEASE + time), abs=5e-5)
         assert now.phi == pytest.approx(phi_on_a_rig(RELEASE + time), abs=6e-4)
+        x = arm.kinematics(arm.without_held(now.q)).position[0]
         home = arm.kinematics(arm.home_free).position[0]
-        assert arm.kinematics(arm.without_held(now.q)).position[0] == pytest.approx(
-            home + now.x, abs=1e-5
-        )
+        assert x == pytest.approx(home + now.x, abs=1e-5)
         assert (now.phase, now.u, now.late) == (phase, u, 2e-4)
 
 

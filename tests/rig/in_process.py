@@ -11,9 +11,8 @@ ARM = iiwa(7)
 PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
 
 
-def stand(settings=None, q=ARM.home_free, start=0.0, seed=0, **more):
+def stand(seed=0, **more):
     clock = VirtualClock()
-    bodies = Bodies(ARM, PENDULUM, settings or TwinSettings(), q, start, seed)
-    bench = SimulatedRig(bodies, **more)
+    bench = SimulatedRig(Bodies(ARM, PENDULUM, TwinSettings(), ARM.home_free, 0.0, seed), **more)
     clock.attach(bench.advance)
     return bench, clock

@@ -55,9 +55,8 @@ TRIALS = [
 pytestmark = pytest.mark.compiled_only
 
 
-def twins(world=WORLD, seed=1, settings=None, actuator=ACTUATOR):
-    settings = Settings() if settings is None else settings
-    setup = Setup(PENDULUM, ARM, settings, actuator, 0.01)
+def twins(world=WORLD, seed=1):
+    setup = Setup(PENDULUM, ARM, Settings(), ACTUATOR, 0.01)
     return TwinSimulation(World("twin:test", world), setup, seed=seed, stream=TEST)
 
 
