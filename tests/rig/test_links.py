@@ -7,16 +7,14 @@ import pytest
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import LinkError, OutsideError
 from equipoise.log.run_log import RunLog
-from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig.config import RigSettings
-from equipoise.rig.connection import emulated_rig
+from equipoise.rig.connection import connect
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import CHECKLIST, run_virtually
 from equipoise.robots.kst.plugin import PLUGIN
 
 pytestmark = pytest.mark.compiled_only
 
-WORLD = read_world("twin:nominal")
 ANSWERS = [*(word for word, _ in CHECKLIST + PLUGIN.checklist), "y"]
 ENDED = 2.1
 """Longest time from a fault to the end of a run [s]: a driver waits 1 s for a reply, and 1 s for
@@ -69,10 +67,9 @@ class Absent:
 
 def rig():
     """Return a request for a run, and its emulated rig."""
-    policy, settings = shipped_policy(), RigSettings()
-    request = RunRequest(policy, policy.actuator, settings, "kst://twin:nominal", None, 1.0)
-    pendulum = pendulum_on(policy.pendulum, WORLD.settings)
-    return request, emulated_rig(WORLD, settings, pendulum, robot="kst", seed=3)
+    task = shipped_policy(), shipped_policy().actuator, RigSettings()
+    request = RunRequest(*task, "kst://twin:nominal", None, 1.0, seed=3)
+    return request, connect(request)
 
 
 @pytest.mark.parametrize("fault", FAULTS)
