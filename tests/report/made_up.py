@@ -9,7 +9,7 @@ from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import Checkpoint, LearningPoint, TabularPolicy
 from equipoise.files import Estimate, Provenance
 from equipoise.identification.recording import Trajectory
-from equipoise.log.conditions import RunConditions, RunEnd
+from equipoise.log.conditions import RunEnd
 from equipoise.log.run_log import simulated_log
 from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
 from equipoise.model.pendulum import Pendulum, SwingFit
@@ -18,6 +18,7 @@ from equipoise.outcomes import Outcome
 from equipoise.reproduction.results import RecipeResults, Results
 from equipoise.settings import resolve
 from equipoise.simulation.evaluation import Evaluation, TrialResults
+from tests.log.made_up import conditions
 
 W2, C, RELEASE = 70.2, 0.15, 0.5
 AHEAD = 0.03
@@ -165,15 +166,11 @@ def run(of, survival=60.0, cause=Outcome.SURVIVED, world=MODEL):
     u = np.array(paper.ACTIONS)[np.arange(n) // 3 % 8]
     known = {**was, "tracked": u + 0.03, "q": q - 0.001} if twin else None
     return simulated_log(
-        RunConditions(
+        conditions(
             policy=of.digest,
             world=twin.name if twin else world,
             arm=of.arm,
             pendulum={"w2": 68.0, "k": 6.93, "c": 0.17, "coulomb": 0.1, "drag": 0.0},
-            start=(0.0, 0.0, 0.03, 0.2),
-            h=0.01,
-            duration=60.0,
-            seed=0,
             actuator=of.actuator.digest if twin else IDEAL,
             counts_per_rev=twin.settings.counts_per_rev if twin else None,
             world_settings=twin.settings.model_dump() if twin else None,
