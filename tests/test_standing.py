@@ -62,14 +62,9 @@ def test_every_seed_stands_a_minute(request, pendulum, recorded, world, trials):
 @pytest.mark.compiled_only
 def test_the_policy_that_ships_stands_on_the_twin():
     # It survived 200 of 200 trials of a minute: two falls in 16 have a chance below 1e-3.
-    policy = shipped_policy()
+    policy, workers = shipped_policy(), available_cores()
     settings = changed(policy.settings, {"evaluation.trials": 16, "evaluation.duration": 20.0})
     evaluation = evaluate(
-        policy,
-        settings,
-        world="twin:nominal",
-        seed=1,
-        with_baselines=False,
-        workers=available_cores(),
+        policy, settings, world="twin:nominal", seed=1, with_baselines=False, workers=workers
     )
     assert evaluation.results.summary().survived >= 15

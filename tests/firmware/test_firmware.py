@@ -142,17 +142,10 @@ def test_the_sketch_introduces_itself_and_sends_a_line_each_millisecond(sketch):
 def test_the_sketch_counts_what_the_lines_do(sketch):
     # A and B start high. A falls first: A leads, the count grows.
     forwards = [(2, 0), (3, 0), (2, 1), (3, 1)]
-    commands, now = ["boot 0"], 0
-    for i in range(100):
-        pin, level = forwards[i % 4]
-        commands.append(f"pin {pin} {level}")
-        now += 250
-        commands.append(f"at {now}")
-    for i in range(60):
-        pin, level = forwards[::-1][i % 4][0], 1 - forwards[::-1][i % 4][1]
-        commands.append(f"pin {pin} {level}")
-        now += 250
-        commands.append(f"at {now}")
+    backwards = [(pin, 1 - level) for pin, level in reversed(forwards)]
+    commands = ["boot 0"]
+    for i, (pin, level) in enumerate(25 * forwards + 15 * backwards, start=1):
+        commands += [f"pin {pin} {level}", f"at {250 * i}"]
     lines = [line for line in lines_of(sketch, commands) if isinstance(line, Reading)]
     assert [line.counts for line in lines[:25]] == [4 * (i + 1) for i in range(25)]
     assert lines[-1].counts == 40

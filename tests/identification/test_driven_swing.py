@@ -90,17 +90,8 @@ def recording(rng, rig=RIGHT):
 
 
 def judged(rng, rig=RIGHT, change=lambda *signals: signals):
-    stamps, counts, replies, x, resting = change(*recording(rng, rig))
-    return self_test(
-        stamps,
-        counts,
-        replies,
-        x,
-        pendulum=KNOWN,
-        counts_per_rev=COUNTS,
-        resting=resting,
-        delay=DELAY,
-    )
+    *signals, resting = change(*recording(rng, rig))
+    return self_test(*signals, pendulum=KNOWN, counts_per_rev=COUNTS, resting=resting, delay=DELAY)
 
 
 @pytest.mark.parametrize(

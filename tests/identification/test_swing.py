@@ -27,15 +27,8 @@ STEP = 0.004
 
 
 def simulated(parameters=PENDULUM, **changes):
-    options = {
-        "theta0": 1.0,
-        "duration": 4.0,
-        "rate_hz": 250.0,
-        "counts_per_rev": 4096,
-        "noise": radians(0.05),
-        "seed": 1,
-    }
-    return simulate_swing(parameters, **{**options, **changes})
+    encoder = {"rate_hz": 250.0, "counts_per_rev": 4096, "noise": radians(0.05), "seed": 1}
+    return simulate_swing(parameters, **{"theta0": 1.0, "duration": 4.0} | encoder | changes)
 
 
 def gyro(amplitude, duration):
@@ -50,9 +43,8 @@ def with_friction(model):
 
 
 def gives_the_pendulum(pendulum):
-    return pendulum.w2.value == pytest.approx(70.2, rel=1e-3) and pendulum.c.value == pytest.approx(
-        0.15, rel=3e-2
-    )
+    found = pendulum.w2.value, pendulum.c.value
+    return found == (pytest.approx(70.2, rel=1e-3), pytest.approx(0.15, rel=3e-2))
 
 
 def overlaps(estimate, value, error):

@@ -173,12 +173,8 @@ def trained(policy, settings, **changes):
 @pytest.mark.compiled_only
 @pytest.mark.full
 def test_a_guest_that_does_what_ours_does_gives_our_bits(guest, small_policy, quick_settings):
-    made = trained(
-        small_policy,
-        quick_settings,
-        algorithm="guest_of_tests:update",
-        reward="guest_of_tests:failure",
-    )
+    ours = {"algorithm": "guest_of_tests:update", "reward": "guest_of_tests:failure"}
+    made = trained(small_policy, quick_settings, **ours)
     assert (made.Q, made.visits) == (small_policy.Q, small_policy.visits)
     # It says whose source made it, and can be trained again from its own settings.
     assert made.settings.learning.algorithm.startswith("guest_of_tests:update@")

@@ -62,13 +62,8 @@ def test_a_log_that_breaks_off_is_read_to_its_last_chunk(broken_off, rig_log):
 def test_every_table_is_exported_with_units(rig_log, tmp_path):
     run = RunLog.load(rig_log)
     made = run.export(tmp_path / "csv")
-    assert [path.name for path in made] == [
-        "tick.csv",
-        "stream.csv",
-        "reply.csv",
-        "encoder.csv",
-        "event.csv",
-    ]
+    assert [path.stem for path in made] == ["tick", "stream", "reply", "encoder", "event"]
+    assert {path.suffix for path in made} == {".csv"}
     header, rows = table(made[0])
     assert {"time_s", "late_s", "state", "x_dot_m_s", "dq_A7_rad_s"} <= set(header)
     assert len(rows) == len(run.tables["tick"])

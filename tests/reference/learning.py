@@ -182,10 +182,4 @@ def train(plant, pendulum, settings, until, seed):
             else:
                 running[n] = running[-1]
                 running.pop()
-    return Result(
-        np.array([Q[cell] for cell in np.ndindex(6, 5, 3, 3)]),
-        np.array([visits[cell] for cell in np.ndindex(6, 5, 3, 3)]),
-        begun,
-        ended,
-        steps,
-    )
+    return Result(np.array(list(Q.values())), np.array(list(visits.values())), begun, ended, steps)

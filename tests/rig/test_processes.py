@@ -299,16 +299,12 @@ def lives(pid):
         return False
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("loop", "kind", "saying"),
     [
-        pytest.param(waiting, LinkError, "the encoder is gone", marks=pytest.mark.full),
-        pytest.param(
-            breaking,
-            OutsideError,
-            r"the run failed \(ZeroDivisionError: by zero .*\); please",
-            marks=pytest.mark.full,
-        ),
+        (waiting, LinkError, "the encoder is gone"),
+        (breaking, OutsideError, r"the run failed \(ZeroDivisionError: by zero .*\); please"),
     ],
 )
 def test_what_fails_in_the_loops_process_is_one_sentence_here(run, tmp_path, loop, kind, saying):

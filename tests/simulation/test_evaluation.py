@@ -79,16 +79,9 @@ def test_an_evaluation_says_what_was_evaluated(evaluation, small_policy, setting
 
 @pytest.mark.compiled_only
 def test_the_table_as_a_plain_object_runs_the_same_trials(small_policy, settings, evaluation):
-    plain = Plain(small_policy)
-    told = []
-    other = evaluate(
-        bind_policy(plain, name="plain", pendulum=small_policy.pendulum, arm=small_policy.arm),
-        settings,
-        world="ideal",
-        seed=3,
-        with_baselines=False,
-        done=told.append,
-    )
+    plain, told = Plain(small_policy), []
+    bound = bind_policy(plain, name="plain", pendulum=small_policy.pendulum, arm=small_policy.arm)
+    other = evaluate(bound, settings, world="ideal", seed=3, with_baselines=False, done=told.append)
     assert other.baselines == ()
     assert other.results.survival == evaluation.results.survival
     assert other.results.outcomes == evaluation.results.outcomes
