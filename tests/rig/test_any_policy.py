@@ -12,31 +12,13 @@ from equipoise.errors import InputError
 from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Phase
 from equipoise.rig.checks import warm_up
-from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import connect
-from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
 from equipoise.rig.run_controller import PHASES
-from tests.control.test_bound_policy import folder
-
-__all__ = ["folder"]
+from tests.rig.test_run import request
 
 pytestmark = pytest.mark.compiled_only
 BALANCE = load_policy("lqr")
-
-
-def request(policy, duration=1.0):
-    settings = RigSettings()
-    return RunRequest(policy, policy.actuator, settings, "twin:nominal", None, duration, seed=3)
-
-
-def run(policy, out, duration=1.0, failing=None):
-    """Run a policy on a virtual rig; return the result and the log."""
-    wanted = request(policy, duration)
-    rig = connect(wanted)
-    if failing is not None:
-        failing.clock = rig.clock
-    return run_virtually(wanted, out, rig=rig), RunLog.load(out, damaged=True)
 
 
 class Failing:
@@ -80,8 +62,10 @@ FAILURES = {
 )
 def test_a_policy_that_fails_ends_in_the_latched_stop_with_the_arm_at_rest(tmp_path, fail):
     failing = Failing(fail)
-    policy = bind_policy(failing, name="Failing")
-    result, log = run(policy, tmp_path / "run.mcap", 5.0, failing)
+    wanted, out = request(bind_policy(failing, name="Failing"), 5.0), tmp_path / "run.mcap"
+    rig = connect(wanted)
+    failing.clock = rig.clock
+    result, log = run_virtually(wanted, out, rig=rig), RunLog.load(out, damaged=True)
     assert (result.outcome, result.stoppable, result.exit_code) == ("policy failed", True, 1)
     assert FAILURES[fail] in result.reason
     assert result.survival == pytest.approx(0.5)

@@ -21,29 +21,34 @@ pytestmark = pytest.mark.compiled_only
 POLICY = shipped_policy()
 
 
-class Spy:
-    """Is told, and says stop once after an event of a name."""
+class Scripted:
+    """Acts once after messages of some names: types a word, or calls a function with the bench."""
 
-    def __init__(self, after=""):
-        self.names, self.texts, self._after = [], "", after
+    def __init__(self, bench=None, **acts):
+        self.names, self.texts, self.typed = [], "", []
+        self.bench, self.acts = bench, acts
 
     def notify(self, event):
         self.names.append(event.name)
         self.texts += event.text
+        act = self.acts.pop(event.name, None)
+        if isinstance(act, str):
+            self.typed.append(act)
+        elif act is not None:
+            act(self.bench)
 
     def read_input(self):
-        if self._after and self._after in self.names:
-            self._after = ""
-            return ["stop"]
-        return []
+        typed, self.typed = self.typed, []
+        return typed
 
 
-def request(robot="twin:nominal", **changes):
-    return RunRequest(POLICY, POLICY.actuator, RigSettings(), robot, None, 2.0, seed=3, **changes)
+def request(policy=POLICY, duration=2.0, robot="twin:nominal", **changes):
+    task = policy, policy.actuator, RigSettings()
+    return RunRequest(*task, robot, None, duration, seed=3, **changes)
 
 
 def test_it_stands_on_the_twin_and_the_log_says_how(tmp_path):
-    out, spy = tmp_path / "run.mcap", Spy()
+    out, spy = tmp_path / "run.mcap", Scripted()
     outcome = run_virtually(request(), out, spy)
     assert (outcome.outcome, outcome.survival, outcome.exit_code) == ("survived", 2.0, 0)
     order = ["homing", "home", "reference", "swing", "self-test", "lift", "armed", "balancing"]
@@ -64,7 +69,7 @@ def test_it_stands_on_the_twin_and_the_log_says_how(tmp_path):
 
 @pytest.mark.slow
 def test_a_policy_controls_another_arm_once_the_excitation_has_identified_it(tmp_path):
-    out, spy = tmp_path / "run.mcap", Spy()
+    out, spy = tmp_path / "run.mcap", Scripted()
     wanted = request(robot="twin:pd", identify=identify_actuator)
     end = run_virtually(wanted, out, spy)
     assert end.outcome == "survived"
@@ -81,7 +86,7 @@ def test_a_policy_controls_another_arm_once_the_excitation_has_identified_it(tmp
 )
 def test_any_word_stops_it_in_the_same_tick_and_the_arm_comes_to_rest(tmp_path, when):
     out = tmp_path / "run.mcap"
-    outcome = run_virtually(request(), out, Spy(after=when))
+    outcome = run_virtually(request(), out, Scripted(**{when: "stop"}))
     assert (outcome.outcome, outcome.exit_code) == ("operator", 130)
     run = RunLog.load(out, damaged=True)
     tick = run.tables["tick"]
@@ -94,7 +99,7 @@ def test_any_word_stops_it_in_the_same_tick_and_the_arm_comes_to_rest(tmp_path, 
 
 
 def test_a_dry_run_moves_nothing(tmp_path):
-    out, spy = tmp_path / "run.mcap", Spy()
+    out, spy = tmp_path / "run.mcap", Scripted()
     outcome = run_virtually(request(dry_run=True), out, spy)
     assert (outcome.outcome, outcome.exit_code) == ("dry run", 0)
     assert "checklist" in spy.names

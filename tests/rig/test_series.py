@@ -4,55 +4,25 @@ from math import radians
 
 import pytest
 
-from equipoise.control.policy import shipped_policy
 from equipoise.log.recorder import Recorder
 from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Outcome
 from equipoise.rig import series
-from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import connect
-from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
 from equipoise.rig.series import RunLogs, Series, summarise
 from tests.rig.replayed import replay
+from tests.rig.test_run import POLICY, Scripted, request
 
 pytestmark = pytest.mark.compiled_only
 
-POLICY = shipped_policy()
 
-
-class Scripted:
-    """Acts once after each message of some names: a push, a slip of the encoder, a word."""
-
-    def __init__(self, **acts):
-        self.names, self.acts, self.typed = [], acts, []
-
-    def notify(self, event):
-        self.names.append(event.name)
-        if event.name in self.acts:
-            act = self.acts.pop(event.name)
-            self.typed += [act] if isinstance(act, str) else []
-            if not isinstance(act, str):
-                act()
-
-    def read_input(self):
-        typed, self.typed = self.typed, []
-        return typed
-
-
-def run(out, runs=2, duration=1.0, robot="twin:nominal", **acts):
-    """Run a series; `acts` are called with the bench, words are typed."""
-    request = RunRequest(
-        POLICY, POLICY.actuator, RigSettings(), robot, None, duration,
-        seed=3, start="hanging", runs=runs,
-    )  # fmt: skip
-    rig, ends = connect(request), []
-    bound = {
-        name: act if isinstance(act, str) else (lambda act=act: act(rig.bench))
-        for name, act in acts.items()
-    }
-    operator = Scripted(**bound)
-    end = run_virtually(request, out, operator, rig=rig, ended=ends.append)
+def run(out, **acts):
+    """Run a series of two, with the acts of its operator."""
+    wanted = request(duration=1.0, start="hanging", runs=2)
+    rig, ends = connect(wanted), []
+    operator = Scripted(rig.bench, **acts)
+    end = run_virtually(wanted, out, operator, rig=rig, ended=ends.append)
     return [*ends, end], operator.names
 
 
