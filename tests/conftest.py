@@ -40,6 +40,13 @@ def pytest_collectreport(report):
         raise pytest.UsageError(reason)
 
 
+def tiers(values, quick, full=()):
+    """Return parameters of a test: quick ones run always, others with the mark full, or slow."""
+    slow = pytest.mark.slow
+    marks = {**dict.fromkeys(full, pytest.mark.full), **dict.fromkeys(quick, ())}
+    return [pytest.param(value, marks=marks.get(value, slow)) for value in values]
+
+
 @pytest.fixture(autouse=True)
 def _elsewhere(tmp_path, monkeypatch):
     """Run each test in an empty folder: the one of the checkout may hold files of the user."""

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from equipoise.rig.config import RigSettings
+from tests.conftest import tiers
 from tests.faults.files import FILES
 from tests.faults.table import TABLE
 from tests.faults.verdicts import Sent, check_stop, problems_of
@@ -23,14 +24,7 @@ ARM = RigSettings().described_arm
 HOME = np.array(ARM.home)
 
 
-def tier(name):
-    """Return the mark of a fault's test."""
-    if name in QUICK:
-        return ()
-    return pytest.mark.full if name in FULL else pytest.mark.slow
-
-
-@pytest.mark.parametrize("name", [pytest.param(name, marks=tier(name)) for name in FAULTS])
+@pytest.mark.parametrize("name", tiers(FAULTS, QUICK, FULL))
 def test_a_fault_ends_as_it_should(name):
     assert problems_of(FAULTS[name]) == []
 

@@ -7,29 +7,23 @@ from equipoise.outcomes import Outcome
 from equipoise.rig.run_controller import MAX_ROUND_TRIP
 from equipoise.safety.monitors import MAX_REPEATS, REPEAT_WINDOW
 from equipoise.safety.rules import FIRST_LIMIT
+from tests.conftest import tiers
 from tests.faults.harness import FaultHarness, Scenario, Trigger
 from tests.faults.table import change_replies, run_off
 from tests.faults.verdicts import check_run, setpoints_of, stop_time
 
 pytestmark = pytest.mark.compiled_only
 
-SEEDS = [
-    0,
-    pytest.param(1, marks=pytest.mark.full),
-    *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 200)),
-]
+SEEDS = tiers(range(200), [0], [1])
 MOVING = {"homing": 0.8, "swing": 2.5, "balancing": 0.8}
 """Messages that a motion begins with, and the time after them within which a fault begins [s]."""
 
 
 def run(seed, kind, event, after, inject):
     """Run with a fault, and return the harness and the end; the run keeps all limits."""
-    harness = FaultHarness(
-        Scenario(duration=1.0),
-        (Trigger(event, after), inject),
-        words_after_stop=bool(seed % 2),
-        seed=seed,
-    )
+    fault = Trigger(event, after), inject
+    scenario, words = Scenario(duration=1.0), bool(seed % 2)
+    harness = FaultHarness(scenario, fault, words_after_stop=words, seed=seed)
     end = harness.run()
     assert check_run(harness, end) == [], (seed, kind, end.outcome, end.reason)
     return harness, end

@@ -5,6 +5,7 @@ from math import radians
 import numpy as np
 import pytest
 
+from tests.conftest import tiers
 from tests.faults.harness import START, FaultHarness, Scenario, Trigger
 from tests.faults.table import TABLE, change_replies, run_off, slow_link
 from tests.faults.verdicts import check_run
@@ -82,14 +83,7 @@ def end_badly(seed, folder):
     return names, end.outcome, end.reason, check_run(harness, end)
 
 
-def tier(seed):
-    """Return the mark of a seed's test."""
-    if seed == 0:
-        return ()
-    return pytest.mark.full if seed < 10 else pytest.mark.slow
-
-
-@pytest.mark.parametrize("seed", [pytest.param(seed, marks=tier(seed)) for seed in range(1000)])
+@pytest.mark.parametrize("seed", tiers(range(1000), [0], range(1, 10)))
 def test_whatever_fails_the_arm_stops_in_the_reach_of_its_ramp_and_says_why(seed, tmp_path):
     *run, problems = end_badly(seed, tmp_path)
     assert problems == [], run

@@ -9,14 +9,13 @@ import pytest
 pytest.importorskip("pylibfranka")
 pytest.importorskip("franky_sim")
 
-from equipoise.control.policy import shipped_policy
 from equipoise.outcomes import Outcome
-from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import connect
-from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
 from equipoise_franka import lockstep
 from equipoise_franka import robot as driver
+
+from .test_robot import requested
 
 pytestmark = [pytest.mark.slow, pytest.mark.compiled_only]
 
@@ -50,10 +49,7 @@ def serve_franka_sim(pipe, bodies):
 def run(packages, monkeypatch):
     def run(seed):
         """Run a policy for 20 s, and return how the run ended."""
-        settings = RigSettings(arm="fr3")
-        policy = shipped_policy().model_copy(update={"arm": settings.described_arm})
-        kind = "franka://twin:fr3"
-        request = RunRequest(policy, policy.actuator, settings, kind, None, 20.0, seed=seed)
+        request = requested(20.0, seed)
         with monkeypatch.context() as patch:
             patch.setattr(lockstep, "_serve", serve_franka_sim)
             patch.setenv("EQUIPOISE_CACHE_DIR", str(packages / "cache"))

@@ -205,11 +205,12 @@ def test_a_load_is_no_external_torque():
     rig.arm.close()
 
 
-def requested():
-    """Return the request for a balance of 5 s with the shipped policy."""
+def requested(duration=5.0, seed=0):
+    """Return the request for a balance [s] with the shipped policy."""
     settings = RigSettings(arm="fr3")
     policy = shipped_policy().model_copy(update={"arm": settings.described_arm})
-    return RunRequest(policy, policy.actuator, settings, "franka://twin:fr3", None, 5.0)
+    task = policy, policy.actuator, settings
+    return RunRequest(*task, "franka://twin:fr3", None, duration, seed=seed)
 
 
 def test_a_policy_balances_a_pendulum_on_an_fr3():

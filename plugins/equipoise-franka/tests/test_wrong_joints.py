@@ -14,6 +14,7 @@ from equipoise.rig.config import RigSettings
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.plugins import Session
 from equipoise_franka.robot import FrankaRobot
+from tests.conftest import tiers
 from tests.rig.test_run_controller import POLICY, REQUEST, Course, H, balancing
 
 from .controller import Controller
@@ -79,20 +80,20 @@ class Rig(Course):
         return float(left), float((away.max(axis=0) - away[:ramp].max(axis=0)).max())
 
 
+PHASES = {
+    "homing": (lambda: Rig(away=0.1), 20),
+    "self-test": (lambda: Rig().until(Phase.SELF_TEST), 30),
+    "excitation": (lambda: Rig(lambda *_: None).until(Phase.EXCITING), 50),
+    "balancing": (lambda: balancing(Rig), 10),
+}
+"""Rigs at the begin of each phase in which the arm moves, and ticks until it moves fast."""
+
+
 def phase(name):
     """Return a rig in a phase in which the arm moves."""
-    if name == "homing":
-        rig = Rig(away=0.1)
-        rig.ticks(20)
-    elif name == "self-test":
-        rig = Rig().until(Phase.SELF_TEST)
-        rig.ticks(30)
-    elif name == "excitation":
-        rig = Rig(lambda *_: None)
-        rig.until(Phase.EXCITING).ticks(50)
-    else:
-        rig = balancing(Rig)
-        rig.ticks(10)
+    make, ticks = PHASES[name]
+    rig = make()
+    rig.ticks(ticks)
     return rig
 
 
@@ -169,19 +170,10 @@ def drawn(random, rig):
     return f"joint {joint + 1} {name}, {step:.3f} rad, {rate:.3f} rad/s"
 
 
-PHASES = ("homing", "self-test", "excitation", "balancing")
-
-
-@pytest.mark.parametrize(
-    "seed",
-    [
-        each if each < len(PHASES) else pytest.param(each, marks=pytest.mark.slow)
-        for each in range(200)
-    ],
-)
+@pytest.mark.parametrize("seed", tiers(range(200), range(len(PHASES))))
 def test_wrong_joints_leave_the_targets_in_the_reach_of_the_ramp_and_the_arm_on_its_path(seed):
     random = np.random.default_rng([seed, 44])
-    rig = phase(PHASES[seed % len(PHASES)])
+    rig = phase(list(PHASES)[seed % len(PHASES)])
     how = drawn(random, rig)
     left, beyond = rig.stopped()
     assert beyond < 1e-5, how
