@@ -61,15 +61,11 @@ def _step_the_date(harness):
 
 SURVIVED = frozenset({Outcome.SURVIVED})
 MOMENT = Trigger("balancing", 1.5)
+# fmt: off
 FILES = (
     Fault("disk full", SURVIVED, _fill_the_disk, MOMENT, _with_a_log, check=_readable(".mcap")),
-    Fault(
-        "power cut in the log",
-        SURVIVED,
-        _cut_the_power,
-        MOMENT,
-        _with_a_log,
-        check=_readable(".cut"),
-    ),
+    Fault("power cut in the log", SURVIVED, _cut_the_power, MOMENT, _with_a_log,
+          check=_readable(".cut")),
     Fault("wall clock stepped", SURVIVED, _step_the_date),
 )
+# fmt: on

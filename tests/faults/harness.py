@@ -146,28 +146,18 @@ class FaultHarness:
     def run(self) -> RunEnd:
         """Run the policy, and return the result; `Outcome.ERROR` for a refused run."""
         scenario = self.scenario
-        settings = scenario.settings
-        sensor = LineEncoder(
-            self.encoder_tap.open,
-            self.clock,
-            counts_per_rev=settings.counts_per_rev,
-            sign=settings.encoder_sign,
-        )
+        settings, policy = scenario.settings, scenario.policy
+        counts, sign = settings.counts_per_rev, settings.encoder_sign
+        sensor = LineEncoder(self.encoder_tap.open, self.clock, counts_per_rev=counts, sign=sign)
         robot = KstRobot(self.robot_tap.open, DrainingClock(self.clock, sensor))
         rig = self.rig._replace(robot=robot, sensor=sensor, clock=self.clock)
         rig.operator.ignored = scenario.missed_messages
+        links = ("kst://emulated", "serial://emulated")
         request = RunRequest(
-            policy=scenario.policy,
-            actuator=scenario.policy.actuator,
-            settings=scenario.settings,
-            robot="kst://emulated",
-            encoder="serial://emulated",
-            duration=scenario.duration,
-            max_speed=scenario.max_speed,
+            policy, policy.actuator, settings, *links, scenario.duration, scenario.max_speed,
             identify=identify_actuator if scenario.identify else None,
-            start=scenario.start,
-            runs=scenario.runs,
-        )
+            start=scenario.start, runs=scenario.runs,
+        )  # fmt: skip
         try:
             with patch.object(run, "RunController", partial(FaultyController, self)):
                 outcome = run.run_virtually(

@@ -98,9 +98,14 @@ def hold_back(harness: FaultHarness, part: str) -> None:
 # The encoder.
 
 
-def _referenced_twice(harness: FaultHarness) -> Sequence[str]:
-    swings = [message.name for message in harness.messages].count("swing")
-    return () if swings == 2 else (f"{swings} self-tests were made, expected 2",)
+def _told(name: str, times: int) -> Callable[[FaultHarness], Sequence[str]]:
+    """Return a check that the operator has received a message so many times."""
+
+    def check(harness: FaultHarness) -> Sequence[str]:
+        found = [message.name for message in harness.messages].count(name)
+        return () if found == times else (f"{name} came {found} times, expected {times}",)
+
+    return check
 
 
 def _slip_slowly(harness: FaultHarness) -> None:
@@ -196,7 +201,7 @@ ENCODER = (
           AT_START, says="4096"),
     Fault("zeroed while swinging", _ends("count jump", "encoder gap", "encoder lost"),
           _zero_the_count, Trigger("swing", 1.4), within=0.03),
-    Fault("zero error", _ends("survived"), _slip_slowly, Trigger("swing"), check=_referenced_twice),
+    Fault("zero error", _ends("survived"), _slip_slowly, Trigger("swing"), check=_told("swing", 2)),
     Fault("zero error while balancing", FELL | _ends("survived"), _slip_slowly),
     Fault("stale samples", _ends("stale encoder"), _change("sensor.link", delay=0.1),
           within=0.09, says="old"),
@@ -237,10 +242,6 @@ TIME = (
 
 
 # The robot and its link.
-
-
-def _drop(harness: FaultHarness) -> None:
-    harness.robot.link.close()
 
 
 def _refuse(harness: FaultHarness) -> None:
@@ -401,7 +402,7 @@ def _stop_behind_slow_link(harness: FaultHarness) -> None:
 
 # fmt: off
 ROBOT = (
-    Fault("TCP drop", _ends("link lost"), _drop, stoppable=False, within=0.02,
+    Fault("TCP drop", _ends("link lost"), _call("robot.link.close"), stoppable=False, within=0.02,
           check=_no_bytes_after),
     Fault("half-open link", _ends("link lost"), _half_open, stoppable=False, within=0.1),
     Fault("command backlog", _ends("link overdue"), _back_up, within=0.1, says="has not answered"),
@@ -540,20 +541,15 @@ def _take_away(duration: float) -> Inject:
     return inject
 
 
-def _never_began(harness: FaultHarness) -> Sequence[str]:
-    began = any(message.name == "balancing" for message in harness.messages)
-    return ("the policy began",) if began else ()
-
-
 ARMING_MISSED = _with(missed_messages=frozenset({"armed", "disarmed", "nudge"}))
 """Scenario in which the emulated operator misses that the controller is armed."""
 
 # fmt: off
 RELEASE = (
     Fault("release too early", _ends("operator"), _let_go_in_mid_lift, Trigger("lift"),
-          check=_never_began),
+          check=_told("balancing", 0)),
     Fault("release too late", _ends("operator"), _take_away(0.8), Trigger("armed"), ARMING_MISSED,
-          check=_never_began, says="still holding"),
+          check=_told("balancing", 0), says="still holding"),
     Fault("hand that falls with the pendulum", FELL | _ends("operator"), _take_away(2.5),
           Trigger("armed"), ARMING_MISSED, held_at_start=True),
     Fault("push", FELL | _ends("survived"), _call("bench.push", radians(20.0))),
@@ -571,10 +567,7 @@ def _hold(harness: FaultHarness) -> None:
     harness.bench.steady()
 
 
-def _swung_once(harness: FaultHarness) -> Sequence[str]:
-    swung = sum(message.name == "swing-up" for message in harness.messages)
-    return () if swung == 1 else (f"it swung up {swung} times",)
-
+SWUNG_ONCE = _told("swing-up", 1)
 
 # fmt: off
 IN_SWING_UP = Trigger("swing-up", 2.0)
@@ -594,16 +587,16 @@ HANDS_OFF = (
     Fault("pendulum held in the swing-up", _ends("not upright", "self-test"), _hold, IN_SWING_UP,
           HANGING),
     Fault("pendulum held between two runs", _ends("self-test"), _hold, Trigger("stopping", 3.0),
-          SERIES, check=_swung_once, words_after_stop=False),
+          SERIES, check=SWUNG_ONCE, words_after_stop=False),
     Fault("zero that slips between two runs", _ends("self-test"), _call("bench.slip", radians(1.0)),
-          Trigger("stopping", 2.0), SERIES, says="hangs", check=_swung_once,
+          Trigger("stopping", 2.0), SERIES, says="hangs", check=SWUNG_ONCE,
           words_after_stop=False),
-    Fault("robot lost between two runs", _ends("error"), _drop, Trigger("stopping", 2.0), SERIES,
-          check=_swung_once, words_after_stop=False),
+    Fault("robot lost between two runs", _ends("error"), _call("robot.link.close"),
+          Trigger("stopping", 2.0), SERIES, check=SWUNG_ONCE, words_after_stop=False),
     Fault("key between two runs", _ends("operator"), _call("typed.append", "stop"),
-          Trigger("stopping", 2.5), SERIES, check=_swung_once, words_after_stop=False),
+          Trigger("stopping", 2.5), SERIES, check=SWUNG_ONCE, words_after_stop=False),
     Fault("key after a stop of a series", _ends("survived"), scenario=SERIES,
-          trigger=Trigger("stopping"), check=_swung_once),
+          trigger=Trigger("stopping"), check=SWUNG_ONCE),
 )
 # fmt: on
 

@@ -25,13 +25,9 @@ class Balance:
         self.part, self.stall, self.random = part, stall, np.random.default_rng(seed)
         self.next, self.until, self.stalls, self.fastest = 1.0, -inf, 0, 0.0
         scenario = Scenario(duration=duration)
-        self.harness = FaultHarness(
-            scenario,
-            (Trigger("balancing"), lambda harness: harness.each(self.work)),
-            words_after_stop=False,
-            seed=seed,
-        )
-        harness = self.harness
+        stalls = Trigger("balancing"), lambda harness: harness.each(self.work)
+        harness = FaultHarness(scenario, stalls, words_after_stop=False, seed=seed)
+        self.harness = harness
         self.link = {"link": harness.robot.link, "encoder": harness.sensor.link}.get(part)
         self.usual = self.link and self.link.delay
         self.end = self.harness.run()

@@ -196,11 +196,8 @@ def stop_time(part):
 
 def problems_of(fault, scenario=None):
     """Run a fault in a scenario; return the differences of its end from the required one."""
-    harness = FaultHarness(
-        fault.scenario(scenario or Scenario()),
-        (fault.trigger, fault.inject),
-        words_after_stop=fault.words_after_stop,
-    )
+    scenario, injection = fault.scenario(scenario or Scenario()), (fault.trigger, fault.inject)
+    harness = FaultHarness(scenario, injection, words_after_stop=fault.words_after_stop)
     outcome = harness.run()
     return [*judge(harness, outcome, fault), *fault.check(harness)]
 

@@ -43,16 +43,11 @@ def replay(run, policy):
     if isinstance(policy, BoundPolicy):
         policy = replace(policy, settings=conditions.settings)
     request = RunRequest(
-        policy,
-        policy.actuator,
-        RigSettings.model_validate(conditions.rig),
-        conditions.world,
-        conditions.encoder,
-        conditions.duration,
+        policy, policy.actuator, RigSettings.model_validate(conditions.rig),
+        conditions.world, conditions.encoder, conditions.duration,
         identify=identify_actuator if conditions.identifies else None,
-        start=conditions.settings.evaluation.start,
-        reference=conditions.reference,
-    )
+        start=conditions.settings.evaluation.start, reference=conditions.reference,
+    )  # fmt: skip
     limit = None if run.end is None else run.end.max_speed
     clock = PolicyClock()
     state = Run(
