@@ -9,7 +9,7 @@ import pytest
 from equipoise.errors import OutsideError
 from equipoise.rig.clocks import VirtualClock
 from equipoise.robots.emulation import Emulation
-from tests.rig.in_process import ARM, PENDULUM, TwinSettings
+from tests.rig.test_simulated_rig import ARM, NOMINAL, PENDULUM
 
 pytestmark = [
     pytest.mark.compiled_only,
@@ -24,7 +24,7 @@ class Stage:
 
     def __init__(self):
         self.clock, self.said, self.plan = VirtualClock(), [], []
-        parts = ARM, PENDULUM, TwinSettings(), self.clock
+        parts = ARM, PENDULUM, NOMINAL, self.clock
         self.emulation = Emulation("kst", *parts, port=0, say=self.said.append)
         self.port = int(self.emulation.hardware.address.rpartition(":")[2])
 
@@ -91,6 +91,6 @@ def test_a_client_that_vanishes_leaves_the_servo_on_until_the_word_start():
 
 def test_a_port_in_use_is_an_error():
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        parts = ARM, PENDULUM, TwinSettings(), VirtualClock()
+        parts = ARM, PENDULUM, NOMINAL, VirtualClock()
         with pytest.raises(OutsideError):
             Emulation("kst", *parts, port=taken.getsockname()[1])
