@@ -1,4 +1,4 @@
-"""A whole run on emulated rigs, in virtual time, with all guards on."""
+"""A whole run on emulated rigs, in virtual time, with all guards on, and the replay of its log."""
 
 from types import SimpleNamespace
 
@@ -14,6 +14,8 @@ from equipoise.rig.connection import connect
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
 from equipoise.rig.run_controller import PHASES
+from tests.faults.harness import FaultHarness, Scenario, Trigger
+from tests.log.made_up import changed_table
 from tests.rig.replayed import replay
 
 pytestmark = pytest.mark.compiled_only
@@ -135,3 +137,35 @@ def test_a_stop_that_came_with_the_last_answer_is_heard_in_the_first_tick():
     end, told = answered(request(), "estop", "fence", "monitoring", "t1", "y", "stop")
     assert (end.outcome, end.survival) == ("operator", 0.0)
     assert "stopped by the operator (stop)" in told
+
+
+# A log goes through the controller again: the same comes out, or the first difference is named.
+
+
+@pytest.fixture(scope="module")
+def recorded(rig_log):
+    return RunLog.load(rig_log, damaged=True)
+
+
+def test_a_whole_course_comes_out_bit_for_bit(recorded):
+    assert replay(recorded, POLICY) == (len(recorded.tables["tick"]), [])
+
+
+def test_the_first_difference_is_named_with_its_tick(recorded):
+    tick = recorded.tables["tick"]
+    number = int(np.flatnonzero(tick["state"] == PHASES.index(Phase.BALANCING))[0]) + 20
+    u = tick["u"].copy()
+    u[number] = 1.25
+    assert replay(changed_table(recorded, "tick", u=u), POLICY) == (number, ["u"])
+
+
+@pytest.mark.full
+def test_a_run_with_a_stall_replays_to_the_bit(tmp_path):
+    scenario = Scenario(duration=1.5, out=tmp_path / "run.mcap")
+    # The second setpoint of a tick is late, and is not sent.
+    stall = Trigger("balancing", 0.5), lambda harness: harness.clock.stalls.extend((0.0, 0.05))
+    assert FaultHarness(scenario, stall).run().outcome == "survived"
+    log = RunLog.load(scenario.out)
+    ticks, rows = len(log.tables["tick"]), len(log.tables["stream"])
+    assert rows < 2 * ticks
+    assert replay(log, scenario.policy) == (ticks, [])
