@@ -39,16 +39,6 @@ def make(world, **arguments):
     return gym.make(NAME, world=world, **arguments)
 
 
-def of(policy):
-    """Return the arguments that give an environment the task of a policy."""
-    return {
-        "pendulum": policy.pendulum,
-        "arm": policy.arm,
-        "actuator": policy.actuator,
-        "settings": policy.settings,
-    }
-
-
 @pytest.mark.parametrize(
     ("world", "discrete"), [*((each, False) for each in WORLDS), ("model", True)]
 )
@@ -68,7 +58,8 @@ def test_a_table_in_the_environment_gives_the_trial_of_evaluate_bit_for_bit(worl
     results = evaluate(policy, settings, world=world, seed=SEED, with_baselines=False).results
     setup = setup_of(policy, world, settings)
     simulation = simulate(world, setup, seed=SEED, stream=TEST)
-    env = make(world, max_episode_steps=150, **of(policy) | {"settings": settings})
+    task = {name: getattr(policy, name) for name in ("pendulum", "arm", "actuator")}
+    env = make(world, max_episode_steps=150, settings=settings, **task)
     for i in range(3):
         recorder = TrialRecorder()
         run_trial(simulation.loop(), policy, simulation.draw(3).trial(i), 1.5, recorder)
@@ -310,9 +301,8 @@ def test_lanes_swing_up_and_take_discrete_actions_and_own_rewards_as_single_ones
 def test_gymnasiums_wrappers_take_the_vector_environment():
     envs = gym.make_vec(NAME, 4, world="ideal", max_episode_steps=20)
     assert envs.spec.kwargs["vectorization_mode"] == "vector_entry_point"
-    wrapped = gym.wrappers.vector.RecordEpisodeStatistics(
-        gym.wrappers.vector.RescaleAction(envs, -1.0, 1.0)
-    )
+    rescaled = gym.wrappers.vector.RescaleAction(envs, -1.0, 1.0)
+    wrapped = gym.wrappers.vector.RecordEpisodeStatistics(rescaled)
     wrapped.reset(seed=SEED)
     for _ in range(20):
         _, _, failed, late, info = wrapped.step(wrapped.action_space.sample())

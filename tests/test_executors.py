@@ -171,10 +171,8 @@ def two_workers(cluster):
 def test_a_cluster_gives_the_bits_of_one_machine(two_workers, world):
     policy, finished = eq.shipped_policy(), []
     args = {"settings": changed(policy.settings, SHORT), "world": world, "seed": 3}
-    hanging = args | {
-        "settings": changed(args["settings"], {"evaluation.start": "hanging"}),
-        "with_baselines": False,
-    }
+    from_hanging = changed(args["settings"], {"evaluation.start": "hanging"})
+    hanging = args | {"settings": from_hanging, "with_baselines": False}
     with open_workers(two_workers.address) as workers:
         found = eq.evaluate(policy, **args, workers=workers, done=finished.append)
         assert found == eq.evaluate(policy, **args, workers=2)
@@ -187,13 +185,12 @@ def test_eight_seeds_train_alike_on_a_cluster(two_workers, quick_settings, pendu
     def train(seed):
         return eq.train(pendulum, settings=quick_settings, seed=seed)
 
+    target = {"settings": quick_settings, "target": 0.5, "attempts": 1}
     with open_workers(two_workers.address) as workers:
         found = dict(completed(train, range(8), workers))
-        selected = eq.train_to_target(
-            pendulum, settings=quick_settings, target=0.5, attempts=1, workers=workers
-        )
+        selected = eq.train_to_target(pendulum, **target, workers=workers)
     assert found == dict(completed(train, range(8), 2))
-    assert selected == eq.train_to_target(pendulum, settings=quick_settings, target=0.5, attempts=1)
+    assert selected == eq.train_to_target(pendulum, **target)
 
 
 @pytest.mark.slow
@@ -324,9 +321,8 @@ def test_a_worker_with_other_kernels_is_an_error(cluster, tmp_path):
 @pytest.mark.parametrize("which", ["scheduler", "worker"])
 def test_a_scheduler_or_worker_without_the_package_is_an_error(cluster, tmp_path, which):
     (tmp_path / "none").mkdir()
-    (tmp_path / "none" / "equipoise.py").write_text(
-        "raise ModuleNotFoundError(\"No module named 'equipoise'\", name='equipoise')"
-    )
+    missing = "raise ModuleNotFoundError(\"No module named 'equipoise'\", name='equipoise')"
+    (tmp_path / "none" / "equipoise.py").write_text(missing)
     cluster.scheduler(tmp_path / "none" if which == "scheduler" else "")
     cluster.worker(tmp_path / "none" if which == "worker" else "")
     with pytest.raises(OutsideError, match=f"{which} .* lacks a package: .*'equipoise'.*; install"):

@@ -120,9 +120,8 @@ def test_a_fall_lowers_the_value_of_its_last_action_and_every_other_step_moves_t
     )  # fmt: skip
     on_robot["learn"](tables, [log], settings)
     alpha, gamma = settings.learning.alpha_initial, settings.learning.gamma
-    assert tables.Q[10, 0] == pytest.approx(
-        (1 - alpha) * before[10, 0] + alpha * gamma * before[11, 0]
-    )
+    towards = (1 - alpha) * before[10, 0] + alpha * gamma * before[11, 0]
+    assert tables.Q[10, 0] == pytest.approx(towards)
     assert tables.Q[12, 7] == pytest.approx((1 - alpha) * before[12, 7] - alpha)
     assert tables.visits.sum() == 6  # the mirror images, too
 

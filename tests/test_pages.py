@@ -173,12 +173,10 @@ def folder(tmp_path):
         write_swing(tmp_path / name, swing)
     shipped_policy().save(tmp_path / "policy.json", command="test")
     equipoise.shipped_pendulum().save(tmp_path / "pendulum.json", command="test")
-    (tmp_path / "network.onnx").write_bytes(
-        linear_network([[1.2], [1.8], [24.0], [3.0]], element=FLOAT)
-    )
-    (tmp_path / "my_module.py").write_text(
-        "def my_function(observation):\n    return 24.0 * observation[2] + 3.0 * observation[3]\n"
-    )
+    network = linear_network([[1.2], [1.8], [24.0], [3.0]], element=FLOAT)
+    (tmp_path / "network.onnx").write_bytes(network)
+    law = "return 24.0 * observation[2] + 3.0 * observation[3]"
+    (tmp_path / "my_module.py").write_text(f"def my_function(observation):\n    {law}\n")
     for page, file in (("first-run.md", "rig.toml"), ("digital-twin.md", "mine.toml")):
         ((_, text),) = blocks(f"docs/how-to/{page}", "toml")
         (tmp_path / file).write_text(text)

@@ -55,10 +55,8 @@ def test_every_public_name_argument_and_field_is_documented(name):
         # A short docstring may explain its arguments in its sentence; one with Args names all.
         if "Args:" in text:
             for argument in inspect.signature(function).parameters:
-                assert argument in ("self", "cls") or f"\n    {argument}: " in text, (
-                    called,
-                    argument,
-                )
+                explained = argument in ("self", "cls") or f"\n    {argument}: " in text
+                assert explained, (called, argument)
     if inspect.isclass(thing) and issubclass(thing, BaseModel):
         for field, info in thing.model_fields.items():
             # A section of the settings is described by its own class.

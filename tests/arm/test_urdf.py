@@ -70,9 +70,8 @@ def test_a_name_is_made_harmless(edited):
 
 @pytest.mark.parametrize("limit", ['lower="0" upper="0"', 'lower="1" upper="-1"', 'lower="wide"'])
 def test_a_continuous_joint_has_no_position_limits_whatever_the_file_says(edited, limit):
-    path = edited(
-        '<limit velocity="3.5" effort="30"/>', f'<limit {limit} velocity="2" effort="9"/>'
-    )
+    limits = f'<limit {limit} velocity="2" effort="9"/>'
+    path = edited('<limit velocity="3.5" effort="30"/>', limits)
     lift = read_urdf(path, home=ELBOW_HOME).joints[3]
     assert (lift.lower, lift.upper) == (-20.0 * np.pi, 20.0 * np.pi)
     assert (lift.velocity, lift.torque) == (2.0, 9.0)
@@ -122,9 +121,8 @@ def test_drawings_of_a_link_are_not_judged(edited, capfd):
 
 
 def test_warnings_of_mujoco_are_neither_printed_nor_written(tmp_path, capfd):
-    model = mujoco().MjModel.from_xml_string(
-        '<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>'
-    )
+    ball = '<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>'
+    model = mujoco().MjModel.from_xml_string(ball)
     data = mujoco().MjData(model)
     data.qpos[0] = np.nan
     mujoco().mj_step(model, data)

@@ -45,16 +45,15 @@ def test_a_second_call_takes_the_next_name_and_says_so(equipoise, swing, tmp_pat
     before = contents(tmp_path)
     assert equipoise(*call.split()).code == 0
     first = contents(tmp_path)
-    assert first.keys() - before.keys() >= SECOND_CALLS[call]
+    made = first.keys() - before.keys()
+    assert made >= SECOND_CALLS[call]
     second = equipoise(*call.split())
     name, *_ = sorted(file.partition("/")[0] for file in SECOND_CALLS[call])
     free = Path(name).with_stem(Path(name).stem + "-2")
     assert (second.code, f"{name} is taken; writing {free}") == (0, second.out.splitlines()[0])
     after = contents(tmp_path)
     assert first.items() <= after.items()
-    assert {file.replace("-2", "") for file in after.keys() - first.keys()} == (
-        first.keys() - before.keys()
-    )
+    assert {file.replace("-2", "") for file in after.keys() - first.keys()} == made
 
 
 @pytest.mark.full

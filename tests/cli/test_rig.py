@@ -46,9 +46,8 @@ def test_an_arm_that_fits_no_policy_leads_to_a_training_for_it(equipoise, pendul
     new = {"pendulum": pendulum, "actuator": slow, "Q": worst}
     shipped.model_copy(update=new).save(tmp_path / "slow.json", command="test")
     pendulum.save(tmp_path / "my-pendulum.json", command="test")
-    ran = equipoise(
-        "deploy", "slow.json", "--robot", "twin:nominal", "--arm", "iiwa7", "--identify"
-    )
+    options = ("--arm", "iiwa7", "--identify")
+    ran = equipoise("deploy", "slow.json", "--robot", "twin:nominal", *options)
     assert "arm not identified" in ran.out, ran
     then = "train my-pendulum.json --arm iiwa7 --actuator run-actuator.json"
     assert ran.out.endswith(f"next: equipoise {then}\n")

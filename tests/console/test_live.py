@@ -86,9 +86,8 @@ def test_questions_and_stop(played):
         wait_until(lambda: run.words, "answer")
         assert [word for _, word in run.words] == ["fence"]
         wait_until(lambda: not shown(page, "#equipoise-question"), "end of the question")
-        push_event(
-            run.recorder.event, 0.0, OperatorMessage("notice", "<img src=x onerror=alert(1)>")
-        )
+        markup = OperatorMessage("notice", "<img src=x onerror=alert(1)>")
+        push_event(run.recorder.event, 0.0, markup)
         push_event(run.recorder.event, 0.0, OperatorMessage("run", "Run 3 of 10; all survived."))
         run.phase = Phase.BALANCING
         wait_until(lambda: "balancing" in shown(page, "#equipoise-state")[0], "phase")

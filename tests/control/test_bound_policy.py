@@ -18,6 +18,7 @@ from equipoise.settings import Settings
 from tests.reference.onnx_network import DOUBLE, FLOAT, linear_network
 
 GAINS = lqr_gains(shipped_pendulum().parameters(), 0.01)
+COLUMN = [[gain] for gain in GAINS]
 OBSERVATION = np.array([0.05, -0.1, 0.02, -0.15])
 SOURCE = f"""
 import numbers
@@ -82,7 +83,7 @@ def folder(tmp_path, monkeypatch):
     """A folder with policies of all kinds, which is the current one."""
     monkeypatch.setattr(sys, "path", list(sys.path))
     (tmp_path / "guest.py").write_text(SOURCE)
-    (tmp_path / "lqr.onnx").write_bytes(linear_network([[gain] for gain in GAINS]))
+    (tmp_path / "lqr.onnx").write_bytes(linear_network(COLUMN))
     shipped_policy().save(tmp_path / "table.json", command="test")
     yield tmp_path
     sys.modules.pop("guest", None)
@@ -175,9 +176,7 @@ def test_a_table_is_refused_for_another_task_and_other_policies_take_it(folder):
 def test_a_linear_network_commands_what_the_same_law_in_python_does(
     folder, batch, element, tolerance
 ):
-    network = linear_network(
-        [[gain] for gain in GAINS], inputs=(batch, 4), outputs=(batch, 1), element=element
-    )
+    network = linear_network(COLUMN, inputs=(batch, 4), outputs=(batch, 1), element=element)
     (folder / "net.onnx").write_bytes(network)
     policy, law = load_policy("net.onnx"), load_policy("guest:lqr")
     for observation in np.random.default_rng(0).uniform(-0.05, 0.05, (50, 4)):

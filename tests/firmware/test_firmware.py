@@ -59,9 +59,8 @@ def test_readings_are_the_codecs_byte_for_byte(core):
     ]
     for _ in range(10_000):
         seq, t_us, counts = (int(rng.integers(2 ** rng.integers(1, b))) for b in (17, 33, 32))
-        readings.append(
-            Reading(seq, t_us, counts * int(rng.choice((-1, 1))), int(rng.integers(16)))
-        )
+        counts *= int(rng.choice((-1, 1)))
+        readings.append(Reading(seq, t_us, counts, int(rng.integers(16))))
     commands = [f"reading {r.seq} {r.t_us} {r.counts} {r.flags}" for r in readings]
     assert told(core, commands) == b"".join(encode(reading) for reading in readings)
 

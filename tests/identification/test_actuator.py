@@ -132,11 +132,9 @@ def test_a_delay_that_fits_one_period_later_as_well_is_not_taken():
     rng = np.random.default_rng(5)
     time = np.arange(0.0, 6.0, 0.005)
     # 20 Hz: a period of 50 ms. A slow swing beside it gives the motion its range.
-    q = (
-        0.5 / 126.0 * np.sin(126.0 * time)[:, None]
-        + 0.1 * np.sin(1.5 * time + np.arange(6)[:, None]).T
-    )
-    actuator = identified(cabinet(rng, time, q, delay=0.035), kind="kst")
+    fast = 0.5 / 126.0 * np.sin(126.0 * time)[:, None]
+    slow = 0.1 * np.sin(1.5 * time + np.arange(6)[:, None]).T
+    actuator = identified(cabinet(rng, time, fast + slow, delay=0.035), kind="kst")
     assert actuator.delay.value == pytest.approx(0.035 + WAITING, abs=1e-3)
 
 

@@ -24,9 +24,8 @@ SWING = {"theta0": 1.0, "duration": 2.0, "rate_hz": 500.0, "counts_per_rev": 409
 def test_an_angle_comes_back_within_half_a_step(theta, counts_per_rev, sign):
     counts = counts_from_theta(theta, counts_per_rev, sign)
     assert counts == round(counts)
-    assert (
-        abs(theta_from_counts(counts, counts_per_rev, sign) - theta) <= pi / counts_per_rev + 1e-12
-    )
+    found = theta_from_counts(counts, counts_per_rev, sign)
+    assert abs(found - theta) <= pi / counts_per_rev + 1e-12
 
 
 def test_a_simulated_swing_is_the_true_one_within_half_a_step():

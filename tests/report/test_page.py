@@ -106,9 +106,8 @@ def test_texts_from_outside_are_escaped():
 
 def test_the_comparison_states_the_paper_and_both_recipes(plain):
     head, *lines = re.findall("<tr>(.*?)</tr>", plain.partition("</table>")[0])
-    table = [
-        [Reader(cell).text for cell in re.findall("<t[hd].*?</t[hd]>", line)] for line in lines
-    ]
+    cells = re.compile("<t[hd].*?</t[hd]>")
+    table = [[Reader(cell).text for cell in cells.findall(line)] for line in lines]
     assert head.count("<th>") == 4
     # Clopper-Pearson of 18 of 20, 10 of 20 and 20 of 20, from any table.
     assert table == [
@@ -166,9 +165,8 @@ def test_the_page_is_built_with_its_figures_and_its_film(tmp_path, monkeypatch):
     Reader(text)
     assert path == tmp_path / "report" / PAGE
     assert tmp_path.name not in text  # no path of this machine
-    assert {f"{name}.svg" for name in FIGURES} < {
-        p.name for p in (path.parent / "figures").iterdir()
-    }
+    drawn = {p.name for p in (path.parent / "figures").iterdir()}
+    assert {f"{name}.svg" for name in FIGURES} < drawn
 
 
 @pytest.mark.full

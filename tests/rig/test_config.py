@@ -93,9 +93,8 @@ def test_an_address_that_is_none_is_refused(robot, encoder):
 
 
 def test_what_a_rig_says_of_its_limits_becomes_its_rules(tmp_path):
-    file = written(
-        tmp_path, "position_margin_deg = 10\nspeed_fraction = 0.5\ntorque_fraction = 0.2\n"
-    )
+    text = "position_margin_deg = 10\nspeed_fraction = 0.5\ntorque_fraction = 0.2\n"
+    file = written(tmp_path, text)
 
     def safety(rig):
         request = RunRequest(POLICY, POLICY.actuator, rig, "twin:nominal", None, 1.0)

@@ -46,9 +46,8 @@ ARM = iiwa(7)
 H = 0.01
 TOLD = 0.100
 POLICY = shipped_policy()
-REQUEST = RunRequest(
-    POLICY, POLICY.actuator, RigSettings(), "kst://nowhere", "serial://nowhere", 2.0
-)
+LINKS = ("kst://nowhere", "serial://nowhere")
+REQUEST = RunRequest(POLICY, POLICY.actuator, RigSettings(), *LINKS, 2.0)
 
 
 # What stands in the loop's process.

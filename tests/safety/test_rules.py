@@ -103,9 +103,8 @@ def test_a_setpoint_can_be_stopped_before_the_limit(side):
         assert (violation is None) == may
         if violation:
             assert violation.outcome is Outcome.POSITION
-            assert violation.evidence["value"] == pytest.approx(
-                side * (LIMITS.upper[0] - room + 0.072)
-            )
+            rest = side * (LIMITS.upper[0] - room + 0.072)
+            assert violation.evidence["value"] == pytest.approx(rest)
         # On the way back it may be there, and on a way to rest.
         assert check_setpoint(LIMITS, last, q, moved(q, 1, 1.2 * side * DT), DT) is None
         assert check_setpoint(LIMITS, q, last, before, DT, True) is None

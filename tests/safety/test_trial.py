@@ -99,9 +99,8 @@ def test_a_number_that_is_none_breaks_a_rule():
     home = np.array(ARM.home)
     broken = home.copy()
     broken[3] = nan
-    assert broken_setpoint(GUARD_7.limits, broken, home, home, DT)[:2] == (
-        rules.POSITION_CODE, 4,
-    )  # fmt: skip
+    rule, joint, *_ = broken_setpoint(GUARD_7.limits, broken, home, home, DT)
+    assert (rule, joint) == (rules.POSITION_CODE, 4)
     assert broken_flange(GUARD_7, nan, 0.0, 0.0, 0.0, 1.0)[0] == rules.TRACK_CODE
     assert broken_flange(GUARD_7, 0.0, nan, 0.0, 0.0, 1.0)[0] == rules.TRACK_CODE
     assert has_fallen(nan)

@@ -16,6 +16,7 @@ from equipoise.simulation.evaluation import evaluate
 
 pytestmark = pytest.mark.compiled_only
 WORLD = "twin:nominal"
+COULOMB = Estimate.normal(1.957, 0.08, "identified")
 UNGUARDED = World("twin:unguarded", TwinSettings(guards=False))
 
 
@@ -44,12 +45,8 @@ def test_a_run_on_the_twin_holds_what_was_sent_measured_and_true(behind_a_servo,
 
 
 def test_the_twin_has_the_friction_that_was_identified(behind_a_servo):
-    dry = behind_a_servo.pendulum.model_copy(
-        update={
-            "coulomb": Estimate.normal(1.957, 0.08, "identified"),
-            "drag": Estimate.normal(0.02, 0.001, "identified"),
-        }
-    )
+    friction = {"coulomb": COULOMB, "drag": Estimate.normal(0.02, 0.001, "identified")}
+    dry = behind_a_servo.pendulum.model_copy(update=friction)
     policy = behind_a_servo.model_copy(update={"pendulum": dry})
     sticky = World("twin:sticky", TwinSettings(coulomb=0.1, drag=0.0))
     for world, coulomb, drag, varies in ((WORLD, 1.957, 0.02, True), (sticky, 0.1, 0.0, False)):
@@ -63,9 +60,7 @@ def test_the_twin_has_the_friction_that_was_identified(behind_a_servo):
 
 def test_model_and_twin_agree_about_a_regulator_on_a_pivot_with_dry_friction(behind_a_servo):
     """The vibration of the pivot within a tick breaks the hold of dry friction, on both."""
-    dry = Pendulum.assumed(120.26, 0.234).model_copy(
-        update={"coulomb": Estimate.normal(1.957, 0.08, "identified")}
-    )
+    dry = Pendulum.assumed(120.26, 0.234).model_copy(update={"coulomb": COULOMB})
     policy = behind_a_servo.model_copy(update={"pendulum": dry})
     settings = changed(policy.settings, {"evaluation.trials": 6, "evaluation.duration": 12.0})
     for world in ("model", WORLD):
