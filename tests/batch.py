@@ -4,7 +4,10 @@ import numpy as np
 
 from equipoise.arrays import fields, new_records
 from equipoise.jit import call, kernel
-from equipoise.simulation.plant import BatchState, scaled
+from equipoise.simulation.plant import BatchState, DomainRandomization, scaled
+
+NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
+"""A plant that is as the controller thinks."""
 
 
 @kernel

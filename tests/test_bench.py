@@ -11,13 +11,12 @@ from equipoise import paper
 from equipoise.arm.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import resolve
-from equipoise.simulation.plant import DomainRandomization, make_loop_params
-from tests.batch import Batch
+from equipoise.simulation.plant import make_loop_params
+from tests.batch import NOMINAL, Batch
 
 pytestmark = pytest.mark.full
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.16, c=0.1)
-NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
 QUIET = resolve(overrides=["plant.position_error_sigma=0.0", "plant.orientation_error_sigma=0.0"])
 
 

@@ -13,17 +13,15 @@ from equipoise.model.worlds import MODEL
 from equipoise.settings import changed, resolve
 from equipoise.simulation.evaluation import evaluate
 
+pytestmark = pytest.mark.compiled_only
+
 
 def summaries(pendulum, settings, seeds, tests, attempts=ATTEMPTS, world=MODEL):
     """Train for each seed alone, and return what the trials of each policy came to."""
-    workers = available_cores()
     for seed in seeds:
-        policy = train_to_target(
-            pendulum, iiwa(7), settings, attempts=attempts, seed=seed, workers=workers
-        )
-        evaluation = evaluate(
-            policy, tests, world=world, seed=seed, with_baselines=False, workers=workers
-        )
+        options = {"seed": seed, "workers": available_cores()}
+        policy = train_to_target(pendulum, iiwa(7), settings, attempts=attempts, **options)
+        evaluation = evaluate(policy, tests, world=world, with_baselines=False, **options)
         yield evaluation.results.summary()
 
 
@@ -34,7 +32,6 @@ def assert_they_stand(results):
     assert sum(r.rate >= 0.985 for r in results) >= 0.9 * len(results)
 
 
-@pytest.mark.compiled_only
 def test_a_short_training_stands_most_of_the_time(pendulum):
     # Its own test in the training does not matter here, and is as short as its target allows.
     settings = resolve(overrides=["learning.episodes=3000", "selection.test_trials=300"])
@@ -45,7 +42,6 @@ def test_a_short_training_stands_most_of_the_time(pendulum):
 
 
 @pytest.mark.slow
-@pytest.mark.compiled_only
 @pytest.mark.parametrize(
     ("recorded", "world", "trials"),
     [(False, MODEL, 1000), (True, MODEL, 1000), (False, "twin:nominal", 200)],
@@ -59,7 +55,6 @@ def test_every_seed_stands_a_minute(request, pendulum, recorded, world, trials):
     assert_they_stand(list(summaries(pendulum, resolve(), range(10), tests, world=world)))
 
 
-@pytest.mark.compiled_only
 def test_the_policy_that_ships_stands_on_the_twin():
     # It survived 200 of 200 trials of a minute: two falls in 16 have a chance below 1e-3.
     policy, workers = shipped_policy(), available_cores()

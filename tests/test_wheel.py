@@ -10,6 +10,8 @@ from zipfile import ZipFile
 
 import pytest
 
+pytestmark = pytest.mark.compiled_only
+
 SOURCES = Path(__file__).parents[1]
 
 
@@ -21,7 +23,6 @@ def build(sources, kind, folder):
 
 
 @pytest.mark.full
-@pytest.mark.compiled_only
 @pytest.mark.parametrize("sources", [SOURCES, SOURCES / "plugins" / "equipoise-franka"])
 def test_the_wheel_of_the_archive_is_the_wheel_of_the_sources(sources, tmp_path):
     pytest.importorskip("hatchling")
@@ -33,7 +34,6 @@ def test_the_wheel_of_the_archive_is_the_wheel_of_the_sources(sources, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.compiled_only
 @pytest.mark.parametrize("kind", ["wheel", "sdist"])
 def test_what_is_built_installs_and_reproduces_the_paper(kind, tmp_path):
     built = build(SOURCES, kind, tmp_path / "built")

@@ -4,16 +4,12 @@ import json
 import os
 import re
 import socket
-import sys
 
 import pytest
 
-from tests.program import program
+from tests.program import needs_terminals, program
 
-pytestmark = [
-    pytest.mark.compiled_only,
-    pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals"),
-]
+pytestmark = [pytest.mark.compiled_only, needs_terminals]
 
 
 def ask(connection, command):

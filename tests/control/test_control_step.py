@@ -21,14 +21,13 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.grid import TRUNCATED
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import resolve
-from equipoise.simulation.plant import DomainRandomization, make_loop_params
-from tests.batch import Batch
+from equipoise.simulation.plant import make_loop_params
+from tests.batch import NOMINAL, Batch
 from tests.reference.closed_loop import Joints
 
 ARM = iiwa(14)
 H = 0.01
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
-NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
 FINE = 2**40
 """Counts of an encoder whose steps do not matter."""
 QUIET = ["plant.position_error_sigma=0", "plant.orientation_error_sigma=0"]
@@ -44,18 +43,16 @@ def made(actuator, *overrides, counts=8192, h=H):
 
 @pytest.mark.parametrize(("high", "delay"), [(0.010, 0.015), (0.019, 0.019)])
 def test_the_horizon_is_the_delay_with_its_upper_end_or_the_margin_and_the_lag(high, delay):
-    actuator = Actuator.assumed("lag", delay=0.010, lag=0.008).model_copy(
-        update={"delay": Estimate(value=0.010, low=0.002, high=high, source="identified")}
-    )
+    found = Estimate(value=0.010, low=0.002, high=high, source="identified")
+    actuator = Actuator.assumed("lag", lag=0.008).model_copy(update={"delay": found})
     # Whichever is more: 10 ms and a margin of 5 ms, or the upper end of the interval.
     assert horizon(ARM, actuator, 0.005) == pytest.approx(delay + 0.008, abs=1e-12)
 
 
 def test_the_lags_of_the_joints_count_by_what_they_do_to_the_flange():
     lags = (0.004, 0.030, 0.010, 0.002, 0.020, 0.007)
-    actuator = Actuator.assumed("lag", delay=0.0).model_copy(
-        update={"lags": tuple(Estimate.around(lag, 0.0, "identified") for lag in lags)}
-    )
+    found = tuple(Estimate.around(lag, 0.0, "identified") for lag in lags)
+    actuator = Actuator.assumed("lag", delay=0.0).model_copy(update={"lags": found})
     # The arm moves along x and each joint stays behind by its lag: so far is the flange behind.
     home = ARM.kinematics(ARM.home_free)
     x_dot = 1e-3

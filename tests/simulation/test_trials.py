@@ -19,13 +19,12 @@ from equipoise.settings import resolve
 from equipoise.simulation.ideal import run_trials
 from equipoise.simulation.plant import DomainRandomization, failure, make_loop_params, scaled
 from equipoise.simulation.trials import draw_trials
-from tests.batch import Batch
+from tests.batch import NOMINAL, Batch
 from tests.simulation.recorded import on_the_plant, run_all
 
 ARM = iiwa(14)
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
 SETTINGS = resolve()
-NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
 CONDITIONS = ("start", "variation")
 STREAMS = (SELECTION, TARGET_TEST, TEST)
 

@@ -85,11 +85,9 @@ def test_a_board_of_other_counts_is_refused():
 @pytest.mark.parametrize("restart", [0.0, 0.4])
 def test_a_board_that_restarts_while_connecting_is_timed_again(restart):
     # At once, since its port is opened; or later.
-    bench = Bench()
+    bench, again = Bench(), 1.001 + restart
     bench.clock.wait_until(1.0)
-    bench.clock.attach(
-        lambda now: bench.board.reboot() if abs(now - 1.001 - restart) < 1e-4 else None
-    )
+    bench.clock.attach(lambda now: bench.board.reboot() if abs(now - again) < 1e-4 else None)
     bench.sensor.connect()
     samples = bench.run(0.1)
     assert len(samples) == pytest.approx(100, abs=8)

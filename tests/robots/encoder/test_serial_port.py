@@ -1,6 +1,5 @@
 """A serial port as pyserial gives it: over a pseudo-terminal, and over a socket."""
 
-import sys
 import threading
 import time
 from collections import deque
@@ -13,8 +12,9 @@ from equipoise.rig.clocks import SystemClock
 from equipoise.robots.encoder.board import Board, Terminal
 from equipoise.robots.encoder.plugin import open_serial
 from equipoise.robots.encoder.sensor import LineEncoder
+from tests.program import needs_terminals
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
+pytestmark = needs_terminals
 
 
 class Served:
