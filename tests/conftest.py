@@ -47,6 +47,13 @@ def tiers(values, quick, full=()):
     return [pytest.param(value, marks=marks.get(value, slow)) for value in values]
 
 
+def written(name, content):
+    """Write a file, text or bytes, into the folder of the test; return its path."""
+    path = Path(name).absolute()
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
 @pytest.fixture(autouse=True)
 def _elsewhere(tmp_path, monkeypatch):
     """Run each test in an empty folder: the one of the checkout may hold files of the user."""

@@ -4,15 +4,10 @@ import pytest
 
 from equipoise.errors import SettingsError
 from equipoise.settings import RECIPES, Settings, resolve
+from tests.conftest import written
 
 SECTIONS = {name: type(section) for name, section in Settings()}
 NAMES = [f"{section}.{name}" for section, kind in SECTIONS.items() for name in kind.model_fields]
-
-
-def toml(tmp_path, text):
-    path = tmp_path / "mine.toml"
-    path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return path
 
 
 def refusal(*overrides, file=None, recipe="robust"):
@@ -31,8 +26,8 @@ def value(settings, name):
     return getattr(getattr(settings, section), key)
 
 
-def test_a_file_wins_over_a_recipe_over_the_defaults_and_a_single_setting_over_all(tmp_path):
-    file = toml(tmp_path, "[plant]\norientation_error_sigma = 0.01\n")
+def test_a_file_wins_over_a_recipe_over_the_defaults_and_a_single_setting_over_all():
+    file = written("mine.toml", "[plant]\norientation_error_sigma = 0.01\n")
     single = ["plant.orientation_error_sigma=0.03", "plant.orientation_error_sigma=0.02"]
     default = Settings().plant.orientation_error_sigma
     of_recipe = RECIPES["paper"]["plant.orientation_error_sigma"]
@@ -42,7 +37,7 @@ def test_a_file_wins_over_a_recipe_over_the_defaults_and_a_single_setting_over_a
     assert resolve("paper", file).plant.orientation_error_sigma == 0.01
     assert resolve("paper", file, single).plant.orientation_error_sigma == 0.02
     assert resolve("robust", file).plant.orientation_error_sigma == 0.01
-    assert resolve("paper", toml(tmp_path, "")) == resolve("paper")
+    assert resolve("paper", written("mine.toml", "")) == resolve("paper")
 
 
 @pytest.mark.parametrize(
@@ -61,19 +56,19 @@ def test_a_single_setting_is_read_as_its_type(override, wanted):
     assert type(got) is type(wanted)
 
 
-def test_a_setting_without_its_section_or_with_a_misspelt_one_is_found(tmp_path):
+def test_a_setting_without_its_section_or_with_a_misspelt_one_is_found():
     for name in ("gamma", "learnin.gamma", "learn.gamma", "learning.gama", "gama"):
         assert "learning.gamma" in refusal(f"{name}=0.9")
-    assert "learning.gamma" in refusal(file=toml(tmp_path, "gamma = 1"))
+    assert "learning.gamma" in refusal(file=written("mine.toml", "gamma = 1"))
 
 
 @pytest.mark.parametrize("name", ["lerning.gamma", "", "a.b.c"])
-def test_an_unknown_name_is_refused(tmp_path, name):
+def test_an_unknown_name_is_refused(name):
     assert repr(name) in refusal(f"{name}=1")
     if name.count(".") == 1:
         section, key = name.split(".")
         text = f'[{section}]\n"{key}" = 1\n'
-        assert repr(name) in refusal(file=toml(tmp_path, text))
+        assert repr(name) in refusal(file=written("mine.toml", text))
 
 
 IMPOSSIBLE = [
@@ -100,8 +95,8 @@ DEEP = ["[" * 900, "9" * 5000, "1\n" + ".".join("a" * 400) + " = 1"]
         "# comment\n" * 7000,
     ],
 )
-def test_an_unreadable_file_is_refused_in_one_sentence(tmp_path, text):
-    refusal(file=toml(tmp_path, text))
+def test_an_unreadable_file_is_refused_in_one_sentence(text):
+    refusal(file=written("mine.toml", text))
 
 
 def test_a_missing_file_is_refused(tmp_path):

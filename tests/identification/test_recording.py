@@ -10,15 +10,14 @@ from hypothesis.extra.numpy import arrays
 
 from equipoise.errors import RecordingError
 from equipoise.identification.recording import Trajectory, read_swing, write_swing
+from tests.conftest import written
 
 TIME = np.array([0.0, 0.1, 0.2, 0.3])
 
 
-def column(tmp_path, name, values):
-    rows = "".join(f"{t},{value}\n" for t, value in zip(TIME, values, strict=True))
-    path = tmp_path / "swing.csv"
-    path.write_text(f"time_s,{name}\n{rows}")
-    return path
+def column(name, values, time=TIME):
+    rows = "".join(f"{t},{value}\n" for t, value in zip(time, values, strict=True))
+    return written("swing.csv", f"time_s,{name}\n{rows}")
 
 
 COLUMNS = [
@@ -40,15 +39,15 @@ COLUMNS = [
 
 
 @pytest.mark.parametrize(("name", "values", "options", "theta", "step"), COLUMNS)
-def test_each_column_becomes_an_angle_from_hanging(tmp_path, name, values, options, theta, step):
-    swing = read_swing(column(tmp_path, name, values), **options)
+def test_each_column_becomes_an_angle_from_hanging(name, values, options, theta, step):
+    swing = read_swing(column(name, values), **options)
     np.testing.assert_allclose(swing.theta, theta, atol=1e-12)
     assert swing.resolution == pytest.approx(step)
     assert (swing.theta_dot, swing.source) == (None, "swing.csv")
 
 
-def test_a_gyros_rate_is_a_rate(tmp_path):
-    path = column(tmp_path, "rate_rad_s", [1, 2, 3, -4])
+def test_a_gyros_rate_is_a_rate():
+    path = column("rate_rad_s", [1, 2, 3, -4])
     assert read_swing(path).theta is None
     assert read_swing(path).theta_dot.tolist() == [1, 2, 3, -4]
     assert read_swing(path, from_upright=True).theta_dot.tolist() == [-1, -2, -3, 4]
@@ -68,16 +67,14 @@ SPELLINGS = {
 
 
 @pytest.mark.parametrize("text", SPELLINGS.values(), ids=SPELLINGS)
-def test_one_recording_in_many_spellings_is_one_recording(tmp_path, text):
-    path = tmp_path / "swing.csv"
-    path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    swing = read_swing(path)
+def test_one_recording_in_many_spellings_is_one_recording(text):
+    swing = read_swing(written("swing.csv", text))
     assert swing.time.tolist() == [0.0, 0.5]
     assert swing.theta.tolist() == [1.0, 2.5]
 
 
-def test_a_window_holds_the_samples_at_its_ends_and_trusts_its_start(tmp_path):
-    path = column(tmp_path, "theta_rad", [0.1, 0.2, 0.1, -0.3])
+def test_a_window_holds_the_samples_at_its_ends_and_trusts_its_start():
+    path = column("theta_rad", [0.1, 0.2, 0.1, -0.3])
     swing = read_swing(path, start=0.1, end=0.2)
     assert swing.time.tolist() == [0.1, 0.2]
     assert (swing.released, read_swing(path, end=0.2).released) == (True, False)
@@ -103,7 +100,7 @@ def test_a_written_swing_is_read_back_to_the_last_bit(tmp_path_factory, steps, v
 
 @pytest.mark.parametrize("counts_per_rev", [400, 1600, 2500, 4096, 131072])
 @pytest.mark.parametrize("period", [2**8, 2**15, 2**16, 2**32, 10000])
-def test_a_counter_that_overflows_is_unwrapped_by_its_own_period(tmp_path, counts_per_rev, period):
+def test_a_counter_that_overflows_is_unwrapped_by_its_own_period(counts_per_rev, period):
     time = np.arange(0.0, 8.0, 0.005)
     angle = 0.4 * np.exp(-0.1 * time) * np.cos(8.0 * time)
     counts = np.round(angle * counts_per_rev / (2.0 * pi)).astype(int)
@@ -111,26 +108,22 @@ def test_a_counter_that_overflows_is_unwrapped_by_its_own_period(tmp_path, count
         pytest.skip("a counter has to hold the range of the swing")
     wrapped = (counts + period // 2 - 7 + period // 2) % period - period // 2
     assert np.ptp(wrapped) > 0.9 * period
-    rows = "".join(f"{t},{n}\n" for t, n in zip(time, wrapped, strict=True))
-    path = tmp_path / "swing.csv"
-    path.write_text("time_s,counts\n" + rows)
-    swing = read_swing(path, counts_per_rev=counts_per_rev)
+    swing = read_swing(column("counts", wrapped, time), counts_per_rev=counts_per_rev)
     read = swing.theta * counts_per_rev / (2.0 * pi)
     # A period that is no power of two is found to a count.
     within = 1e-3 if period % 256 == 0 else 1.001
     np.testing.assert_allclose(read - read[0], counts - counts[0], atol=within)
 
 
-def test_a_clock_of_32_bits_that_wraps_goes_on(tmp_path):
+def test_a_clock_of_32_bits_that_wraps_goes_on():
     stamps = (np.arange(2**32 - 2500, 2**32 + 2500, 1000) % 2**32).tolist()
-    path = tmp_path / "swing.csv"
-    path.write_text("time_us,theta_rad\n" + "".join(f"{t},{t % 7}\n" for t in stamps))
+    rows = "".join(f"{t},{t % 7}\n" for t in stamps)
+    path = written("swing.csv", f"time_us,theta_rad\n{rows}")
     np.testing.assert_allclose(np.diff(read_swing(path).time), 1e-3, rtol=1e-6)
 
 
-def test_a_repeated_row_counts_once(tmp_path):
-    path = tmp_path / "swing.csv"
-    path.write_text("time_s,theta_rad\n0,1\n0.1,2\n0.1,2\n0.2,2\n")
+def test_a_repeated_row_counts_once():
+    path = written("swing.csv", "time_s,theta_rad\n0,1\n0.1,2\n0.1,2\n0.2,2\n")
     assert read_swing(path).time.tolist() == [0.0, 0.1, 0.2]
 
 
@@ -158,15 +151,14 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("content", "says"), REFUSED.values(), ids=REFUSED)
-def test_a_file_that_cannot_be_used_is_refused_in_one_sentence(tmp_path, content, says):
-    path = tmp_path / "swing.csv"
-    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+def test_a_file_that_cannot_be_used_is_refused_in_one_sentence(content, says):
+    path = written("swing.csv", content)
     with pytest.raises(RecordingError, match=rf"swing\.csv.*{says}") as refusal:
         read_swing(path)
     assert "\n" not in str(refusal.value)
 
 
 @pytest.mark.parametrize("options", [{"start": 5.0}, {"end": -1.0}, {"counts_per_rev": -4096}])
-def test_a_window_without_samples_and_impossible_counts_are_refused(tmp_path, options):
+def test_a_window_without_samples_and_impossible_counts_are_refused(options):
     with pytest.raises(RecordingError):
-        read_swing(column(tmp_path, "counts", [1, 2, 3, 4]), **{"counts_per_rev": 4096} | options)
+        read_swing(column("counts", [1, 2, 3, 4]), **{"counts_per_rev": 4096} | options)

@@ -12,6 +12,7 @@ from equipoise.rig.connection import connect
 from equipoise.rig.plugins import Session, robot_plugin
 from equipoise.rig.request import RunRequest
 from tests.arm.witnesses import ELBOW, ELBOW_HOME
+from tests.conftest import written
 
 POLICY = shipped_policy()
 
@@ -21,29 +22,23 @@ def opened(address, **session):
     return robot_plugin(address).open(address, Session(clock, clock, **session))
 
 
-def written(tmp_path, text):
-    path = tmp_path / "rig.toml"
-    path.write_text(text)
-    return path
-
-
-def test_a_load_is_half_way_to_the_pivot_unless_its_centre_is_given(tmp_path):
+def test_a_load_is_half_way_to_the_pivot_unless_its_centre_is_given():
     assert RigSettings().load is None
     assert RigSettings(pivot_mm=(-130, 0, 35), load_kg=0.5).load == (0.5, (-0.065, 0.0, 0.0175))
     text = "load_kg = 0.5\nload_mm = [1, 2, 3]\n"
-    assert read_rig(written(tmp_path, text)).load == (0.5, (0.001, 0.002, 0.003))
+    assert read_rig(written("rig.toml", text)).load == (0.5, (0.001, 0.002, 0.003))
     with pytest.raises(InputError, match="Sunrise.Workbench"):
         opened("kst://127.0.0.1", load=RigSettings(load_kg=0.5).load)
 
 
-def test_a_rig_describes_an_arm_from_a_urdf_beside_it(tmp_path):
-    (tmp_path / "arm.urdf").write_text(ELBOW.read_text())
+def test_a_rig_describes_an_arm_from_a_urdf_beside_it():
+    written("arm.urdf", ELBOW.read_text())
     home = ", ".join(f"{np.degrees(angle):.4f}" for angle in ELBOW_HOME)
     text = (
         f'arm = "arm.urdf"\ntip = "adapter"\nhome_deg = [{home}]\n'
         "pivot_mm = [10, 20, 130]\nacceleration_deg = 400\nencoder_sign = -1\n"
     )
-    rig = read_rig(written(tmp_path, text))
+    rig = read_rig(written("rig.toml", text))
     assert rig.encoder_sign == -1
     arm = rig.described_arm
     expected = read_urdf(ELBOW, tip="adapter", home=ELBOW_HOME)
@@ -70,9 +65,9 @@ def test_a_rig_describes_an_arm_from_a_urdf_beside_it(tmp_path):
         "torque_fraction = 1e-6",
     ],
 )
-def test_what_cannot_be_is_refused(tmp_path, text):
+def test_what_cannot_be_is_refused(text):
     with pytest.raises(SettingsError):
-        read_rig(written(tmp_path, text))
+        read_rig(written("rig.toml", text))
 
 
 @pytest.mark.parametrize(
@@ -92,9 +87,9 @@ def test_an_address_that_is_none_is_refused(robot, encoder):
         connect(RunRequest(POLICY, POLICY.actuator, RigSettings(), robot, encoder, 1.0))
 
 
-def test_what_a_rig_says_of_its_limits_becomes_its_rules(tmp_path):
+def test_what_a_rig_says_of_its_limits_becomes_its_rules():
     text = "position_margin_deg = 10\nspeed_fraction = 0.5\ntorque_fraction = 0.2\n"
-    file = written(tmp_path, text)
+    file = written("rig.toml", text)
 
     def safety(rig):
         request = RunRequest(POLICY, POLICY.actuator, rig, "twin:nominal", None, 1.0)
