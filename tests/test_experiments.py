@@ -129,15 +129,11 @@ def test_a_fall_lowers_the_value_of_its_last_action_and_every_other_step_moves_t
 # Value iteration
 
 
-def random_counts(seed, boxes=6):
-    counts = np.random.default_rng(seed).integers(0, 4, (boxes, 8, boxes + 1))
-    counts[2, 5] = counts[3, 2] = 0  # a pair that never occurred, and its mirror image
-    return counts
-
-
 def test_the_values_solve_bellmans_equation_and_are_symmetric():
-    solved, N, gamma = module("value_iteration"), random_counts(0), 0.9
-    Q, failed, boxes = solved["solve"](N, gamma), solved["FAILED"], len(N)
+    solved, gamma, boxes = module("value_iteration"), 0.9, 6
+    N = np.random.default_rng(0).integers(0, 4, (boxes, 8, boxes + 1))
+    N[2, 5] = N[3, 2] = 0  # a pair that never occurred, and its mirror image
+    Q, failed = solved["solve"](N, gamma), solved["FAILED"]
     assert pytest.approx(Q[::-1, ::-1]) == Q
     mirrored = [mirrored_box(box, boxes) for box in range(boxes)] + [boxes]
     for s in range(boxes):

@@ -25,13 +25,6 @@ def summaries(pendulum, settings, seeds, tests, attempts=ATTEMPTS, world=MODEL):
         yield evaluation.results.summary()
 
 
-def assert_they_stand(results):
-    survived, trials = sum(r.survived for r in results), sum(r.trials for r in results)
-    low = binomtest(survived, trials).proportion_ci(0.95, method="exact").low
-    assert low >= 0.99
-    assert sum(r.rate >= 0.985 for r in results) >= 0.9 * len(results)
-
-
 def test_a_short_training_stands_most_of_the_time(pendulum):
     # Its own test in the training does not matter here, and is as short as its target allows.
     settings = resolve(overrides=["learning.episodes=3000", "selection.test_trials=300"])
@@ -52,7 +45,10 @@ def test_every_seed_stands_a_minute(request, pendulum, recorded, world, trials):
         folder = request.getfixturevalue("recordings")
         pendulum = identify(read_swing(folder / "free_swing_arm_55s.csv"))
     tests = resolve(overrides=[f"evaluation.trials={trials}"])
-    assert_they_stand(list(summaries(pendulum, resolve(), range(10), tests, world=world)))
+    results = list(summaries(pendulum, resolve(), range(10), tests, world=world))
+    survived, tried = sum(r.survived for r in results), sum(r.trials for r in results)
+    assert binomtest(survived, tried).proportion_ci(0.95, method="exact").low >= 0.99
+    assert sum(r.rate >= 0.985 for r in results) >= 0.9 * len(results)
 
 
 def test_the_policy_that_ships_stands_on_the_twin():

@@ -99,19 +99,6 @@ def test_settings_worlds_and_rigs(equipoise, tmp_path):
 numbers = count()
 
 
-@pytest.fixture
-def guest(tmp_path):
-    """Write a module of code that ends the program; return its name."""
-
-    def write(text):
-        name = f"hostile_guest_{next(numbers)}"  # a module is imported once
-        end = f"raise BaseException({ESCAPES!r})"
-        (tmp_path / f"{name}.py").write_text(f"import sys\ndef end(*_):\n    {end}\n{text}\n")
-        return name
-
-    return write
-
-
 @pytest.mark.parametrize(
     ("text", "command"),
     [
@@ -121,8 +108,11 @@ def guest(tmp_path):
         ("def l(tables, transition, params):\n    end()", "train --algorithm {}:l"),
     ],
 )
-def test_code_of_a_guest(equipoise, guest, tmp_path, text, command):
-    ran = equipoise(*command.format(guest(text)).split())
+def test_code_of_a_guest(equipoise, tmp_path, text, command):
+    name = f"hostile_guest_{next(numbers)}"  # a module is imported once
+    end = f"raise BaseException({ESCAPES!r})"
+    (tmp_path / f"{name}.py").write_text(f"import sys\ndef end(*_):\n    {end}\n{text}\n")
+    ran = equipoise(*command.format(name).split())
     check(ran, shown="hostile_guest")
     assert ran.code == 2
     assert not list(tmp_path.glob("*.json"))

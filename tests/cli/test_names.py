@@ -21,20 +21,15 @@ SECOND_CALLS = {
 }
 
 
-@pytest.fixture
-def together(tmp_path):
+def together(*commands):
     """Start commands at the same time; return their exit codes and messages."""
 
-    def start(*commands):
-        def run(words):
-            command = (sys.executable, "-m", "equipoise", *words)
-            ran = run_program(*command, cwd=tmp_path, check=False)
-            return ran.returncode, ran.stderr
+    def run(words):
+        ran = run_program(sys.executable, "-m", "equipoise", *words, check=False)
+        return ran.returncode, ran.stderr
 
-        with ThreadPoolExecutor(len(commands)) as pool:
-            return sorted(pool.map(run, commands))
-
-    return start
+    with ThreadPoolExecutor(len(commands)) as pool:
+        return sorted(pool.map(run, commands))
 
 
 @pytest.mark.compiled_only
@@ -58,7 +53,7 @@ def test_a_second_call_takes_the_next_name_and_says_so(equipoise, swing, tmp_pat
 
 @pytest.mark.full
 @pytest.mark.compiled_only
-def test_commands_at_the_same_time_lose_nothing(together, swing, tmp_path):
+def test_commands_at_the_same_time_lose_nothing(swing, tmp_path):
     runs = [(*RUN, f"--seed={seed}") for seed in (1, 2)]
     done = together(*runs, *[("identify", "swing.csv")] * 2)
     assert [code for code, _ in done] == [0] * 4

@@ -40,11 +40,6 @@ def table(values=None, **changes):
     } | changes
 
 
-@pytest.fixture
-def policy(pendulum):
-    return TabularPolicy(**table(pendulum=pendulum))
-
-
 # What each kind commands
 
 
@@ -85,8 +80,8 @@ def test_a_tabular_policy_takes_the_best_action_of_the_box(pendulum, state):
     assert isinstance(policy.act(np.array(state)), float)
 
 
-def test_it_comes_back_from_its_file_with_every_bit(policy, tmp_path):
-    path = tmp_path / "policy.json"
+def test_it_comes_back_from_its_file_with_every_bit(pendulum, tmp_path):
+    policy, path = TabularPolicy(**table(pendulum=pendulum)), tmp_path / "policy.json"
     policy.act(np.zeros(4))
     policy.save(path, command="test")
     read = TabularPolicy.load(path)

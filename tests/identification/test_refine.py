@@ -27,20 +27,15 @@ ACTUATOR = Actuator.assumed("kst", delay=0.010, lag=0.008)
 """The nominal twin's, as its numbers say."""
 
 
-def with_w2(pendulum, factor):
-    """The same pendulum with another moment of inertia."""
-    w2, k = (Estimate.around(factor * one.value, 0.0, "given") for one in (pendulum.w2, pendulum.k))
-    return pendulum.model_copy(update={"w2": w2, "k": k})
-
-
 @functools.cache
 def run(seed, factor=1.0, duration=20.0, **numbers):
     """A log of the shipped policy on a twin whose w2 is not what the policy believes.
 
     The controller of the run predicts with the true w2: a standing policy is what is wanted here.
     """
-    policy = shipped_policy()
-    there = policy.model_copy(update={"pendulum": with_w2(policy.pendulum, factor)})
+    policy, known = shipped_policy(), shipped_policy().pendulum
+    w2, k = (Estimate.around(factor * one.value, 0.0, "given") for one in (known.w2, known.k))
+    there = policy.model_copy(update={"pendulum": known.model_copy(update={"w2": w2, "k": k})})
     twin = TwinSettings(inertia_sigma=0.0, friction_sigma=0.0, **numbers)
     return simulate_run(there, world=World("twin:steady", twin), seed=seed, duration=duration)
 

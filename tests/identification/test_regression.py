@@ -5,7 +5,6 @@ The reference values of the cart-poles come with the recordings (README of the d
 
 import functools
 from math import pi, radians
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -16,13 +15,6 @@ from equipoise.identification.refine import regress, significant_moves
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.settings import GRAVITY, PlantSettings
 
-
-class Log(NamedTuple):
-    time: np.ndarray
-    phi: np.ndarray
-    x: np.ndarray
-
-
 # Real cart-poles: swung up and balanced in five seconds. They count phi against x.
 
 CART_POLES = [
@@ -32,15 +24,11 @@ CART_POLES = [
 ]
 
 
-def cart_pole(recordings, name):
-    path = recordings / "dfki_robust_codesign" / f"cartpole_167332{name}.csv"
-    time, x, phi = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=(0, 1, 2)).T
-    return Log(time, phi, -x)
-
-
 @pytest.mark.parametrize(("name", "A"), CART_POLES)
 def test_real_cart_poles_give_the_published_w2(recordings, name, A):
-    time, phi, x = cart_pole(recordings, name)
+    path = recordings / "dfki_robust_codesign" / f"cartpole_167332{name}.csv"
+    time, against_phi, phi = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=(0, 1, 2)).T
+    x = -against_phi
     fit = regress(time, phi, x)
     assert fit.w2.value == pytest.approx(A, rel=0.02)
     assert fit.unexplained < 0.1
@@ -68,6 +56,8 @@ def pivot(time, order=0):
 
 @functools.cache
 def shaken():
+    """Return times, angles and places of the pivot."""
+
     def law(t, y):
         push = K * pivot(np.array([t]), 2)[0] * np.cos(y[0])
         # Dry friction without its jump, which no integrator likes.
@@ -76,7 +66,7 @@ def shaken():
 
     time = np.arange(0.0, 20.0, 0.01)
     solution = solve_ivp(law, (0.0, 20.0), [pi - 0.8, 0.0], t_eval=time, rtol=1e-8, atol=1e-9)
-    return Log(time, solution.y[0], pivot(time))
+    return time, solution.y[0], pivot(time)
 
 
 def test_a_noiseless_log_gives_back_what_made_it():

@@ -183,17 +183,13 @@ def tracked(stream_time, stream_q, reply_time, reply_q, kind=KST, **options):
     return predicted
 
 
-def sine(duration=0.6, period=0.005):
-    time = np.arange(0.0, duration, period)
-    return time, 0.1 * (1.0 - np.cos(6.0 * time))
-
-
 @pytest.mark.parametrize(
     ("kind", "lag"), [(KST, 0.008), (KST, 0.0), (UNSHAPED, 0.008), (LAG, 0.008), (IDEAL, 0.0)]
 )
 def test_a_log_is_simulated_as_the_servo_moves(kind, lag):
     # Setpoints that take effect on the cycles' own grid: the very loop of `follow`.
-    time, stream = sine()
+    time = np.arange(0.0, 0.6, 0.005)
+    stream = 0.1 * (1.0 - np.cos(6.0 * time))
     cycles = np.arange(600)
     targets = stream[np.maximum((cycles[:-1] - 10) // 5, 0)]
     expected, _ = moved(targets, ActuatorParameters(kind), lag)

@@ -17,18 +17,14 @@ from tests.conftest import written
 POLICY = shipped_policy()
 
 
-def opened(address, **session):
-    clock = VirtualClock()
-    return robot_plugin(address).open(address, Session(clock, clock, **session))
-
-
 def test_a_load_is_half_way_to_the_pivot_unless_its_centre_is_given():
     assert RigSettings().load is None
     assert RigSettings(pivot_mm=(-130, 0, 35), load_kg=0.5).load == (0.5, (-0.065, 0.0, 0.0175))
     text = "load_kg = 0.5\nload_mm = [1, 2, 3]\n"
     assert read_rig(written("rig.toml", text)).load == (0.5, (0.001, 0.002, 0.003))
+    clock, load = VirtualClock(), RigSettings(load_kg=0.5).load
     with pytest.raises(InputError, match="Sunrise.Workbench"):
-        opened("kst://127.0.0.1", load=RigSettings(load_kg=0.5).load)
+        robot_plugin("kst").open("kst://127.0.0.1", Session(clock, clock, load=load))
 
 
 def test_a_rig_describes_an_arm_from_a_urdf_beside_it():

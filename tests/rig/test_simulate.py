@@ -10,12 +10,8 @@ from equipoise.simulation.plant import make_loop_params
 from tests.simulation.recorded import on_the_plant, run_all
 
 
-@pytest.fixture(scope="module")
-def run(small_policy):
-    return simulate_run(small_policy, seed=5, duration=0.6)
-
-
-def test_equal_seed_gives_equal_bits_and_another_seed_another_run(run, small_policy):
+def test_equal_seed_gives_equal_bits_and_another_seed_another_run(small_policy):
+    run = simulate_run(small_policy, seed=5, duration=0.6)
     assert simulate_run(small_policy, seed=5, duration=0.6).digest == run.digest
     other = simulate_run(small_policy, seed=6, duration=0.6)
     assert other.conditions.start != run.conditions.start

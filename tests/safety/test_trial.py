@@ -54,12 +54,8 @@ GUARD_7 = make_safety_params(ARM, reaction=0.03, u_max=2.0, h=0.01, counts_per_r
 DT = 0.005
 
 
-def near(middle, wide):
-    return st.floats(middle - wide, middle + wide)
-
-
 def numbers(wide):
-    return st.tuples(*(near(0.0, wide) for _ in ARM.joints))
+    return st.tuples(*(st.floats(-wide, wide) for _ in ARM.joints))
 
 
 def same(violation, code, value, limit):

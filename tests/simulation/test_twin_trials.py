@@ -152,14 +152,10 @@ def run_until_the_guard(policy, simulation, number=0):
     return loop, cause, recorder.rows
 
 
-@pytest.fixture(scope="module")
-def away():
-    """A regulator that wants to be elsewhere than at home."""
-    x, x_dot, phi, phi_dot = lqr_gains(PARAMETERS, 0.01)
-    return PolicyKernel(LINEAR, gains=(-3.0 * x, x_dot, phi, phi_dot))
-
-
-def test_a_run_towards_the_end_of_the_track_is_stopped_in_time(away):
+def test_a_run_towards_the_end_of_the_track_is_stopped_in_time():
+    # A regulator that wants to be elsewhere than at home.
+    on_x, *others = lqr_gains(PARAMETERS, 0.01)
+    away = PolicyKernel(LINEAR, gains=(-3.0 * on_x, *others))
     ended, simulation = 0, twins(GUARDED, seed=3)
     for number in range(len(TRIALS)):
         loop, cause, rows = run_until_the_guard(away, simulation, number)

@@ -34,24 +34,12 @@ class Listed:
         return new
 
 
-def recorded(motion, duration=10.0, change=lambda samples: samples):
-    """What is recorded of what a perfect sensor says in 20 s."""
-    counts = [round(motion(i / 1000.0) * N / (2.0 * pi)) for i in range(20_000)]
-    samples = [Sample(i / 1000.0, c, False, False, 0) for i, c in enumerate(counts)]
-    return record_swing(Listed(change(samples)), VirtualClock(), duration)
-
-
-def bench_of(motion, **board):
-    bench = Bench(**board)
-    bench.motion = motion
-    bench.sensor.connect()
-    motion.start = bench.clock.now()
-    return bench
-
-
 @pytest.mark.parametrize("height", [0.8, pytest.param(-0.5, marks=pytest.mark.full)])
 def test_what_is_recorded_identifies_the_pendulum(tmp_path, height):
-    bench = bench_of(ByHand(height), drift=8e-5, offset_us=2**32 - 4_000_000)
+    bench = Bench(drift=8e-5, offset_us=2**32 - 4_000_000)
+    bench.motion = ByHand(height)
+    bench.sensor.connect()
+    bench.motion.start = bench.clock.now()
     told, shown = [], []
     swing, missing = record_swing(bench.sensor, bench.clock, 10.0, told.append, shown.append)
     assert [words.split()[0] for words in told] == ["let", "lift", "swinging,"]
@@ -108,5 +96,8 @@ def without(begin, end):
     ],
 )
 def test_what_is_no_free_swing_is_refused(motion, change):
+    # What a perfect sensor says in 20 s, but for the change.
+    counts = [round(motion(i / 1000.0) * N / (2.0 * pi)) for i in range(20_000)]
+    samples = [Sample(i / 1000.0, c, False, False, 0) for i, c in enumerate(counts)]
     with pytest.raises(RecordingError):
-        recorded(motion, change=change)
+        record_swing(Listed(change(samples)), VirtualClock(), 10.0)
