@@ -26,21 +26,13 @@ from scipy.spatial.transform import Rotation
 
 STOPPED, PAUSED, RUNNING, STOPPING = 0, 8, 17, 22
 CONSTANTS = {
-    "simulation_stopped": STOPPED,
-    "simulation_paused": PAUSED,
-    "joint_revolute": 10,
-    "jointmode_kinematic": 0,
-    "primitiveshape_cuboid": 3,
-    "primitiveshape_spheroid": 4,
-    "primitiveshape_cylinder": 5,
-    "shapeintparam_static": 3003,
-    "shapeintparam_respondable": 3004,
-    "intparam_idle_fps": 8,
-    "boolparam_realtime_simulation": 25,
-    "floatparam_simulation_time_step": 1,
-    "handle_all": -2,
-    "handle_scene": -12,
-}
+    "simulation_stopped": STOPPED, "simulation_paused": PAUSED,
+    "joint_revolute": 10, "jointmode_kinematic": 0,
+    "primitiveshape_cuboid": 3, "primitiveshape_spheroid": 4, "primitiveshape_cylinder": 5,
+    "shapeintparam_static": 3003, "shapeintparam_respondable": 3004, "intparam_idle_fps": 8,
+    "boolparam_realtime_simulation": 25, "floatparam_simulation_time_step": 1,
+    "handle_all": -2, "handle_scene": -12,
+}  # fmt: skip
 SHAPES = {3: "Cuboid", 4: "Sphere", 5: "Cylinder"}
 PARAMETERS = {"Int32": {8: 8}, "Bool": {25: True}, "Float": {1: 0.05}}
 """Global parameters, with the values of a new scene."""

@@ -124,18 +124,10 @@ GUESTS = (
     "docs/how-to/bring-a-policy.md",
 )
 RUN = (
-    "README.md",
-    "docs/index.md",
-    "docs/tutorial.md",
-    "docs/how-to/digital-twin.md",
-    "docs/how-to/swing-up.md",
-    "docs/how-to/series.md",
-    "docs/how-to/first-run.md",
-    "docs/how-to/franka.md",
-    "docs/how-to/learn-from-the-robot.md",
-    "docs/how-to/replay.md",
-    "docs/how-to/scale.md",
-    "docs/how-to/your-own-pendulum.md",
+    *("README.md", "docs/index.md", "docs/tutorial.md", "docs/how-to/digital-twin.md"),
+    *("docs/how-to/swing-up.md", "docs/how-to/series.md", "docs/how-to/first-run.md"),
+    *("docs/how-to/franka.md", "docs/how-to/learn-from-the-robot.md", "docs/how-to/replay.md"),
+    *("docs/how-to/scale.md", "docs/how-to/your-own-pendulum.md"),
 )
 
 

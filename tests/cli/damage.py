@@ -10,23 +10,10 @@ LONGEST = 5.0
 """Limit on the processor time to read one damaged file [s]; a sound one takes milliseconds."""
 
 HOSTILE = (
-    b"[" * 20_000,
-    b"{" * 20_000,
-    b"[a." + b"a." * 5_000 + b"a]",
-    b"9" * 5_000,
-    b"0x" + b"f" * 5_000,
-    b"-1e15",
-    b"1e308",
-    b"1e999",
-    b"nan",
-    b"inf",
-    b"\0",
-    b"\x1b[2J",
-    b"\xff\xfe",
-    b"\xed\xa0\x80",
-    b"\\ud800",
-    b'"' + b"a" * 100_000 + b'"',
-)
+    b"[" * 20_000, b"{" * 20_000, b"[a." + b"a." * 5_000 + b"a]", b"9" * 5_000,
+    b"0x" + b"f" * 5_000, b"-1e15", b"1e308", b"1e999", b"nan", b"inf", b"\0", b"\x1b[2J",
+    b"\xff\xfe", b"\xed\xa0\x80", b"\\ud800", b'"' + b"a" * 100_000 + b'"',
+)  # fmt: skip
 """Pieces that parsers of text have stumbled over: nesting, long integers, extreme numbers, invalid
 UTF-8, a surrogate, a long string."""
 

@@ -71,12 +71,8 @@ def test_banners_are_the_codecs_or_refused_as_there(core):
     bad = [
         longest._replace(**change)
         for change in (
-            {"name": "A" * 33},
-            {"name": "1a"},
-            {"firmware": "1" * 17},
-            {"counts_per_rev": 0},
-            {"rate_hz": 0},
-            {"rate_hz": 1_000_000},
+            *({"name": "A" * 33}, {"name": "1a"}, {"firmware": "1" * 17}),
+            *({"counts_per_rev": 0}, {"rate_hz": 0}, {"rate_hz": 1_000_000}),
         )
     ]
     for banner in bad:
@@ -187,9 +183,5 @@ def test_lines_without_room_are_lost_whole_and_their_flags_wait(sketch):
 def test_a_late_board_counts_the_periods_it_missed(sketch):
     commands = ["boot 0", *running(0, 3001), "at 7200", *running(7250, 9001)]
     lines = [line for line in lines_of(sketch, commands) if isinstance(line, Reading)]
-    assert [(line.seq, line.t_us) for line in lines[2:]] == [
-        (2, 3000),
-        (6, 7200),
-        (7, 8000),
-        (8, 9000),
-    ]
+    later = [(line.seq, line.t_us) for line in lines[2:]]
+    assert later == [(2, 3000), (6, 7200), (7, 8000), (8, 9000)]

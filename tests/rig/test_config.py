@@ -48,16 +48,9 @@ def test_a_rig_describes_an_arm_from_a_urdf_beside_it():
 @pytest.mark.parametrize(
     "text",
     [
-        "counts = 8192",
-        'arm = "iiwa.urdf"',
-        "encoder_sign = 2",
-        "home_deg = [0, 0, 0]",
-        "home_deg = [0, 130, 0, 0, 0, 0, 0]",
-        "counts_per_rev = nan",
-        "= 3",
-        "load_kg = true",
-        "pivot_mm = [-1000, 0, 0]",
-        "load_kg = 0.5\nload_mm = [0, 0, 500]",
+        *("counts = 8192", 'arm = "iiwa.urdf"', "encoder_sign = 2", "= 3", "load_kg = true"),
+        *("home_deg = [0, 0, 0]", "home_deg = [0, 130, 0, 0, 0, 0, 0]", "counts_per_rev = nan"),
+        *("pivot_mm = [-1000, 0, 0]", "load_kg = 0.5\nload_mm = [0, 0, 500]"),
         "torque_fraction = 1e-6",
     ],
 )
