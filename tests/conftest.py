@@ -1,7 +1,9 @@
 """Values that tests of several rooms share."""
 
 import os
+import runpy
 import signal
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -66,6 +68,18 @@ def _interruptible():
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture
+def script(monkeypatch, capsys):
+    """Run a file as a script; return what it prints."""
+
+    def run(path, *arguments):
+        monkeypatch.setattr(sys, "argv", [path.stem, *map(str, arguments)])
+        runpy.run_path(str(path), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -1,8 +1,6 @@
 """The examples run as they are printed, in an empty folder; that for Foxglove shows the arm."""
 
 import json
-import runpy
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -33,18 +31,6 @@ SAY = {
 }
 
 
-@pytest.fixture
-def example(monkeypatch, capsys):
-    """Run an example as a script; return what it prints."""
-
-    def run(name, *arguments):
-        monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
-        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
-        return capsys.readouterr().out
-
-    return run
-
-
 def test_every_example_is_run():
     assert {path.name for path in EXAMPLES.glob("*.py")} == set(SAY)
 
@@ -53,8 +39,8 @@ def test_every_example_is_run():
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.full if name in LONG else ()) for name in SAY]
 )
-def test_an_example_needs_no_file_and_says_what_it_should(example, name):
-    assert SAY[name] in example(name)
+def test_an_example_needs_no_file_and_says_what_it_should(script, name):
+    assert SAY[name] in script(EXAMPLES / name)
     assert [path.stem for path in Path().glob("*.png")] == [name[:-3]] * (name[:-3] in PICTURED)
 
 
@@ -67,10 +53,10 @@ def run():
 
 
 @pytest.fixture
-def shown(run, example, tmp_path):
+def shown(run, script, tmp_path):
     """Channel, message and content of all messages that the example writes."""
     run.save(tmp_path / "run.mcap")
-    example("foxglove.py", tmp_path / "run.mcap")
+    script(EXAMPLES / "foxglove.py", tmp_path / "run.mcap")
     with (tmp_path / "shown.mcap").open("rb") as file:
         found = list(make_reader(file, validate_crcs=True).iter_messages())
     return [(c, m, json.loads(m.data)) for _, c, m in found]

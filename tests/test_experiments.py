@@ -2,7 +2,6 @@
 
 import json
 import runpy
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -37,16 +36,10 @@ WRITES = {"table_search": "best.json", "value_iteration": "solved.json"}
 
 
 @pytest.fixture
-def experiment(monkeypatch, capsys):
+def experiment(script, monkeypatch):
     """Run an experiment as a script; return what it prints."""
     monkeypatch.syspath_prepend(EXPERIMENTS)
-
-    def run(name, *arguments, folder=EXPERIMENTS):
-        monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
-        runpy.run_path(str(folder / f"{name}.py"), run_name="__main__")
-        return capsys.readouterr().out
-
-    return run
+    return lambda name, *arguments: script(ROOT / f"{name}.py", *arguments)
 
 
 def module(name):
@@ -57,7 +50,7 @@ def module(name):
 @pytest.mark.compiled_only
 @pytest.mark.parametrize("name", SMALLEST)
 def test_an_experiment_runs_and_writes_its_result(experiment, tmp_path, name):
-    assert experiment(name, *SMALLEST[name]).strip()
+    assert experiment(f"experiments/{name}", *SMALLEST[name]).strip()
     written = tmp_path / WRITES.get(name, f"{name}.png")
     assert written.stat().st_size > 1000
     if name in WRITES:
@@ -75,7 +68,7 @@ def paths(value, *above):
 
 @pytest.mark.compiled_only
 @pytest.mark.parametrize(
-    ("section", "script", "arguments"),
+    ("section", "name", "arguments"),
     [
         pytest.param(
             *("compare", "experiments/compare", (*SHORT, *TRIALS, "--quick", "--known")),
@@ -96,12 +89,9 @@ def paths(value, *above):
         ),
     ],
 )
-def test_a_script_writes_what_the_file_of_results_holds(
-    experiment, tmp_path, section, script, arguments
-):
-    folder, name = script.split("/")
-    experiment(name, *arguments, "--json", "values.json", folder=ROOT / folder)
-    written = json.loads((tmp_path / "values.json").read_text())
+def test_a_script_writes_what_the_file_of_results_holds(experiment, section, name, arguments):
+    experiment(name, *arguments, "--json", "values.json")
+    written = json.loads(Path("values.json").read_text())
     stored = json.loads((ROOT / "docs" / "results.json").read_text())[section]["values"]
     assert paths(stored) <= paths(written)
 
@@ -156,7 +146,7 @@ def test_the_values_solve_bellmans_equation_and_are_symmetric():
 @pytest.mark.parametrize(("name", "steps"), [("dqn", 600), ("sac", 600), ("ppo", 20_000)])
 def test_a_deep_policy_leaves_as_onnx_and_runs_from_it(experiment, tmp_path, name, steps):
     script = ("ppo",) if name == "ppo" else ("rl", "--only", name)
-    experiment(*script, "--steps", steps, "--out", "rl")
+    experiment(f"experiments/{script[0]}", *script[1:], "--steps", steps, "--out", "rl")
     record = json.loads((tmp_path / "rl" / f"{name}.json").read_text())
     assert record["steps"] >= steps
     assert record["different"] <= 5
