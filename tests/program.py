@@ -32,18 +32,20 @@ def run_program(*words, check=True, **options):
     return subprocess.run(words, capture_output=True, text=True, check=check, **options)
 
 
+def start_program(*words, **options):
+    """Start a program whose output and errors are read at its end."""
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen(words, text=True, **pipes, **options)
+
+
 class Program:
     """A program of Equipoise, and the lines that it prints."""
 
     def __init__(self, *words):
-        self.process = subprocess.Popen(
-            [sys.executable, "-u", "-m", "equipoise", *words],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            env=os.environ | {"COLUMNS": "400"},
-        )
+        command = [sys.executable, "-u", "-m", "equipoise", *words]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+        wide = os.environ | {"COLUMNS": "400"}
+        self.process = subprocess.Popen(command, text=True, env=wide, **pipes)
         self.lines = []
         threading.Thread(target=self._read, daemon=True).start()
 

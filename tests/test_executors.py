@@ -20,7 +20,7 @@ import equipoise as eq
 from equipoise.errors import InputError, OutsideError, SettingsError
 from equipoise.executors import completed, open_workers
 from equipoise.settings import changed
-from tests.program import wait_until
+from tests.program import start_program, wait_until
 
 ROOT = Path(__file__).parents[1]
 FULL = pytest.mark.full
@@ -226,12 +226,8 @@ def test_a_killed_worker_costs_time_alone(two_workers):
 @contextlib.contextmanager
 def slow_command(cluster):
     """A command of minutes on a cluster, whose tasks run."""
-    command = subprocess.Popen(
-        [sys.executable, "-m", "equipoise", *SLOW, "--workers", cluster.address],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    words = (*SLOW, "--workers", cluster.address)
+    command = start_program(sys.executable, "-m", "equipoise", *words)
     try:
         wait_until(lambda: all(cluster.tasks()), "task")
         yield command

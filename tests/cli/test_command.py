@@ -16,7 +16,7 @@ from equipoise.cli.options import TABLES
 from equipoise.cli.output import Output
 from equipoise.simulation.evaluation import Evaluation
 from tests.cli.conftest import verbs
-from tests.program import run_program
+from tests.program import run_program, start_program
 
 HEAVY = ("numba", "numpy", "scipy", "mujoco", "matplotlib", "mcap")
 COMMAND = (sys.executable, "-m", "equipoise")
@@ -122,13 +122,7 @@ def test_a_log_file_shows_that_kernels_were_compiled(monkeypatch, capsys):
 @pytest.mark.full
 @pytest.mark.compiled_only
 def test_ctrl_c_ends_work_on_threads_and_leaves_no_file(tmp_path):
-    process = subprocess.Popen(
-        [*COMMAND, "evaluate", "--trials", "100000"],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    process = start_program(*COMMAND, "evaluate", "--trials", "100000", cwd=tmp_path)
     time.sleep(5.0)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60.0)
