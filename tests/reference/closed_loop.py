@@ -69,6 +69,12 @@ def runge_kutta(phi, phi_dot, u, time, pendulum):
     return tuple((s + time / 6 * (k1 + 2 * k2 + 2 * k3 + k4)).tolist())
 
 
+def pivot_velocity(arm, flange):
+    """Return the velocity along x of the point of the flange where the spindle is [m/s]."""
+    to_pivot = flange.rotation @ np.array(arm.pivot)
+    return (flange.twist[:3] + np.cross(flange.twist[3:], to_pivot))[0]
+
+
 class Joints:
     """Six joints behind servo and drive."""
 
@@ -118,7 +124,6 @@ class Loop:
         self.gains = gains(pendulum, settings.controller, settings.plant.counts_per_rev)
         self.count = 2.0 * pi / settings.plant.counts_per_rev
         self.home = arm.kinematics(arm.home_free)
-        self.pivot = np.array(arm.pivot)
 
     def begin(self, q, x, phi, phi_dot, zero=0.0):
         """Start at rest, with the free joints at `q` and the flange at `x`."""
@@ -139,11 +144,6 @@ class Loop:
         self.seen = np.array([x, 0.0, *fallen])
         self.tracked = 0.0
 
-    def pivot_velocity(self, flange):
-        """Return the velocity along x of the point of the flange where the spindle is [m/s]."""
-        to_pivot = flange.rotation @ self.pivot
-        return (flange.twist[:3] + np.cross(flange.twist[3:], to_pivot))[0]
-
     def turn(self, flange):
         """Return sin(angle) times the axis of the turn from the flange to its reference."""
         left = self.home.rotation @ flange.rotation.T
@@ -153,14 +153,14 @@ class Loop:
 
     def step(self, u, noise):
         """Take one tick with the acceleration `u` and the disturbance `noise` of the pose error."""
-        v = self.pivot_velocity(self.flange)
+        v = pivot_velocity(self.arm, self.flange)
         self.command(u, noise)
         for ms in range(self.now, self.now + TICK):
             in_force = [q for time, q in self.sent if time + self.transport <= ms][-1]
             self.joints.millisecond(in_force)
         self.now += TICK
         self.flange = self.arm.kinematics(self.joints.q, self.joints.velocity)
-        self.tracked = (self.pivot_velocity(self.flange) - v) / H
+        self.tracked = (pivot_velocity(self.arm, self.flange) - v) / H
         phi, phi_dot = runge_kutta(*self.state[2:], self.tracked, H, self.own)
         x = self.flange.position[0] - self.home.position[0]
         self.state = np.array([x, self.flange.twist[0], phi, phi_dot])
@@ -188,7 +188,7 @@ class Loop:
         self.q, self.dq = self.q + H * self.dq + H**2 / 2.0 * ddq, self.dq + H * ddq
         self.commanded = self.arm.kinematics(self.q, self.dq)
         flange = self.arm.kinematics(self.model.q + self.offset, self.model.velocity)
-        v = self.pivot_velocity(flange)
+        v = pivot_velocity(self.arm, flange)
         x = flange.position[0] - self.home.position[0]
         tick = (self.now + TICK, self.model.q.copy(), v, x, -self.turn(flange)[1])
         self.past = [*self.past[-40:], tick]

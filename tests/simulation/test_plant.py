@@ -19,7 +19,7 @@ from equipoise.settings import BoxSettings, Settings, changed, resolve
 from equipoise.simulation.evaluation import evaluate
 from equipoise.simulation.plant import DomainRandomization, make_loop_params, scaled
 from tests.batch import NOMINAL, Batch
-from tests.reference.closed_loop import Joints, Loop
+from tests.reference.closed_loop import Joints, Loop, pivot_velocity
 from tests.simulation.recorded import on_the_plant, record
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
@@ -28,12 +28,6 @@ STILL = resolve(overrides=["plant.inertia_sigma=0", "plant.friction_sigma=0"])
 QUIET = resolve(overrides=["plant.position_error_sigma=0", "plant.orientation_error_sigma=0"])
 BOXES = grid.make_grid(BoxSettings(look_ahead=0.0), 1.0)
 ARMS = pytest.mark.parametrize("size", [7, 14])
-
-
-def pivot_velocity(arm, flange):
-    """Return the velocity of the pendulum's pivot along x: v + omega x R p."""
-    arm_of_pivot = flange.rotation @ np.array(arm.pivot)
-    return flange.twist[0] + np.cross(flange.twist[3:], arm_of_pivot)[0]
 
 
 def leaning_table():
@@ -79,16 +73,11 @@ def test_a_run_obeys_kinematics_and_the_pendulum_equation(size):
         np.testing.assert_allclose(run.q[i + 1], moved, atol=1e-12)
         if i + 2 < len(run.u):
             phi, phi_dot = run.state[i + 1][2:]
-            ode = solve_ivp(
-                lambda _, s, u=tracked: [
-                    s[1],
-                    70.2 * np.sin(s[0]) - 0.15 * s[1] - 7.15 * u * np.cos(s[0]),
-                ],
-                (0.0, 0.01),
-                [phi, phi_dot],
-                rtol=1e-11,
-                atol=1e-13,
-            )
+
+            def falling(_, s, u=tracked):
+                return s[1], 70.2 * np.sin(s[0]) - 0.15 * s[1] - 7.15 * u * np.cos(s[0])
+
+            ode = solve_ivp(falling, (0.0, 0.01), [phi, phi_dot], rtol=1e-11, atol=1e-13)
             # 1e-7: a Runge-Kutta step of fourth order with w h = 0.084.
             np.testing.assert_allclose(run.state[i + 2][2:], ode.y[:, -1], atol=1e-7)
             flange = after.position[0] - arm.kinematics(arm.home_free).position[0]
