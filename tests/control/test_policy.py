@@ -8,9 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise import paper
-from equipoise.arm.iiwa import iiwa
-from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, PolicyKernel, TabularPolicy, act
-from equipoise.model.actuator import IDEAL_ACTUATOR
+from equipoise.control.policy import (
+    LINEAR,
+    RANDOM,
+    SNAPPED,
+    PolicyKernel,
+    TabularPolicy,
+    act,
+    shipped_policy,
+)
 from equipoise.settings import BoxSettings, Settings
 from tests.reference.intervals import place
 
@@ -21,23 +27,11 @@ states = st.tuples(
 
 
 def table(values=None, **changes):
-    """Return the fields of a policy with a table of random values."""
+    """Return the fields of the shipped policy with a table of random values, and other changes."""
     if values is None:
         values = np.random.default_rng(1).normal(size=(270, 8))
-    return {
-        "actions": paper.ACTIONS,
-        "Q": tuple(map(tuple, values.tolist())),
-        "visits": ((0,) * 8,) * 270,
-        "h": 0.01,
-        "arm": iiwa(7),
-        "actuator": IDEAL_ACTUATOR,
-        "settings": Settings(),
-        "seed": 0,
-        "episodes": 0,
-        "steps": 0,
-        "learning_curve": (),
-        "checkpoints": (),
-    } | changes
+    fields = {name: getattr(shipped_policy(), name) for name in TabularPolicy.model_fields}
+    return fields | {"Q": tuple(map(tuple, values.tolist()))} | changes
 
 
 # What each kind commands
