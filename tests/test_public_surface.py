@@ -29,8 +29,7 @@ def test_every_name_is_there_and_listed():
 
 def functions_of(name):
     """Return the functions and methods behind a public name, by what to call them."""
-    thing = getattr(equipoise, name)
-    thing = inspect.unwrap(thing)
+    thing = inspect.unwrap(getattr(equipoise, name))
     if not inspect.isclass(thing):
         return {name: thing}
     found = {}

@@ -42,13 +42,11 @@ def test_identify_writes_pendulum_and_figure(equipoise, swing, tmp_path):
     assert {"pendulum.json", "pendulum.svg", "pendulum.png"} < contents(tmp_path).keys()
 
 
-def test_train_writes_a_policy_and_marks_one_that_misses_the_target(
-    equipoise, pendulum_file, tmp_path
-):
+def test_train_writes_a_policy_and_marks_one_that_misses_the_target(equipoise, pendulum_file):
     ran = equipoise("train", pendulum_file, *SHORT, "--target=0.9", "--attempts=2", "--json")
     assert (ran.code, ran.err) == (1, "")
     assert ran.json["seed"] in (0, 1)
-    policy = TabularPolicy.load(tmp_path / "policy.json")
+    policy = TabularPolicy.load("policy.json")
     assert policy.shortfall
     assert policy.pendulum == Pendulum.load(pendulum_file)
     assert equipoise("train", *SHORT, "--target=0", "--force").code == 0

@@ -79,13 +79,9 @@ def swinging(age, revolutions, counts=FINE, ticks=300):
     """
     times = H * np.arange(ticks + 1)
     swing = solve_ivp(
-        lambda _, s: [s[1], 70.2 * np.sin(s[0]) - 0.15 * s[1]],
-        (0.0, times[-1]),
-        [pi - 0.6, 0.0],
-        rtol=1e-10,
-        atol=1e-12,
-        dense_output=True,
-    ).sol
+        lambda _, s: [s[1], 70.2 * np.sin(s[0]) - 0.15 * s[1]], (0.0, times[-1]), [pi - 0.6, 0.0],
+        rtol=1e-10, atol=1e-12, dense_output=True,
+    ).sol  # fmt: skip
     controller = made(Actuator.assumed("lag", delay=0.01, lag=0.008), counts=counts)
     records = new_records(ControllerState)
     memory = fields(records, ControllerState)

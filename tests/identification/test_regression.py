@@ -16,15 +16,10 @@ from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.settings import GRAVITY, PlantSettings
 
 # Real cart-poles: swung up and balanced in five seconds. They count phi against x.
-
-CART_POLES = [
-    # log, A = w2 of a published kind of regression
-    ("rtc", 46.39),
-    ("rtcdist", 46.09),
-]
+# A is the w2 of a published kind of regression.
 
 
-@pytest.mark.parametrize(("name", "A"), CART_POLES)
+@pytest.mark.parametrize(("name", "A"), [("rtc", 46.39), ("rtcdist", 46.09)])
 def test_real_cart_poles_give_the_published_w2(recordings, name, A):
     path = recordings / "dfki_robust_codesign" / f"cartpole_167332{name}.csv"
     time, against_phi, phi = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=(0, 1, 2)).T

@@ -31,15 +31,9 @@ def swing(time, theta, theta_dot, *, w2, c=0.0, coulomb=0.0, drag=0.0):
 
         turns.terminal, turns.direction = True, -direction
         solution = solve_ivp(
-            acceleration,
-            (now, time[-1]),
-            state,
-            method="DOP853",
-            rtol=1e-12,
-            atol=1e-13,
-            events=turns if coulomb > 0.0 else None,
-            dense_output=True,
-        )
+            acceleration, (now, time[-1]), state, method="DOP853", rtol=1e-12, atol=1e-13,
+            events=turns if coulomb > 0.0 else None, dense_output=True,
+        )  # fmt: skip
         here = time[(time >= now) & (time <= solution.t[-1])]
         if here.size:
             pieces.append((here, *solution.sol(here)))

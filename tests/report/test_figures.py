@@ -1,5 +1,7 @@
 """Figures: they show the values, name them with units, and nothing is cut off."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from matplotlib import rcParams
@@ -55,10 +57,8 @@ def test_a_figure_names_what_it_shows_with_units_and_cuts_nothing_off(drawn, nam
         assert page.contains(box.x1, box.y1), name
 
 
-def test_equal_values_give_equal_files_whatever_the_settings_of_matplotlib(
-    results, tmp_path, monkeypatch
-):
-    first = [path.read_bytes() for path in save(FIGURES["swing"](results), tmp_path / "swing")]
+def test_equal_values_give_equal_files_whatever_the_settings_of_matplotlib(results, monkeypatch):
+    first = [path.read_bytes() for path in save(FIGURES["swing"](results), Path("swing"))]
     monkeypatch.setitem(rcParams, "font.size", 30.0)
     again = FIGURES["swing"](results)
     assert first == [render(again, "svg"), render(again, "png")]

@@ -20,9 +20,6 @@ PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
 # An arm that does not yield: what the pendulum does to it is another matter.
 # No file of a world may say so, therefore the copy without validation.
 FIRM = TwinSettings().model_copy(update={"rotor_inertia": (1e4,)})
-EXACT = TwinSettings(
-    zero_error=0.0, encoder_age=0.0, encoder_jitter=0.0, reply_age=0.0, joint_noise=0.0
-)
 
 
 def swing(theta, steps):
@@ -121,7 +118,8 @@ def test_a_millisecond_is_a_whole_step_of_mujoco(phi, phi_dot, moved, beyond, st
 
 @pytest.mark.parametrize(("age", "ticks"), [(0.0, 0), (0.001, 1), (0.0042, 5), (0.05, 50)])
 def test_a_sample_is_known_when_it_is_old_enough(age, ticks):
-    settings = EXACT.model_copy(update={"encoder_age": age, "reply_age": age})
+    exact = {"zero_error": 0.0, "encoder_jitter": 0.0, "joint_noise": 0.0}
+    settings = TwinSettings(encoder_age=age, reply_age=age, **exact)
     twin = Twin(ARM, PENDULUM, settings)
     state, now = twin.state, 1000
     state.now = now

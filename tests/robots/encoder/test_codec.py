@@ -16,12 +16,9 @@ from equipoise.robots.encoder.codec import (
 )
 
 READINGS = st.builds(
-    Reading,
-    st.integers(0, 2**16 - 1),
-    st.integers(0, 2**32 - 1),
-    st.integers(-(2**31), 2**31 - 1),
-    st.integers(0, 15),
-)
+    Reading, st.integers(0, 2**16 - 1), st.integers(0, 2**32 - 1),
+    st.integers(-(2**31), 2**31 - 1), st.integers(0, 15),
+)  # fmt: skip
 EXAMPLE = Reading(1023, 123456789, -4096, 1)
 
 
