@@ -7,16 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from equipoise import paper
-from equipoise.control.policy import (
-    LINEAR,
-    RANDOM,
-    SNAPPED,
-    PolicyKernel,
-    TabularPolicy,
-    act,
-    shipped_policy,
-)
+from equipoise import paper, shipped_policy
+from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, PolicyKernel, TabularPolicy, act
 from equipoise.settings import BoxSettings, Settings
 from tests.reference.intervals import place
 

@@ -10,19 +10,11 @@ from scipy.integrate import solve_ivp
 
 from equipoise import paper
 from equipoise.arrays import fields, new_records
+from equipoise.control import swing_up
 from equipoise.control.bound_policy import bind_policy
 from equipoise.control.linear import baselines
 from equipoise.control.policy import LINEAR, KernelPolicy, PolicyKernel, shipped_policy
-from equipoise.control.swing_up import (
-    SwingUp,
-    SwingUpPolicy,
-    SwingUpState,
-    begin_swing_up,
-    calibrate,
-    pump,
-    saves,
-    time_limit,
-)
+from equipoise.control.swing_up import SwingUp, SwingUpPolicy, SwingUpState, time_limit
 from equipoise.errors import InputError, SettingsError
 from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED
 from equipoise.model.pendulum import PendulumParameters
@@ -83,9 +75,9 @@ def test_swings_calibrate_the_energy(factor):
     rows = swung(LAW, true, SwingUpPolicy(baselines(PENDULUM, LAW.h)["random"], LAW), 8.0)
     records = new_records(SwingUpState)
     state = fields(records, SwingUpState)
-    begin_swing_up(LAW, state, 0)
+    swing_up.begin_swing_up(LAW, state, 0)
     for _, x_dot, phi, phi_dot, _ in rows.tolist():
-        calibrate(LAW, state, x_dot, phi, phi_dot, 0)
+        swing_up.calibrate(LAW, state, x_dot, phi, phi_dot, 0)
     assert state.w2[0] == pytest.approx(w2, rel=0.01)
 
 
@@ -101,7 +93,7 @@ def test_swings_calibrate_the_energy(factor):
 )
 def test_it_hands_over_where_the_policy_saves_the_pendulum(state, saved):
     states = fields(new_records(SwingUpState), SwingUpState)
-    assert saves(LAW, states, shipped_policy().kernel, *state, 0) is saved
+    assert swing_up.saves(LAW, states, shipped_policy().kernel, *state, 0) is saved
 
 
 @pytest.mark.parametrize(
@@ -110,8 +102,8 @@ def test_it_hands_over_where_the_policy_saves_the_pendulum(state, saved):
 )
 def test_above_the_pivot_it_pumps_at_speeds_at_which_the_policy_can_catch(x_dot, phi, u):
     states = fields(new_records(SwingUpState), SwingUpState)
-    begin_swing_up(LAW, states, 0)
-    assert pump(LAW, states, 0.0, x_dot, phi, -3.0, 0) == u  # too slow to come upright
+    swing_up.begin_swing_up(LAW, states, 0)
+    assert swing_up.pump(LAW, states, 0.0, x_dot, phi, -3.0, 0) == u  # too slow to come upright
 
 
 @pytest.mark.parametrize("world", ["model", "twin:nominal"])

@@ -7,14 +7,8 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from equipoise.identification.driven_swing import (
-    MOVE_DISTANCE,
-    MOVE_TIME,
-    SWING_TIME,
-    ZERO_INTERVAL,
-    SelfTestVerdict,
-    self_test,
-)
+from equipoise.identification import driven_swing
+from equipoise.identification.driven_swing import MOVE_TIME, SelfTestVerdict, self_test
 from equipoise.jit import kernel
 from equipoise.model.pendulum import PendulumParameters, step
 
@@ -58,10 +52,10 @@ def driven(x, theta, touch, plant, thetas):
 def recording(rng, rig=RIGHT):
     """Return times and counts of the encoder, times and places of the pivot, the resting count."""
     begin = rng.uniform(0.3, 0.6)
-    grid = np.arange(0.0, begin + MOVE_TIME + SWING_TIME, FINE)
+    grid = np.arange(0.0, begin + MOVE_TIME + driven_swing.SWING_TIME, FINE)
     s = np.clip((grid - begin) / MOVE_TIME, 0.0, 1.0)
     place, direction = rng.uniform(-0.02, 0.02), rng.choice([-1.0, 1.0])
-    sent = direction * MOVE_DISTANCE * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    sent = direction * driven_swing.MOVE_DISTANCE * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
     # A drive behind the path: a lag that the measured joints show, as the pendulum feels it.
     lag = rng.uniform(0.01, 0.02)
     drive = ([1.0], [lag**2, 2.0 * lag, 1.0])
@@ -128,7 +122,7 @@ def test_estimates_are_those_of_the_rig_and_intervals_hold_them(runs):
         assert result.delay == pytest.approx(DELAY, abs=0.003)
         # The resting count is off by stiction, 0.08 deg, and half a count.
         assert abs(result.zero) < radians(0.12)
-        assert result.zero_half < 0.3 * ZERO_INTERVAL
+        assert result.zero_half < 0.3 * driven_swing.ZERO_INTERVAL
         assert result.misfit < 0.02
 
 
@@ -142,7 +136,7 @@ def test_a_disturbed_swing_is_repeated():
 
     result = judged(rng, change=draft)
     assert result.verdict is SelfTestVerdict.REPEAT, result
-    assert result.zero_half > ZERO_INTERVAL
+    assert result.zero_half > driven_swing.ZERO_INTERVAL
 
 
 def by_hand(t, c, s, x, r):

@@ -16,18 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from equipoise import paper
+from equipoise.model import random
 from equipoise.model.grid import TRUNCATED
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.random import (
-    TRAINING_ACTION,
-    TRAINING_ACTUATOR,
-    TRAINING_EPISODE,
-    TRAINING_NOISE,
-    TRAINING_START,
-    normal_pair,
-    philox,
-    uniform,
-)
 from equipoise.simulation.plant import DomainRandomization, draw_noise
 from tests.batch import Batch
 from tests.reference.intervals import place
@@ -51,14 +42,14 @@ class Episode:
     def __init__(self, plant, pendulum, settings, seed, number):
         """Draw the pendulum, the rig and the start."""
         self.seed, self.number, self.tick, self.block = seed, number, 0, Batch(plant)
-        w0, w1, _, _ = philox(seed, 0, number, 0, TRAINING_EPISODE)
-        on_I, on_b = normal_pair(w0, w1)
+        w0, w1, _, _ = random.philox(seed, 0, number, 0, random.TRAINING_EPISODE)
+        on_I, on_b = random.normal_pair(w0, w1)
         I = max(0.1, 1.0 + settings.plant.inertia_sigma * on_I)
         b = max(0.0, 1.0 + settings.plant.friction_sigma * on_b)
         s = settings.learning
-        words = philox(seed, 0, number, 0, TRAINING_START)
+        words = random.philox(seed, 0, number, 0, random.TRAINING_START)
         widths = (s.start_x, s.start_x_dot, s.start_phi, s.start_phi_dot)
-        start = tuple(uniform(w, -width, width) for w, width in zip(words, widths, strict=True))
+        start = tuple(random.uniform(w, -most, most) for w, most in zip(words, widths, strict=True))
         # w2 = m g l / I, k = m l / I, c = b / I.
         own = PendulumParameters(
             w2=pendulum.w2 / I,
@@ -69,13 +60,13 @@ class Episode:
             linearised=pendulum.linearised,
         )
         rig = settings.plant
-        w0, w1, w2, _ = philox(seed, 0, number, 0, TRAINING_ACTUATOR)
+        w0, w1, w2, _ = random.philox(seed, 0, number, 0, random.TRAINING_ACTUATOR)
         variation = DomainRandomization(
             inertia_factor=1.0,  # the pendulum has them already
             friction_factor=1.0,
-            delay=uniform(w0, -rig.delay_spread, rig.delay_spread),
-            lag_factor=uniform(w1, 1.0 - rig.lag_spread, 1.0 + rig.lag_spread),
-            zero=uniform(w2, -rig.zero_error, rig.zero_error),
+            delay=random.uniform(w0, -rig.delay_spread, rig.delay_spread),
+            lag_factor=random.uniform(w1, 1.0 - rig.lag_spread, 1.0 + rig.lag_spread),
+            zero=random.uniform(w2, -rig.zero_error, rig.zero_error),
         )
         self.block.reset(own, variation, start)
         self.look_ahead, self.length = settings.boxes.look_ahead, 1.0 / pendulum.k
@@ -97,7 +88,7 @@ class Episode:
     def advance(self):
         """Make one control step with its action; tell whether it failed."""
         tick, number = [self.tick], [self.number]
-        draw_noise(self.block.controller.noise, self.seed, tick, number, TRAINING_NOISE, 1)
+        draw_noise(self.block.controller.noise, self.seed, tick, number, random.TRAINING_NOISE, 1)
         self.block.controller.u[0] = paper.ACTIONS[self.action]
         self.block.step()
         self.tick += 1
@@ -129,7 +120,7 @@ def train(plant, pendulum, settings, until, seed):
         return Episode(plant, pendulum, settings, seed, begun - 1)
 
     def choose(episode):
-        w0, w1, _, _ = philox(seed, episode.tick, episode.number, 0, TRAINING_ACTION)
+        w0, w1, _, _ = random.philox(seed, episode.tick, episode.number, 0, random.TRAINING_ACTION)
         epsilon = s.epsilon_initial
         if s.epsilon_until > 0.0:
             epsilon *= max(0.0, 1.0 - episode.number / (s.epsilon_until * s.episodes))

@@ -16,15 +16,7 @@ from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import read_world
 from equipoise.outcomes import SAFETY_RULES, Outcome
 from equipoise.safety import rules
-from equipoise.safety.rules import (
-    NO_VIOLATION,
-    broken_flange,
-    broken_setpoint,
-    check_setpoint,
-    has_fallen,
-    make_safety_params,
-    newest_before,
-)
+from equipoise.safety.rules import NO_VIOLATION
 from equipoise.safety.trial import new_trial_monitor, trial_safety, trial_violation
 from equipoise.safety.trial import reset_trial_monitor as compilable_reset
 from equipoise.safety.trial import setpoint_violation as compilable_setpoint_violation
@@ -50,7 +42,7 @@ def violation(monitor, controller, records, q, measured_at):
 
 
 ARM = iiwa(7)
-GUARD_7 = make_safety_params(ARM, reaction=0.03, u_max=2.0, h=0.01, counts_per_rev=8192)
+GUARD_7 = rules.make_safety_params(ARM, reaction=0.03, u_max=2.0, h=0.01, counts_per_rev=8192)
 DT = 0.005
 
 
@@ -69,7 +61,7 @@ def same(violation, code, value, limit):
 
 @kernel
 def compiled_setpoint(limits, q, last, before, dt):
-    return broken_setpoint(limits, q, last, before, dt)
+    return rules.broken_setpoint(limits, q, last, before, dt)
 
 
 @pytest.mark.compiled_only
@@ -84,7 +76,7 @@ def test_a_setpoint_has_the_same_verdict_compiled_and_in_python(place, change, b
     last = np.array(ARM.home) + place
     q = last + np.array(change) * 0.1 + jump
     before = last - np.array(change) * 0.1 + np.array(bend)
-    violation = check_setpoint(GUARD_7.limits, q.tolist(), tuple(last), tuple(before), DT)
+    violation = rules.check_setpoint(GUARD_7.limits, q.tolist(), tuple(last), tuple(before), DT)
     code, joint, value, limit = compiled_setpoint(GUARD_7.limits, q, last, before, DT)
     assert same(violation, code, value, limit)
     assert violation is None or joint == violation.evidence["joint"]
@@ -95,11 +87,11 @@ def test_a_number_that_is_none_breaks_a_rule():
     home = np.array(ARM.home)
     broken = home.copy()
     broken[3] = nan
-    rule, joint, *_ = broken_setpoint(GUARD_7.limits, broken, home, home, DT)
+    rule, joint, *_ = rules.broken_setpoint(GUARD_7.limits, broken, home, home, DT)
     assert (rule, joint) == (rules.POSITION_CODE, 4)
-    assert broken_flange(GUARD_7, nan, 0.0, 0.0, 0.0, 1.0)[0] == rules.TRACK_CODE
-    assert broken_flange(GUARD_7, 0.0, nan, 0.0, 0.0, 1.0)[0] == rules.TRACK_CODE
-    assert has_fallen(nan)
+    assert rules.broken_flange(GUARD_7, nan, 0.0, 0.0, 0.0, 1.0)[0] == rules.TRACK_CODE
+    assert rules.broken_flange(GUARD_7, 0.0, nan, 0.0, 0.0, 1.0)[0] == rules.TRACK_CODE
+    assert rules.has_fallen(nan)
 
 
 def test_rules_act_where_a_world_has_them_with_the_numbers_of_a_rig():
@@ -127,7 +119,7 @@ def test_what_may_not_be_sent_is_not_remembered_as_sent():
     far = home + 1e-5
     far[2] += 0.02
     assert SAFETY_RULES[setpoint_violation(watching, far, 0.01)] is Outcome.VELOCITY
-    newest = newest_before(watching.states["sent"][0], int(watching.states["number"][0]), 1.0)
+    newest = rules.newest_before(watching.states["sent"][0], int(watching.states["number"][0]), 1.0)
     assert watching.states["setpoints"][0, newest] == pytest.approx(home + 1e-5)
     assert SAFETY_RULES[setpoint_violation(watching, home + 6e-4, 0.01)] is Outcome.ACCELERATION
 

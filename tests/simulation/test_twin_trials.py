@@ -8,14 +8,8 @@ import pytest
 from equipoise.arm.compiler import TWIST
 from equipoise.arm.iiwa import iiwa
 from equipoise.arrays import fields, new_records
+from equipoise.control import controller
 from equipoise.control.control_step import ControllerState
-from equipoise.control.controller import (
-    command_tick,
-    estimate_of,
-    observation_of,
-    observe_tick,
-    start,
-)
 from equipoise.control.linear import lqr_gains
 from equipoise.control.policy import LINEAR, RANDOM, KernelPolicy, PolicyKernel, act
 from equipoise.model.actuator import Actuator
@@ -105,7 +99,7 @@ def test_a_recorded_trial_is_the_loop_as_python_writes_it():
     outcome, rows = record(simulation, KernelPolicy(LQR), trial, 0.01 * steps)
     assert outcome[:2] == (steps, TRUNCATED)
 
-    controller, records, sum_x2 = simulation.params, new_records(ControllerState), 0.0
+    params, records, sum_x2 = simulation.params, new_records(ControllerState), 0.0
     memory = fields(records, ControllerState)
     pendulum = PARAMETERS._replace(c=0.15 * trial.variation.friction_factor, coulomb=0.1)
     _, _, phi, phi_dot = trial.start
@@ -113,19 +107,19 @@ def test_a_recorded_trial_is_the_loop_as_python_writes_it():
     twin.reset(phi=phi, phi_dot=phi_dot)
     counts, stamp = twin.encoder()
     shown = pi - counts * 2 * pi / 8192 - stamp * phi_dot
-    start(controller, records, 0.0, 0.0, shown, phi_dot)
+    controller.start(params, records, 0.0, 0.0, shown, phi_dot)
     for row in range(steps):
-        observation = observation_of(memory)
+        observation = controller.observation_of(memory)
         memory.u[0] = act(LQR, *observation, 0.0)
         measured, measured_at = twin.measured()
         assert rows.observation[row] == pytest.approx(observation, abs=1e-12)
         assert rows.u[row] == pytest.approx(memory.u[0], abs=1e-12)
-        assert rows.estimate[row] == pytest.approx(estimate_of(memory))
+        assert rows.estimate[row] == pytest.approx(controller.estimate_of(memory))
         assert rows.encoder[row] == pytest.approx(twin.encoder(), abs=1e-12)
         assert rows.measured[row] == pytest.approx([*measured, measured_at], abs=1e-12)
         assert rows.state[row] == pytest.approx(twin.truth(), abs=1e-12)
         assert rows.joints[row] == pytest.approx(twin.data.qpos[:7], abs=1e-12)
-        command_tick(controller, records)
+        controller.command_tick(params, records)
         setpoints = memory.setpoints[:, :, 0]
         assert rows.setpoints[row] == pytest.approx(setpoints.ravel(), abs=1e-12)
         assert rows.q[row] == pytest.approx(memory.q[:, 0], abs=1e-12)
@@ -137,7 +131,7 @@ def test_a_recorded_trial_is_the_loop_as_python_writes_it():
         assert rows.tracked[row] == pytest.approx((twin.truth().x_dot - x_dot) / 0.01)
         memory.counts[0], counted = twin.encoder()
         memory.measured[:, 0], measured_at = twin.measured()
-        observe_tick(controller, records, twin.now - counted, twin.now - measured_at)
+        controller.observe_tick(params, records, twin.now - counted, twin.now - measured_at)
         sum_x2 += twin.truth().x ** 2
     assert outcome[2] == pytest.approx(sum_x2, rel=1e-9)
 

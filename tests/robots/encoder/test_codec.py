@@ -5,15 +5,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from equipoise.errors import InputError
-from equipoise.robots.encoder.codec import (
-    Banner,
-    Decoder,
-    Reading,
-    count_requests,
-    crc8,
-    decode,
-    encode,
-)
+from equipoise.robots.encoder import codec
+from equipoise.robots.encoder.codec import Banner, Decoder, Reading, decode, encode
 
 READINGS = st.builds(
     Reading, st.integers(0, 2**16 - 1), st.integers(0, 2**32 - 1),
@@ -33,10 +26,10 @@ def signed(body):
 
 
 def test_the_checksum_is_crc_8_maxim():
-    assert crc8(b"") == 0
-    assert crc8(b"123456789") == 0xA1
+    assert codec.crc8(b"") == 0
+    assert codec.crc8(b"123456789") == 0xA1
     # The ROM code of a 1-Wire chip in Maxim's application note 27.
-    assert crc8(bytes.fromhex("021CB801000000")) == 0xA2
+    assert codec.crc8(bytes.fromhex("021CB801000000")) == 0xA2
 
 
 @given(READINGS)
@@ -114,10 +107,10 @@ ASKED = {
 
 @pytest.mark.parametrize(("sent", "asked"), ASKED.items())
 def test_a_question_is_a_mark_alone_on_its_line(sent, asked):
-    assert count_requests(sent)[0] == asked
+    assert codec.count_requests(sent)[0] == asked
     total, rest = 0, b""
     for byte in sent:
-        requests, rest = count_requests(rest + bytes([byte]))
+        requests, rest = codec.count_requests(rest + bytes([byte]))
         total += requests
     assert total == asked
 

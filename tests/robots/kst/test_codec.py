@@ -11,19 +11,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from equipoise.errors import InputError, LinkError
-from equipoise.robots.kst.codec import (
-    JOINTS,
-    MAX_LINE,
-    PORT,
-    expect_done,
-    expect_numbers,
-    java_double,
-    java_number,
-    numbers_reply,
-    setpoint,
-    split_lines,
-    tokens,
-)
+from equipoise.robots.kst import codec
+from equipoise.robots.kst.codec import JOINTS, expect_numbers, java_double, setpoint, split_lines
 
 Q = (0.0013, 0.4364, 0.0, -1.3962, 0.0, 1.309, 0.0)
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
@@ -44,13 +33,13 @@ JAVA = {
 def test_setpoint_is_the_line_of_the_captured_session():
     assert setpoint(np.array(Q)) == b"jpJP_0.0013_0.4364_0_-1.3962_0_1.309_0_\n"
     assert setpoint(Q, "external").startswith(b"jpExT_")
-    assert PORT == 30001
+    assert codec.PORT == 30001
 
 
 @given(st.lists(SEVEN, min_size=20, max_size=20))
 def test_setpoint_keeps_nine_digits_and_the_server_reads_them(setpoints):
     for q in setpoints:
-        fields = tokens(setpoint(q).decode().rstrip("\n"))
+        fields = codec.tokens(setpoint(q).decode().rstrip("\n"))
         assert fields[0] == "jpJP"
         assert len(fields) == JOINTS + 1
         for value, field in zip(q, fields[1:], strict=True):
@@ -79,7 +68,7 @@ def test_stream_is_split_into_lines_however_it_is_cut():
 
 
 def test_line_that_is_too_long_is_an_error():
-    longest = b"x" * MAX_LINE
+    longest = b"x" * codec.MAX_LINE
     assert split_lines(longest) == ([], longest)
     assert split_lines(longest + b"\n" + longest) == ([longest], longest)
     for data in (longest + b"9", b"done\n" + longest + b"x\ndone\n"):
@@ -91,7 +80,7 @@ def test_replies_of_the_captured_session_are_read():
     line = b"1.5855032851556873E-4_0.4364_0.0_-1.3962_0.0_1.309_0.0_"
     joints = (1.5855032851556873e-4, 0.4364, 0.0, -1.3962, 0.0, 1.309, 0.0)
     assert expect_numbers(line, JOINTS, "jpJP") == joints
-    expect_done(b"done", "jp")
+    codec.expect_done(b"done", "jp")
 
 
 NOT_SAID = [
@@ -110,20 +99,20 @@ def test_what_the_server_may_not_say_is_a_link_error(line):
         with pytest.raises(LinkError):
             expect_numbers(line, count, "jpJP")
     with pytest.raises(LinkError):
-        expect_done(line, "jp")
+        codec.expect_done(line, "jp")
 
 
 @pytest.mark.parametrize(("value", "text"), JAVA.items())
 def test_numbers_are_written_as_java_writes_them(value, text):
-    assert java_number(value) == text
-    assert numbers_reply((value, 1.5)) == f"{text}_1.5_\n".encode()
+    assert codec.java_number(value) == text
+    assert codec.numbers_reply((value, 1.5)) == f"{text}_1.5_\n".encode()
 
 
 @given(st.lists(FLOATS, min_size=50, max_size=50))
 @example([1e-3, 1e7, 9999999.999999998, 0.0009999999999999998, -1e-3, -1e7] * 9)
 def test_java_numbers_come_back_to_the_last_bit(values):
     for value in values:
-        text = java_number(value)
+        text = codec.java_number(value)
         assert struct.pack("d", float(text)) == struct.pack("d", value)
         assert struct.pack("d", java_double(text)) == struct.pack("d", value)
         if value == 0.0 or 1e-3 <= abs(value) < 1e7:
@@ -160,6 +149,6 @@ def test_whatever_is_said_is_read_or_refused(said):
     for line in split_lines(b"\n".join(said) + b"\n")[0]:
         with contextlib.suppress(LinkError):
             assert all(map(math.isfinite, expect_numbers(line, line.count(b"_"), "jpJP")))
-        for field in tokens(line.decode("latin-1")):
+        for field in codec.tokens(line.decode("latin-1")):
             with contextlib.suppress(InputError):
                 assert isinstance(java_double(field), float)
