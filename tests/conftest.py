@@ -132,19 +132,13 @@ def rig_log(tmp_path_factory):
 def record_rig(path):
     """Write the log of `rig_log`."""
     from equipoise.control.policy import shipped_policy
-    from equipoise.model.worlds import pendulum_on, read_world
     from equipoise.rig.config import RigSettings
-    from equipoise.rig.connection import emulated_rig
     from equipoise.rig.request import RunRequest
     from equipoise.rig.run import run_virtually
 
-    policy, settings = shipped_policy(), RigSettings()
-    world = read_world("twin:nominal")
-    real = pendulum_on(policy.pendulum, world.settings)
-    rig = emulated_rig(world, settings, real, seed=3, robot="kst")
-    links = ("kst://emulated", "serial:///emulated")
-    request = RunRequest(policy, policy.actuator, settings, *links, duration=1.5, seed=3)
-    assert run_virtually(request, path, rig=rig).outcome == "survived"
+    task = shipped_policy(), shipped_policy().actuator, RigSettings()
+    request = RunRequest(*task, "kst://twin:nominal", None, duration=1.5, seed=3)
+    assert run_virtually(request, path).outcome == "survived"
 
 
 @pytest.fixture

@@ -15,6 +15,7 @@ from equipoise.control.policy import shipped_policy
 from equipoise.identification.recording import write_swing
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from tests.cli.conftest import parse
+from tests.conftest import tiers
 from tests.program import run_program
 from tests.reference.onnx_network import FLOAT, linear_network
 
@@ -176,13 +177,7 @@ def folder(tmp_path):
 
 
 @pytest.mark.compiled_only
-@pytest.mark.parametrize(
-    "page",
-    [
-        *(pytest.param(page, marks=pytest.mark.full) for page in GUESTS),
-        *(pytest.param(page, marks=pytest.mark.slow) for page in RUN),
-    ],
-)
+@pytest.mark.parametrize("page", tiers((*GUESTS, *RUN), (), GUESTS))
 def test_the_commands_of_a_page_run(page, folder):
     """Each as it is printed, one after the other, in one folder. A bad result is code 1."""
     if "network.onnx" in (ROOT / page).read_text():

@@ -16,6 +16,7 @@ from equipoise.identification.recording import Trajectory, fitted_curve, read_sw
 from equipoise.identification.swing import MODELS, identify
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.settings import IdentificationSettings
+from tests.conftest import tiers
 from tests.reference import pendulum as reference
 
 pytestmark = pytest.mark.compiled_only
@@ -304,9 +305,7 @@ def test_a_richer_friction_is_never_worse_for_any_oscillator():
         assert rms == sorted(rms, reverse=True)
 
 
-@pytest.mark.parametrize(
-    "friction", ["viscous", *(pytest.param(model, marks=pytest.mark.full) for model in MODELS[1:])]
-)
+@pytest.mark.parametrize("friction", tiers(MODELS, ["viscous"], MODELS))
 def test_a_spring_is_named_and_no_other_friction_advised(friction):
     said = refused_or_warned(spring(), friction)
     assert "period does not depend on the amplitude: a spring" in said

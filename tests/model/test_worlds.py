@@ -10,12 +10,9 @@ from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import TwinSettings, pendulum_on, read_world
 
 VISCOUS = Pendulum.assumed(70.2, 0.15)
-DRY = Pendulum.assumed(120.0, 0.23).model_copy(
-    update={
-        "coulomb": Estimate.normal(1.957, 0.08, "identified"),
-        "drag": Estimate.normal(0.02, 0.001, "identified"),
-    }
-)
+COULOMB = Estimate.normal(1.957, 0.08, "identified")
+FRICTION = {"coulomb": COULOMB, "drag": Estimate.normal(0.02, 0.001, "identified")}
+DRY = Pendulum.assumed(120.0, 0.23).model_copy(update=FRICTION)
 
 
 def test_the_harsh_set_has_the_numbers_that_the_documents_state():

@@ -15,6 +15,7 @@ from equipoise.rig.checks import warm_up
 from equipoise.rig.connection import connect
 from equipoise.rig.run import run_virtually
 from equipoise.rig.run_controller import PHASES
+from tests.conftest import tiers
 from tests.rig.test_run import request
 
 pytestmark = pytest.mark.compiled_only
@@ -52,10 +53,7 @@ FAILURES = {
 }
 
 
-@pytest.mark.parametrize(
-    "fail",
-    [fail if fail is raises else pytest.param(fail, marks=pytest.mark.full) for fail in FAILURES],
-)
+@pytest.mark.parametrize("fail", tiers(FAILURES, [raises], FAILURES))
 def test_a_policy_that_fails_ends_in_the_latched_stop_with_the_arm_at_rest(tmp_path, fail):
     failing = Failing(fail)
     wanted, out = request(bind_policy(failing, name="Failing"), 5.0), tmp_path / "run.mcap"

@@ -14,6 +14,7 @@ from equipoise.rig.connection import connect
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
 from equipoise.rig.run_controller import PHASES
+from tests.conftest import tiers
 from tests.faults.harness import FaultHarness, Scenario, Trigger
 from tests.log.made_up import changed_table
 from tests.rig.replayed import replay
@@ -21,6 +22,7 @@ from tests.rig.replayed import replay
 pytestmark = pytest.mark.compiled_only
 
 POLICY = shipped_policy()
+MOTIONS = ("homing", "swing", "balancing")
 
 
 class Scripted:
@@ -83,9 +85,7 @@ def test_a_policy_controls_another_arm_once_the_excitation_has_identified_it(tmp
     assert replay(run, POLICY) == (len(run.tables["tick"]), [])
 
 
-@pytest.mark.parametrize(
-    "when", ["homing", *(pytest.param(w, marks=pytest.mark.full) for w in ("swing", "balancing"))]
-)
+@pytest.mark.parametrize("when", tiers(MOTIONS, ["homing"], MOTIONS))
 def test_any_word_stops_it_in_the_same_tick_and_the_arm_comes_to_rest(tmp_path, when):
     out = tmp_path / "run.mcap"
     outcome = run_virtually(request(), out, Scripted(**{when: "stop"}))

@@ -25,9 +25,6 @@ class Stage:
         self.emulation = Emulation("kst", *parts, port=0, say=self.said.append)
         self.port = int(self.emulation.hardware.address.rpartition(":")[2])
 
-    def at(self, time, act):
-        self.plan.append((time, act))
-
     def run(self, until):
         def stop():
             while self.plan and self.clock.now() >= self.plan[0][0]:
@@ -53,7 +50,7 @@ def test_one_client_is_answered_and_the_server_started_again_after_its_end():
         stage.connect()
         clients.append(stage.client)
 
-    for time, act in (
+    stage.plan = [
         (0.10, connect),
         (0.15, stage.send(ASK)),
         (0.30, lambda: came.append(stage.came())),
@@ -64,8 +61,7 @@ def test_one_client_is_answered_and_the_server_started_again_after_its_end():
         (0.60, connect),
         (0.70, stage.send(ASK)),
         (0.90, lambda: came.append(stage.came())),
-    ):
-        stage.at(time, act)
+    ]
     stage.run(1.5)
     for client in clients:
         client.close()
@@ -75,12 +71,14 @@ def test_one_client_is_answered_and_the_server_started_again_after_its_end():
 def test_a_client_that_vanishes_leaves_the_servo_on_until_the_word_start():
     stage, running = Stage(), []
     bench = stage.emulation.hardware.bench
-    stage.at(0.1, stage.connect)
-    stage.at(0.2, stage.send(b"startDirectServoJoints\n"))
-    stage.at(0.5, lambda: stage.client.close())
-    stage.at(2.0, lambda: running.append(bench.body.running))
-    stage.at(2.1, stage.emulation.acts["start"])
-    stage.at(2.5, lambda: running.append(bench.body.running))
+    stage.plan = [
+        (0.1, stage.connect),
+        (0.2, stage.send(b"startDirectServoJoints\n")),
+        (0.5, lambda: stage.client.close()),
+        (2.0, lambda: running.append(bench.body.running)),
+        (2.1, stage.emulation.acts["start"]),
+        (2.5, lambda: running.append(bench.body.running)),
+    ]
     stage.run(3.0)
     assert running == [True, False]
     assert "vanished" in stage.said[0]

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from equipoise.arm.iiwa import iiwa
-from equipoise.files import Estimate
 from equipoise.learning.train import train
 from equipoise.log.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
@@ -13,10 +12,10 @@ from equipoise.outcomes import Outcome
 from equipoise.rig.simulate import excite, simulate_run
 from equipoise.settings import changed
 from equipoise.simulation.evaluation import evaluate
+from tests.model.test_worlds import COULOMB, FRICTION
 
 pytestmark = pytest.mark.compiled_only
 WORLD = "twin:nominal"
-COULOMB = Estimate.normal(1.957, 0.08, "identified")
 UNGUARDED = World("twin:unguarded", TwinSettings(guards=False))
 
 
@@ -45,8 +44,7 @@ def test_a_run_on_the_twin_holds_what_was_sent_measured_and_true(behind_a_servo,
 
 
 def test_the_twin_has_the_friction_that_was_identified(behind_a_servo):
-    friction = {"coulomb": COULOMB, "drag": Estimate.normal(0.02, 0.001, "identified")}
-    dry = behind_a_servo.pendulum.model_copy(update=friction)
+    dry = behind_a_servo.pendulum.model_copy(update=FRICTION)
     policy = behind_a_servo.model_copy(update={"pendulum": dry})
     sticky = World("twin:sticky", TwinSettings(coulomb=0.1, drag=0.0))
     for world, coulomb, drag, varies in ((WORLD, 1.957, 0.02, True), (sticky, 0.1, 0.0, False)):

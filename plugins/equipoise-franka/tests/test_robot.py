@@ -28,6 +28,7 @@ from equipoise_franka import robot as driver
 from equipoise_franka.arm import fr3
 from equipoise_franka.lockstep import Lockstep
 from equipoise_franka.robot import FrankaRobot
+from tests.conftest import tiers
 from tests.faults.test_over_the_wires import balances
 
 pytestmark = pytest.mark.compiled_only
@@ -134,23 +135,11 @@ def test_a_fault_ends_the_stream_and_names_its_remedy(rig, robot, fault, words):
         stream(robot, at(0.2, lambda: fault(rig.arm, robot.now())))
 
 
-@pytest.mark.parametrize(
-    ("fault", "words"),
-    [
-        pytest.param(
-            *case,
-            marks=pytest.mark.full
-            if name in ("reflex", "joints that stand still")
-            else pytest.mark.slow,
-            id=name,
-        )
-        for name, case in FAULTS.items()
-    ],
-)
+@pytest.mark.parametrize("name", tiers(FAULTS, (), ("reflex", "joints that stand still")))
 def test_a_fault_ends_a_balance_with_the_arm_at_rest_and_its_cause_in_the_log(
-    tmp_path, monkeypatch, fault, words
+    tmp_path, monkeypatch, name
 ):
-    request = requested()
+    (fault, words), request = FAULTS[name], requested()
     rig = connect(request)
     before = []
 
