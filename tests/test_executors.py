@@ -111,14 +111,10 @@ class Cluster:
     def start(self, *words, path=""):
         """Start a part; its packages are found in `path` first."""
         paths = os.pathsep.join(filter(None, [str(path), os.environ.get("PYTHONPATH", "")]))
+        command = [sys.executable, "-m", "dask", *words, "--scheduler-file", str(self.file)]
+        where = {"env": os.environ | {"PYTHONPATH": paths}, "cwd": self.folder}
         with (self.folder / f"{words[0]}.log").open("a") as log:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "dask", *words, "--scheduler-file", str(self.file)],
-                env=os.environ | {"PYTHONPATH": paths},
-                cwd=self.folder,
-                stdout=log,
-                stderr=log,
-            )
+            process = subprocess.Popen(command, stdout=log, stderr=log, **where)
         self.stack.callback(end, process)
         return process
 

@@ -91,10 +91,7 @@ def folder(tmp_path, monkeypatch):
 
 KINDS = [
     *BUILT_IN,
-    "table.json",
-    "guest:lqr",
-    "guest:Counting",
-    "guest:instance",
+    *("table.json", "guest:lqr", "guest:Counting", "guest:instance"),
     pytest.param("lqr.onnx", marks=[needs_onnx, pytest.mark.full]),
 ]
 

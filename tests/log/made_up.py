@@ -145,11 +145,8 @@ def balanced_on_a_rig():
     theta = np.pi - phi_on_a_rig(encoder["time"])
     counts = RESTING + (theta + 4.0 * np.pi) * 8192 / (2.0 * np.pi)
     encoder["counts"] = np.round(counts)
-    return RunLog(
-        rig_conditions(),
-        {"tick": tick, "reply": reply, "encoder": encoder},
-        RunEnd(outcome=Outcome.SURVIVED, zero=RESTING),
-    )
+    end = RunEnd(outcome=Outcome.SURVIVED, zero=RESTING)
+    return RunLog(rig_conditions(), {"tick": tick, "reply": reply, "encoder": encoder}, end)
 
 
 @contextmanager

@@ -68,12 +68,10 @@ def test_a_writer_that_is_killed_leaves_its_chunks(tmp_path):
         "import sys; from pathlib import Path; from tests.log.made_up import drained\n"
         "drained(Path(sys.argv[1]), 1000); print('written', flush=True); sys.stdin.read()"
     )
-    with subprocess.Popen(
-        [sys.executable, "-c", script, str(path)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(["src", ".", *sys.path])},
-    ) as process:
+    command = [sys.executable, "-c", script, str(path)]
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(["src", ".", *sys.path])}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, env=env, **pipes) as process:
         assert process.stdout.readline() == b"written\n"
         process.send_signal(signal.SIGKILL)
     assert sound_ticks(path) > 800

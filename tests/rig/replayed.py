@@ -48,15 +48,10 @@ def replay(run, policy):
         identify=identify_actuator if conditions.identifies else None,
         start=conditions.settings.evaluation.start, reference=conditions.reference,
     )  # fmt: skip
-    limit = None if run.end is None else run.end.max_speed
-    clock = PolicyClock()
-    state = Run(
-        request,
-        reply[np.isnan(reply["sent"])]["q"][0].tolist(),
-        counts_per_rev=conditions.counts_per_rev,
-        max_speed=inf if limit is None else limit,
-        clock=clock,
-    )
+    at_start = reply[np.isnan(reply["sent"])]["q"][0].tolist()
+    limit = inf if run.end is None or run.end.max_speed is None else run.end.max_speed
+    counts, clock = conditions.counts_per_rev, PolicyClock()
+    state = Run(request, at_start, counts_per_rev=counts, max_speed=limit, clock=clock)
     return compared(run, RunController(state, script(state)), clock)
 
 
@@ -73,6 +68,7 @@ def compared(run, controller, clock):
         now = float(row["time"])
         events = [event for event in run.events if event.time == now]
         names = {event.name for event in events}
+        failures = [event.text for event in events if event.name == FAILED]
         ended = run.end if "stopping" in names else None
         # The tick of a verdict, or of a selected actuator, receives the result of its job.
         if job is not None and (JOBS & names or (ended and ended.outcome in JOBS_FAILED)):
@@ -86,11 +82,7 @@ def compared(run, controller, clock):
             samples=[Sample(t, n, bool(p), bool(i), missing) for t, n, p, i, missing in samples],
             replies=[Reply(sent, t, known(q), known(torque)) for sent, t, q, torque in replies],
             lines=[event.text for event in events if event.name == WORD_TYPED],
-            faults=[
-                End(Outcome.ENCODER_LOST, {"text": event.text})
-                for event in events
-                if event.name == FAILED
-            ],
+            faults=[End(Outcome.ENCODER_LOST, {"text": text}) for text in failures],
             lateness=float(row["late"]),
             result=result,
             unsent=unsent,
@@ -103,9 +95,8 @@ def compared(run, controller, clock):
         sent = stream["q"][first:end][: len(output.setpoints)]
         unsent = len(sent) < len(output.setpoints)
         made = output.record._asdict() | {"state": output.state, "q": output.q, "dq": output.dq}
-        pairs = {
-            name: (row[name], made[name]) for name in (*TickRecord._fields, "state", "q", "dq")
-        }
+        compared_names = (*TickRecord._fields, "state", "q", "dq")
+        pairs = {name: (row[name], made[name]) for name in compared_names}
         pairs["setpoints"] = sent, np.reshape(output.setpoints[: len(sent)], sent.shape)
         different = [
             name for name, pair in pairs.items() if not np.array_equal(*pair, equal_nan=True)

@@ -101,12 +101,8 @@ class Server(FrankaSimServer):
     _mode = 0
 
     def __init__(self, mechanics, hosts):
-        super().__init__(
-            physics_sim=mechanics,
-            enable_gripper=False,
-            enforce_comm_constraints=True,
-            enforce_motion_limits=True,
-        )
+        checks = {"enforce_comm_constraints": True, "enforce_motion_limits": True}
+        super().__init__(physics_sim=mechanics, enable_gripper=False, **checks)
         mechanics.server = self
         for self.host in hosts:
             try:
