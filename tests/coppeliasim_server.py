@@ -318,10 +318,8 @@ class CoppeliaSimServer:
             functions = {method[4:] for method in dir(Scene) if method.startswith("sim_")}
             functions |= {f"{way}{kind}Param" for way in ("get", "set") for kind in PARAMETERS}
             functions.add("step")
-            return [
-                {function: {"func": {}} for function in functions}
-                | {constant: {"const": number} for constant, number in CONSTANTS.items()}
-            ]
+            constants = {name: {"const": number} for name, number in CONSTANTS.items()}
+            return [{function: {"func": {}} for function in functions} | constants]
         short = name.removeprefix("sim.")
         values = self.scene.parameters.get(short[3:-5], {})
         if values and short.endswith("Param"):

@@ -31,9 +31,8 @@ def with_answers(name, wrong=()):
     """Return a notebook that checks each exercise as it is, with wrong answers, and solved."""
     book = notebooks.built(name)
     found = jupytext.read(notebooks.COURSE / "solutions" / f"{name}.py").cells
-    solutions = [
-        cell for cell in found if cell.cell_type == "code" and "Solutions of" not in cell.source
-    ]
+    code = [cell for cell in found if cell.cell_type == "code"]
+    solutions = [cell for cell in code if "Solutions of" not in cell.source]
     wrong, cells, exercise = list(wrong), [], False
     for cell in book.cells:
         cells.append(cell)

@@ -10,6 +10,7 @@ from mcap.reader import make_reader
 from equipoise.control.policy import shipped_policy
 from equipoise.rig.simulate import simulate_run
 from tests.arm.witnesses import Pinocchio
+from tests.conftest import tiers
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 PIPELINE = "pipeline.py"  # docs/tutorial.md links it
@@ -36,9 +37,7 @@ def test_every_example_is_run():
 
 
 @pytest.mark.compiled_only
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.full if name in LONG else ()) for name in SAY]
-)
+@pytest.mark.parametrize("name", tiers(SAY, SAY.keys() - LONG, LONG))
 def test_an_example_needs_no_file_and_says_what_it_should(script, name):
     assert SAY[name] in script(EXAMPLES / name)
     assert [path.stem for path in Path().glob("*.png")] == [name[:-3]] * (name[:-3] in PICTURED)

@@ -239,10 +239,8 @@ def test_a_lost_scheduler_ends_the_command_with_one_error(two_workers, delay):
         two_workers.scheduler_process.kill()
         out, error = command.communicate(timeout=10.0)
     assert (command.returncode, out) == (3, "")
-    assert error == (
-        f"error: the scheduler at {two_workers.address} is lost; start it again, and repeat the "
-        "command\n"
-    )
+    lost = f"error: the scheduler at {two_workers.address} is lost"
+    assert error == f"{lost}; start it again, and repeat the command\n"
 
 
 @FULL

@@ -133,20 +133,17 @@ def test_ctrl_c_ends_work_on_threads_and_leaves_no_file(tmp_path):
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no full device")
 def test_a_full_disk_is_told_in_one_sentence_and_a_closed_pipe_silently():
-    arguments = ("log", "explain", "--help")
+    command = [*COMMAND, "log", "explain", "--help"]
+    options = {"stderr": subprocess.PIPE, "text": True, "check": False}
     with open("/dev/full", "w") as full:
-        ran = subprocess.run(
-            [*COMMAND, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, check=False
-        )
+        ran = subprocess.run(command, stdout=full, **options)
     assert ran.returncode == 3
     assert ran.stderr.startswith("error: ")
     assert "No space left on device" in ran.stderr
     assert ran.stderr.count("\n") == 1
     read, write = os.pipe()
     os.close(read)
-    ran = subprocess.run(
-        [*COMMAND, *arguments], stdout=write, stderr=subprocess.PIPE, text=True, check=False
-    )
+    ran = subprocess.run(command, stdout=write, **options)
     os.close(write)
     assert (ran.returncode, ran.stderr) == (141, "")
 

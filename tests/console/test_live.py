@@ -57,10 +57,8 @@ def played(monkeypatch):
         run = PlayedRun(open_recorder(folder, len(ARM.joints)))
         monkeypatch.setattr(live, "live_runs", lambda: [folder])
         served = ("127.0.0.1", 0, addresses.append, ended.is_set)
-        threads = [
-            threading.Thread(target=run.tick),
-            threading.Thread(target=live.serve, args=served),
-        ]
+        serving = threading.Thread(target=live.serve, args=served)
+        threads = [threading.Thread(target=run.tick), serving]
         for thread in threads:
             thread.start()
         try:

@@ -160,9 +160,8 @@ class FaultHarness:
         )  # fmt: skip
         try:
             with patch.object(run, "RunController", partial(FaultyController, self)):
-                outcome = run.run_virtually(
-                    request, scenario.out, self, rig=rig, ended=self.ends.append
-                )
+                ended = self.ends.append
+                outcome = run.run_virtually(request, scenario.out, self, rig=rig, ended=ended)
         except EquipoiseError as error:
             self.messages.append(ReceivedMessage(self.clock.now(), "error", str(error)))
             outcome = RunEnd(evidence={"text": str(error)})

@@ -185,16 +185,13 @@ def with_gap():
     return log
 
 
+ALL = slice(None)
 REFUSED = {
     "short": lambda: recorded(duration=3.0),
     "a gap in the setpoints": with_gap,
-    "a joint at one speed": lambda: spoilt(
-        "stream_q", (slice(None), 0), lambda log: 0.2 * log.stream_time
-    ),
-    "an arm that stands still": lambda: spoilt("reply_q", (slice(None), 4), 0.0),
-    "replies of another log": lambda: spoilt(
-        "reply_q", slice(None), lambda log: log.reply_q[::-1].copy()
-    ),
+    "a joint at one speed": lambda: spoilt("stream_q", (ALL, 0), lambda log: 0.2 * log.stream_time),
+    "an arm that stands still": lambda: spoilt("reply_q", (ALL, 4), 0.0),
+    "replies of another log": lambda: spoilt("reply_q", ALL, lambda log: log.reply_q[::-1].copy()),
     "NaN": lambda: spoilt("reply_q", (100, 3), np.nan),
     "a repeated time": lambda: spoilt("stream_time", 100, lambda log: log.stream_time[99]),
 }

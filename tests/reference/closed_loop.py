@@ -146,10 +146,8 @@ class Loop:
 
     def turn(self, flange):
         """Return sin(angle) times the axis of the turn from the flange to its reference."""
-        left = self.home.rotation @ flange.rotation.T
-        return 0.5 * np.array(
-            [left[2, 1] - left[1, 2], left[0, 2] - left[2, 0], left[1, 0] - left[0, 1]]
-        )
+        R = self.home.rotation @ flange.rotation.T
+        return 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
 
     def step(self, u, noise):
         """Take one tick with the acceleration `u` and the disturbance `noise` of the pose error."""

@@ -27,11 +27,8 @@ ZERO = -0.002
 """Error of the encoder's zero there [rad]."""
 LITERAL_FALLS = (4.0, *9 * (30.0,))
 """Ends of the trials of the literal recipe in its simulation [s]."""
-PROVENANCE = Provenance(
-    created="2031-02-03T04:05:06+00:00",
-    command="reproduce",
-    software={"equipoise": "1.2.3", "numpy": "2.0"},
-)
+VERSIONS = {"equipoise": "1.2.3", "numpy": "2.0"}
+PROVENANCE = Provenance(created="2031-02-03T04:05:06+00:00", command="reproduce", software=VERSIONS)
 
 
 def swing(rate=False, source="swing.csv"):
@@ -86,14 +83,10 @@ def policy(of, recipe="robust", unvisited=7):
     visits[:unvisited] = 0
     lean = np.repeat([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0], 45)
     selected = settings.selection.every > 0
-    curve = [
-        LearningPoint(episodes=n, steps=40 * n, duration=n / 1000.0)
-        for n in range(1000, 10001, 1000)
-    ]
-    candidates = [
-        Checkpoint(episodes=n, trials=400, survived=399, mean_duration=60.0, rms_x=0.05, score=0.9)
-        for n in (9000, 8000, 10000)
-    ]
+    shown = range(1000, 10001, 1000)
+    curve = [LearningPoint(episodes=n, steps=40 * n, duration=n / 1000.0) for n in shown]
+    found = {"trials": 400, "survived": 399, "mean_duration": 60.0, "rms_x": 0.05, "score": 0.9}
+    candidates = [Checkpoint(episodes=n, **found) for n in (9000, 8000, 10000)]
     return TabularPolicy(
         actions=paper.ACTIONS,
         Q=tuple(map(tuple, np.outer(lean, paper.ACTIONS).tolist())),

@@ -126,12 +126,11 @@ def waiting(request, memory, joints, pipe):
     processes._loop(request, memory, joints, pipe)
 
 
-def three(request, rig, operators, recorder, *, prepare, submit, follow):
+def three(request, *parts, follow, **options):
     """Be a series of three runs."""
     for _ in range(2):
-        end = move(None, rig, operators, recorder, prepare=prepare, submit=submit, follow=follow)
-        follow(end, request)
-    return move(None, rig, operators, recorder, prepare=prepare, submit=submit, follow=follow)
+        follow(move(request, *parts, follow=follow, **options), request)
+    return move(request, *parts, follow=follow, **options)
 
 
 def series(request, memory, joints, pipe):

@@ -43,6 +43,13 @@ def fall(start_deg, rate_deg, begin, rate=RATE):
     return begin + t[:until], phi[:until]
 
 
+def released_after(start_deg, rate_deg):
+    """Return the time after which a fall from an armed detector is seen [s]."""
+    detector, begin = armed()
+    time, phi = fall(start_deg, rate_deg, begin)
+    return time[fed(detector, time, phi).index(RELEASED)] - begin
+
+
 # What the rules say.
 
 
@@ -86,10 +93,7 @@ def test_a_fall_from_rest_is_seen_while_it_can_be_caught_and_stays(start, rate):
 
 def test_a_fast_fall_is_not_waited_for():
     # phi_dot / (w phi) is 2.2 at 1.5 deg, |phi + phi_dot / w| above 4 deg after 35 ms.
-    detector, begin = armed()
-    time, phi = fall(0.0, 3.0 * W, begin)
-    at = fed(detector, time, phi).index(RELEASED)
-    growing = 3.0 * np.exp(W * (time[at] - begin))
+    growing = 3.0 * np.exp(W * released_after(0.0, 3.0 * W))
     assert 4.0 < growing < 4.35, "two samples have to do, also before 1.5 deg"
 
 
@@ -110,15 +114,10 @@ def test_the_derivative_of_the_acceleration_has_to_agree_within_300(way, off, gr
 @SIDES
 def test_a_fall_is_believed_from_a_ratio_of_three_down_to_one_of_six_tenths(side):
     # From rest at 1.4 deg the ratio is tanh(w t), beyond 0.6 after 82.7 ms; then it has to last.
-    detector, begin = armed()
-    time, phi = fall(side * 1.4, 0.0, begin)
-    at = fed(detector, time, phi).index(RELEASED)
-    assert time[at] - begin == pytest.approx(0.0827 + 0.010, abs=0.0011)
+    assert released_after(side * 1.4, 0.0) == pytest.approx(0.0827 + 0.010, abs=0.0011)
     # As 6 deg sinh(w t) through upright, after 28.6 ms, it is coth, below 3 after 41.4 ms more.
-    detector, begin = armed()
-    time, phi = fall(side * -1.45, side * sqrt(6.0**2 + 1.45**2) * W, begin)
-    at = fed(detector, time, phi).index(RELEASED)
-    assert time[at] - begin == pytest.approx(0.0286 + 0.0414 + 0.001, abs=0.0006)
+    after = released_after(side * -1.45, side * sqrt(6.0**2 + 1.45**2) * W)
+    assert after == pytest.approx(0.0286 + 0.0414 + 0.001, abs=0.0006)
 
 
 @pytest.mark.parametrize(

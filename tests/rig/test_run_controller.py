@@ -81,9 +81,8 @@ class Course:
 
     def where(self, time):
         """Where the arm is: where it was sent before its response."""
-        return next(
-            q for when, q in reversed(self.sent) if when <= time - self.guard.reaction or when < 0
-        )
+        before = time - self.guard.reaction
+        return next(q for when, q in reversed(self.sent) if when <= before or when < 0)
 
     def samples(self):
         """One in each millisecond, but for those that are lost on their way."""
@@ -353,9 +352,8 @@ def test_a_stop_after_a_stall_holds_the_arm_where_it_rests():
     course.tick(0.1)
     course.ticks(20)
     assert course.cause == Outcome.TICK
-    assert {setpoint for _, setpoint in course.sent if setpoint != last}.isdisjoint(
-        {setpoint for _, setpoint in course.sent[-40:]}
-    )
+    others = {setpoint for _, setpoint in course.sent if setpoint != last}
+    assert others.isdisjoint({setpoint for _, setpoint in course.sent[-40:]})
 
 
 def stall(course, part, long):

@@ -1,5 +1,4 @@
-"""A simulated run and its log; `tests/simulation/test_plant.py` recomputes the motion of its
-plant."""
+"""A simulated run and its log; `tests/simulation/test_plant.py` recomputes its plant's motion."""
 
 import numpy as np
 import pytest

@@ -296,9 +296,8 @@ def test_ticks_without_measured_joints_change_nothing_of_that():
 
 def off(n, by, joint=3):
     """Return views of an arm that moves along, beside where it is expected."""
-    return [
-        view._replace(measured=moved(view.expected, joint, by)) for view in along(n, 1.0, speed=0.2)
-    ]
+    views = along(n, 1.0, speed=0.2)
+    return [view._replace(measured=moved(view.expected, joint, by)) for view in views]
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])

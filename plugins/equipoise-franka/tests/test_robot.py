@@ -82,17 +82,6 @@ class TestFranka(RobotConformance):
         return RobotUnderTest(robot, robot, arm.plug, lambda: arm.q, misread)
 
 
-def at(moment, act):
-    """Return a slow motion [rad], during which an act happens at a time [s]."""
-
-    def offset(time):
-        if abs(time - moment) < 0.001:
-            act()
-        return 0.02 * (1.0 - np.cos(10.0 * time))
-
-    return offset
-
-
 def stream(robot, offset, seconds=0.5):
     """Stream joint 1 along a path [rad] of the time [s]; return the error's message."""
     home = robot.measured()
@@ -131,8 +120,14 @@ FAULTS = {
 @pytest.mark.parametrize(("fault", "words"), FAULTS.values(), ids=FAULTS)
 def test_a_fault_ends_the_stream_and_names_its_remedy(rig, robot, fault, words):
     robot.connect()
+
+    def offset(time):
+        if abs(time - 0.2) < 0.001:
+            fault(rig.arm, robot.now())
+        return 0.02 * (1.0 - np.cos(10.0 * time))
+
     with pytest.raises(LinkError, match=words):
-        stream(robot, at(0.2, lambda: fault(rig.arm, robot.now())))
+        stream(robot, offset)
 
 
 @pytest.mark.parametrize("name", tiers(FAULTS, (), ("reflex", "joints that stand still")))

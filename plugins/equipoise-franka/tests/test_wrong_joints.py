@@ -23,9 +23,8 @@ pytestmark = pytest.mark.compiled_only
 
 SETTINGS = RigSettings(arm="fr3")
 ARM = SETTINGS.described_arm
-FR3 = replace(
-    REQUEST, policy=POLICY.model_copy(update={"arm": ARM}), settings=SETTINGS, robot="franka://fr3"
-)
+FOR_FR3 = POLICY.model_copy(update={"arm": ARM})
+FR3 = replace(REQUEST, policy=FOR_FR3, settings=SETTINGS, robot="franka://fr3")
 MOVED = 0.002
 """Maximum distance of the true arm from its setpoints after a stop [rad]."""
 LAG = 0.05
