@@ -301,9 +301,8 @@ def test_a_worker_with_other_kernels_is_an_error(cluster, tmp_path):
         file.write("# another version\n")
     cluster.scheduler()
     cluster.worker(tmp_path / "other")
-    with pytest.raises(
-        OutsideError, match=r"worker tcp://\S+ has equipoise .* expected .* install"
-    ):
+    difference = r"worker tcp://\S+ has equipoise .* expected .* install"
+    with pytest.raises(OutsideError, match=difference):
         evaluate_on(cluster)
 
 

@@ -57,9 +57,8 @@ def replay(run, policy):
 
 def compared(run, controller, clock):
     """Give a controller the inputs of each tick, and compare its outputs with the log."""
-    tick, stream, encoder, reply = (
-        run.tables[name] for name in ("tick", "stream", "encoder", "reply")
-    )
+    tables = ("tick", "stream", "encoder", "reply")
+    tick, stream, encoder, reply = (run.tables[name] for name in tables)
     reply = reply[np.isfinite(reply["sent"])]
     result = job = None
     ends = [*np.searchsorted(stream["time"], tick["time"][1:]).tolist(), len(stream)]
@@ -95,8 +94,8 @@ def compared(run, controller, clock):
         sent = stream["q"][first:end][: len(output.setpoints)]
         unsent = len(sent) < len(output.setpoints)
         made = output.record._asdict() | {"state": output.state, "q": output.q, "dq": output.dq}
-        compared_names = (*TickRecord._fields, "state", "q", "dq")
-        pairs = {name: (row[name], made[name]) for name in compared_names}
+        columns = (*TickRecord._fields, "state", "q", "dq")
+        pairs = {name: (row[name], made[name]) for name in columns}
         pairs["setpoints"] = sent, np.reshape(output.setpoints[: len(sent)], sent.shape)
         different = [
             name for name, pair in pairs.items() if not np.array_equal(*pair, equal_nan=True)

@@ -40,6 +40,10 @@ def raises(policy):
     raise RuntimeError("the gain\nis lost")
 
 
+def exits(policy):
+    sys.exit(1)
+
+
 def is_late(policy):
     policy.clock.wait_until(policy.clock.now() + 0.006)
     return 0.0
@@ -47,7 +51,7 @@ def is_late(policy):
 
 FAILURES = {
     raises: "the policy failed: Failing raised RuntimeError",
-    lambda policy: sys.exit(1): "the policy failed: Failing raised SystemExit: 1",
+    exits: "the policy failed: Failing raised SystemExit: 1",
     lambda policy: np.nan: "Failing returned nan",
     is_late: "the policy failed: it took 6.0 ms, expected at most 5.0 ms",
 }

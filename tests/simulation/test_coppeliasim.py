@@ -141,9 +141,8 @@ def test_errors_of_the_connection_are_one_message(server, monkeypatch):
     with pytest.raises(InputError):
         Connection("no host", 23000)
     sim = Connection("127.0.0.1", server.port)
-    with pytest.raises(
-        OutsideError, match=r"refuses getJointPosition \(354: .* object does not exist\.\)"
-    ):
+    refusal = r"refuses getJointPosition \(354: .* object does not exist\.\)"
+    with pytest.raises(OutsideError, match=refusal):
         sim.call("getJointPosition", 12345)
     sim.close()
     monkeypatch.setitem(sys.modules, "coppeliasim_zmqremoteapi_client", None)
