@@ -149,7 +149,8 @@ class FaultHarness:
         settings, policy = scenario.settings, scenario.policy
         counts, sign = settings.counts_per_rev, settings.encoder_sign
         sensor = LineEncoder(self.encoder_tap.open, self.clock, counts_per_rev=counts, sign=sign)
-        robot = KstRobot(self.robot_tap.open, DrainingClock(self.clock, sensor))
+        waiting, joints = DrainingClock(self.clock, sensor), self.rig.robot.joints
+        robot = KstRobot(self.robot_tap.open, waiting, joints=joints)
         rig = self.rig._replace(robot=robot, sensor=sensor, clock=self.clock)
         rig.operator.ignored = scenario.missed_messages
         links = ("kst://emulated", "serial://emulated")

@@ -2,7 +2,7 @@
 
 The loop's process runs the real loop, guard and signals; in place of the course stands a heart that
 moves one joint to and fro until a word comes. A whole run over ports and a terminal is in
-`tests/console/test_run.py`.
+`tests/faults/test_over_the_wires.py`.
 """
 
 import multiprocessing
