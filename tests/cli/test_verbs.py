@@ -115,7 +115,7 @@ def test_an_excitation_becomes_an_actuator(equipoise, tmp_path):
 def test_refine_writes_what_moved(equipoise, tmp_path):
     policy = shipped_policy()
     twin = TwinSettings(inertia_sigma=0.0, friction_sigma=0.0)
-    run = simulate_run(shipped_policy(), world=World("twin:steady", twin), seed=2, duration=12.0)
+    run = simulate_run(shipped_policy(), world=World("twin:steady", twin), seed=3, duration=20.0)
     run.save(tmp_path / "run.mcap", command="test")
     wrong = {
         name: Estimate.around(getattr(policy.pendulum, name).value / 1.1, 0.0, "given")
