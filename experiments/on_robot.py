@@ -35,6 +35,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import equipoise as eq
+from equipoise.errors import RecordingError
 from equipoise.executors import available_cores
 from equipoise.identification.actuator import identify_actuator
 from equipoise.identification.refine import inspect
@@ -109,7 +110,7 @@ def study(name: str, args: argparse.Namespace) -> dict[str, Any]:
         rows.append(evaluated("identified", policy, actuator, world, args))
         of_arm = policy.pendulum, actuator
         rows.append(trained("trained for the arm", policy, *of_arm, world, args))
-        table, ends, logs = policy, list[RunEnd](), list[RunLog]()
+        table, ends = policy, list[RunEnd]()
         tables = new_tables(len(policy.Q), 0)
         tables.Q[:], tables.visits[:] = policy.table, policy.visits
         while len(ends) < args.runs:
@@ -117,12 +118,8 @@ def study(name: str, args: argparse.Namespace) -> dict[str, Any]:
             ends += block
             learn(tables, records, policy.settings)
             table = with_table(policy, tables.Q)
-            if not logs:
-                logs = records
-                found = inspect(policy, *logs)
-                print(world, found.moves, len(found.warnings), flush=True)
-                of_rig = found.pendulum, found.actuator
-                rows.append(trained("trained again", policy, *of_rig, world, args))
+            if len(ends) == BLOCK:
+                rows.append(trained_again(policy, records, world, args))
             if len(ends) in (BLOCK, 5 * BLOCK, 25 * BLOCK):
                 label = f"goes on, {len(ends)} runs"
                 rows.append(evaluated(label, table, policy.actuator, world, args))
@@ -190,6 +187,19 @@ def trained(
     return row_of(name, *(sum(row[part] for row in rows) for part in ("survived", "trials")))
 
 
+def trained_again(
+    policy: eq.TabularPolicy, logs: list[RunLog], world: str, args: argparse.Namespace
+) -> dict[str, Any] | None:
+    """Return the results of tables trained for what runs identify; None where they do not."""
+    try:
+        found = inspect(policy, *logs)
+    except RecordingError as error:
+        print(world, error, flush=True)
+        return None
+    print(world, found.moves, len(found.warnings), flush=True)
+    return trained("trained again", policy, found.pendulum, found.actuator, world, args)
+
+
 def with_table(policy: eq.TabularPolicy, Q: Any) -> eq.TabularPolicy:
     """Return a policy with other values."""
     return policy.model_copy(update={"Q": tuple(map(tuple, Q.tolist()))})
@@ -224,7 +234,7 @@ def draw(results: dict[str, Any]) -> Figure:
     figure = Figure(figsize=(7.2, 3.2 * len(results)), layout="constrained")
     axes = np.atleast_1d(figure.subplots(len(results), sharex=True))
     for ax, (name, result) in zip(axes, results.items(), strict=True):
-        rows = result["rows"][::-1]
+        rows = [row for row in result["rows"][::-1] if row is not None]
         rates = np.array([row["rate"] for row in rows])
         ends = np.array([row["interval"] for row in rows]).T
         ax.errorbar(rates, range(len(rows)), xerr=np.abs(ends - rates), fmt="o", capsize=3)
