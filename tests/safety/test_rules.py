@@ -9,26 +9,16 @@ from hypothesis import strategies as st
 
 from equipoise.arm.iiwa import iiwa
 from equipoise.outcomes import MAX_COUNT_JUMP, SAFETY_RULES, Outcome, SafetyInputs
-from equipoise.safety.rules import (
-    MonitorState,
-    check,
-    check_first,
-    check_setpoint,
-    limits_of,
-    make_safety_params,
-    newest_before,
-    stopping_reach,
-    unexplained_turn,
-    update_monitor,
-)
+from equipoise.safety import rules
+from equipoise.safety.rules import MonitorState
 
 ARM = iiwa(14)
 HOME = ARM.home
-LIMITS = limits_of(ARM)
+LIMITS = rules.limits_of(ARM)
 H = 0.01
 DT = 0.005
 RESOLUTION = 2 * pi / 8192
-GUARD = make_safety_params(ARM, reaction=0.03, u_max=2.0, h=H, counts_per_rev=8192)
+GUARD = rules.make_safety_params(ARM, reaction=0.03, u_max=2.0, h=H, counts_per_rev=8192)
 SLOW = GUARD._replace(speed=0.23)
 CALM = MonitorState()
 
@@ -40,7 +30,7 @@ def moved(q, joint, by):
 
 def broken(view, guard=GUARD, watched=CALM):
     """Return the rule that a view breaks, or none."""
-    violation = check(guard, watched, view)
+    violation = rules.check(guard, watched, view)
     return violation and violation.outcome
 
 
@@ -55,7 +45,7 @@ def test_a_guard_knows_its_arm():
     w = abs(np.linalg.det(ARM.kinematics(ARM.home_free).jacobian))
     assert GUARD.min_manipulability == pytest.approx(0.1 * w)
     mirrored = ARM.model_copy(update={"home": (*HOME[:5], -HOME[5], *HOME[6:])})
-    guard = make_safety_params(mirrored, reaction=0.0, u_max=1.0, h=H, counts_per_rev=9)
+    guard = rules.make_safety_params(mirrored, reaction=0.0, u_max=1.0, h=H, counts_per_rev=9)
     assert guard.min_manipulability == pytest.approx(GUARD.min_manipulability)
 
 
@@ -73,8 +63,12 @@ def test_a_guard_knows_its_arm():
     ],
 )
 def test_only_one_finite_number_per_joint_is_sent(q, rule):
-    assert check_setpoint(LIMITS, q, HOME, HOME, DT).outcome is rule
-    assert check_first(LIMITS, q, HOME).outcome is check_first(LIMITS, HOME, q).outcome is rule
+    assert rules.check_setpoint(LIMITS, q, HOME, HOME, DT).outcome is rule
+    assert (
+        rules.check_first(LIMITS, q, HOME).outcome
+        is rules.check_first(LIMITS, HOME, q).outcome
+        is rule
+    )
 
 
 @pytest.mark.parametrize("joint", range(1, 8))
@@ -84,11 +78,11 @@ def test_a_setpoint_stays_inside_the_position_limits(joint, upper):
     inwards = -1e-9 if upper else 1e-9
     at = moved(HOME, joint, limit - HOME[joint - 1] + inwards)
     beyond = moved(at, joint, -2 * inwards)
-    assert check_setpoint(LIMITS, at, at, at, DT) is check_first(LIMITS, at, at) is None
+    assert rules.check_setpoint(LIMITS, at, at, at, DT) is rules.check_first(LIMITS, at, at) is None
     for violation in (
-        check_setpoint(LIMITS, beyond, beyond, beyond, DT),
-        check_setpoint(LIMITS, beyond, beyond, beyond, DT, to_rest=True),
-        check_first(LIMITS, beyond, beyond),
+        rules.check_setpoint(LIMITS, beyond, beyond, beyond, DT),
+        rules.check_setpoint(LIMITS, beyond, beyond, beyond, DT, to_rest=True),
+        rules.check_first(LIMITS, beyond, beyond),
     ):
         assert of_joint(violation, Outcome.POSITION, joint, beyond[joint - 1], limit)
 
@@ -99,15 +93,15 @@ def test_a_setpoint_can_be_stopped_before_the_limit(side):
     for room, may in ((0.0721, True), (0.0719, False)):
         q = moved(HOME, 1, side * (LIMITS.upper[0] - room) - HOME[0])
         last, before = moved(q, 1, -1.2 * side * DT), moved(q, 1, -2.4 * side * DT)
-        violation = check_setpoint(LIMITS, q, last, before, DT)
+        violation = rules.check_setpoint(LIMITS, q, last, before, DT)
         assert (violation is None) == may
         if violation:
             assert violation.outcome is Outcome.POSITION
             rest = side * (LIMITS.upper[0] - room + 0.072)
             assert violation.evidence["value"] == pytest.approx(rest)
         # On the way back it may be there, and on a way to rest.
-        assert check_setpoint(LIMITS, last, q, moved(q, 1, 1.2 * side * DT), DT) is None
-        assert check_setpoint(LIMITS, q, last, before, DT, True) is None
+        assert rules.check_setpoint(LIMITS, last, q, moved(q, 1, 1.2 * side * DT), DT) is None
+        assert rules.check_setpoint(LIMITS, q, last, before, DT, True) is None
 
 
 def of_joint(violation, rule, joint, value, limit):
@@ -126,7 +120,7 @@ def test_no_joint_is_sent_faster_or_harder_than_it_can(joint, side, dt):
     fastest, hardest = LIMITS.velocity[joint - 1], LIMITS.acceleration[joint - 1]
     for fraction, may in ((0.999, True), (1.001, False)):
         v, change = side * fraction * fastest * dt, side * fraction * hardest * dt**2
-        fast = check_setpoint(LIMITS, moved(HOME, joint, v), HOME, moved(HOME, joint, -v), dt)
+        fast = rules.check_setpoint(LIMITS, moved(HOME, joint, v), HOME, moved(HOME, joint, -v), dt)
         if may:
             assert fast is None
         else:
@@ -134,7 +128,7 @@ def test_no_joint_is_sent_faster_or_harder_than_it_can(joint, side, dt):
         # From rest, while moving on, and to rest.
         for v in (0.0, 0.3 * side * dt):
             q, before = moved(HOME, joint, v + change), moved(HOME, joint, -v)
-            hard = check_setpoint(LIMITS, q, HOME, before, dt)
+            hard = rules.check_setpoint(LIMITS, q, HOME, before, dt)
             if may:
                 assert hard is None
             else:
@@ -145,7 +139,7 @@ def test_no_joint_is_sent_faster_or_harder_than_it_can(joint, side, dt):
 def test_a_jump_is_a_jump_however_long_ago_the_last_one_was(side):
     for step, rule in ((0.0348, None), (0.0350, Outcome.JUMP)):
         q = moved(HOME, 1, side * step)
-        violation = check_setpoint(LIMITS, q, HOME, HOME, 10.0)
+        violation = rules.check_setpoint(LIMITS, q, HOME, HOME, 10.0)
         assert (violation and violation.outcome) is rule
     assert of_joint(violation, Outcome.JUMP, 1, 0.035, radians(2.0))
 
@@ -153,8 +147,8 @@ def test_a_jump_is_a_jump_however_long_ago_the_last_one_was(side):
 @pytest.mark.parametrize("joint", range(1, 8))
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_the_first_setpoint_is_the_measured_posture(joint, side):
-    assert check_first(LIMITS, moved(HOME, joint, side * 0.00499), HOME) is None
-    violation = check_first(LIMITS, moved(HOME, joint, side * 0.00501), HOME)
+    assert rules.check_first(LIMITS, moved(HOME, joint, side * 0.00499), HOME) is None
+    violation = rules.check_first(LIMITS, moved(HOME, joint, side * 0.00501), HOME)
     assert of_joint(violation, Outcome.FIRST, joint, 0.00501, 0.005)
 
 
@@ -162,8 +156,8 @@ def test_the_first_setpoint_is_the_measured_posture(joint, side):
 
 
 def test_nothing_wrong_breaks_no_rule():
-    assert check(GUARD, CALM, SafetyInputs()) is None
-    assert check(SLOW, CALM, SafetyInputs(balancing=True, on_track=True)) is None
+    assert rules.check(GUARD, CALM, SafetyInputs()) is None
+    assert rules.check(SLOW, CALM, SafetyInputs(balancing=True, on_track=True)) is None
 
 
 LEAST = GUARD.min_manipulability
@@ -194,8 +188,8 @@ BOUNDS = [
 @pytest.mark.parametrize(("rule", "kept", "not_kept"), BOUNDS)
 def test_each_rule_on_either_side_of_its_bound(rule, kept, not_kept):
     usual = {"on_track": True, "balancing": True}
-    assert check(GUARD, CALM, SafetyInputs(**usual | kept)) is None
-    violation = check(GUARD, CALM, SafetyInputs(**usual | not_kept))
+    assert rules.check(GUARD, CALM, SafetyInputs(**usual | kept)) is None
+    violation = rules.check(GUARD, CALM, SafetyInputs(**usual | not_kept))
     assert violation is not None
     assert violation.outcome is rule
     value, limit = violation.evidence["value"], violation.evidence["limit"]
@@ -204,7 +198,7 @@ def test_each_rule_on_either_side_of_its_bound(rule, kept, not_kept):
 
 def test_flange_and_angle_count_where_they_mean_something():
     away = SafetyInputs(x=9.0, x_dot=9.0, drift=9.0, tilt=9.0, manipulability=0.0, phi=3.0)
-    assert check(SLOW, CALM, away) is None
+    assert rules.check(SLOW, CALM, away) is None
     assert broken(away._replace(on_track=True)) is Outcome.SINGULAR
     assert broken(away._replace(balancing=True)) is Outcome.ANGLE
 
@@ -228,7 +222,7 @@ def test_what_is_no_number_stops_the_run_whatever_else_is_wrong(name, number):
         return
     value = number if name in NUMBERS else (0.0, 0.0, 0.0, number, 0.0, 0.0, 0.0)
     view = SafetyInputs(overdue=1.0, on_track=True, balancing=True, x=9.0)._replace(**{name: value})
-    violation = check(GUARD, CALM, view)
+    violation = rules.check(GUARD, CALM, view)
     assert violation.outcome is Outcome.NUMBER
     assert (violation.evidence["name"], violation.evidence["got"]) == (name, str(number))
 
@@ -240,8 +234,8 @@ def seen(*views):
     """Return what has been going on after these views, and the first violation."""
     watched, first = MonitorState(), None
     for view in views:
-        watched = update_monitor(GUARD, watched, view)
-        first = first or check(GUARD, watched, view)
+        watched = rules.update_monitor(GUARD, watched, view)
+        first = first or rules.check(GUARD, watched, view)
     return watched, first
 
 
@@ -325,8 +319,8 @@ def test_a_following_error_lasts_through_ticks_without_measured_joints():
 
 def test_a_following_error_needs_measured_joints_to_be_named():
     watched = MonitorState(error_time=1.0)
-    assert check(GUARD, watched, SafetyInputs()) is None
-    assert check(GUARD, watched, SafetyInputs(measured=HOME)) is None
+    assert rules.check(GUARD, watched, SafetyInputs()) is None
+    assert rules.check(GUARD, watched, SafetyInputs(measured=HOME)) is None
     assert broken(SafetyInputs(measured=HOME, expected=HOME), watched=watched) is Outcome.FOLLOWING
 
 
@@ -351,17 +345,17 @@ def test_the_reach_is_where_a_simulated_stop_ends(u_max, x, x_dot, reaction):
         place += v * dt - 2.0 * dt**2
         v -= 4.0 * dt
     limits = GUARD._replace(reaction=reaction, u_max=u_max)
-    assert stopping_reach(limits, x, x_dot) == pytest.approx(place, abs=1e-9)
+    assert rules.stopping_reach(limits, x, x_dot) == pytest.approx(place, abs=1e-9)
 
 
 def test_the_setpoint_in_force_is_the_newest_that_was_sent_by_then():
     sent = [0.04, 0.01, 0.02, 0.03]  # the fifth has taken the place of the first
-    in_force = [newest_before(sent, 5, since) for since in (0.045, 0.04, 0.039, 0.02, 0.01)]
+    in_force = [rules.newest_before(sent, 5, since) for since in (0.045, 0.04, 0.039, 0.02, 0.01)]
     assert in_force == [0, 0, 3, 2, 1]
-    assert newest_before(sent, 5, 0.005) == 1, "all were sent later: the oldest"
+    assert rules.newest_before(sent, 5, 0.005) == 1, "all were sent later: the oldest"
     begun = [0.04, 0.05, -inf, -inf]
-    assert newest_before(begun, 2, 10.0) == 1
-    assert begun[newest_before(begun, 2, 0.0)] == -inf, "where it rested before the first"
+    assert rules.newest_before(begun, 2, 10.0) == 1
+    assert begun[rules.newest_before(begun, 2, 0.0)] == -inf, "where it rested before the first"
 
 
 # Encoder.
@@ -371,13 +365,13 @@ def test_the_setpoint_in_force_is_the_newest_that_was_sent_by_then():
 def test_a_jump_of_the_counts_is_seen(side):
     times = (0.0, 0.001, 0.002)
     # Two steps of the encoder and gravity's 0.15 mrad explain two counts.
-    assert unexplained_turn(times, (0, 5 * side, 12 * side), RESOLUTION) == 0.0
-    jump = unexplained_turn(times, (0, 5 * side, 40 * side), RESOLUTION)
+    assert rules.unexplained_turn(times, (0, 5 * side, 12 * side), RESOLUTION) == 0.0
+    jump = rules.unexplained_turn(times, (0, 5 * side, 40 * side), RESOLUTION)
     late = 4.0 * 0.0003 * 5.0 * RESOLUTION / 0.001
     assert jump == pytest.approx((30 - 2) * RESOLUTION - late - 0.5 * 150.0 * 0.001 * 0.002)
     assert broken(SafetyInputs(encoder_jump=jump)) is Outcome.ENCODER_JUMP
     # As long after a longer pause: a step then stands for more.
-    later = unexplained_turn((0.0, 0.001, 0.004), (0, 0, 30 * side), RESOLUTION)
+    later = rules.unexplained_turn((0.0, 0.001, 0.004), (0, 0, 30 * side), RESOLUTION)
     assert later == pytest.approx((30 - 4) * RESOLUTION - 0.5 * 150.0 * 0.003 * 0.004)
 
 
@@ -385,7 +379,7 @@ def test_a_jump_of_the_counts_is_seen(side):
 def test_no_pendulum_turns_faster_than_twenty_radians_per_second(side):
     def steady(rate):
         counts = tuple(round(side * rate * t / RESOLUTION) for t in (0.0, 0.01, 0.02))
-        return unexplained_turn((0.0, 0.01, 0.02), counts, RESOLUTION)
+        return rules.unexplained_turn((0.0, 0.01, 0.02), counts, RESOLUTION)
 
     assert steady(20.0) == 0.0
     assert steady(23.0) == pytest.approx(0.03 - 0.012 - RESOLUTION, abs=RESOLUTION)
@@ -396,12 +390,12 @@ def test_times_that_err_by_a_third_of_a_millisecond_are_no_jump_of_a_fast_swing(
     # The bottom of a swing-up, at 17 rad/s.
     times = tuple(0.001 * k + 0.0003 * error for k, error in enumerate(errors))
     counts = tuple(round(0.017 * k / RESOLUTION) for k in range(3))
-    assert unexplained_turn(times, counts, RESOLUTION) < MAX_COUNT_JUMP
+    assert rules.unexplained_turn(times, counts, RESOLUTION) < MAX_COUNT_JUMP
     slipped = (*counts[:2], counts[2] + round(np.radians(5.0) / RESOLUTION))
-    assert unexplained_turn(times, slipped, RESOLUTION) > MAX_COUNT_JUMP
+    assert rules.unexplained_turn(times, slipped, RESOLUTION) > MAX_COUNT_JUMP
 
 
 @pytest.mark.parametrize("times", [(0.0, 0.0, 0.001), (0.0, 0.001, 0.001), (0.0, 0.002, 0.001)])
 def test_time_that_does_not_go_on_explains_nothing(times):
-    assert unexplained_turn(times, (0, 0, 0), RESOLUTION) == inf
+    assert rules.unexplained_turn(times, (0, 0, 0), RESOLUTION) == inf
     assert broken(SafetyInputs(encoder_jump=inf)) is Outcome.NUMBER
