@@ -37,7 +37,7 @@ CHANGES: dict[str, tuple[str, ...]] = {
     "+ mirrored updates": ("learning.mirrored",),
     "+ failure alone costs": ("learning.reward",),
     "+ averages of tables": ("selection",),
-    "+ wider starts: the default": ("learning",),
+    "+ inclined starts: the default": ("learning",),
 }
 """Sections and settings of recipe `robust` that each rung takes up."""
 
