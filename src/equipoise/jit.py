@@ -30,7 +30,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 import platformdirs
-from llvmlite import ir
+from llvmlite import binding, ir
 from numba import types
 from numba.extending import intrinsic, lower_builtin, overload, register_jitable, type_callable
 
@@ -100,6 +100,11 @@ CACHED: Final = not DISABLED and _can_cache()
 """Whether machine code is cached on disk."""
 if CACHED:
     _config.CACHE_DIR = str(kernel_folder())
+
+MAX_UNROLLED: Final = 15
+"""Largest number of passes of a loop that LLVM may replace by copies of its body; below the number
+of lanes, because only a loop that remains one is vectorised. In effect for the whole process."""
+binding.set_option("equipoise", f"--unroll-full-max-count={MAX_UNROLLED}")
 
 
 def kernel(function: F, *, cached: bool = True) -> F:

@@ -220,9 +220,9 @@ class ControllerState(Protocol):
     """Estimate of the observer."""
     observation: Observed
     """Observation of the policy."""
-    motion: Motion
-    """Motion at one time: a compiler vectorises large loops over fields at fixed places alone, and
-    those of `history` move."""
+    pivot_v: Annotated[Array, LANES]
+    """Velocity of the pivot along x at a tick of the history [m/s]: a compiler vectorises a large
+    loop over fields at fixed places alone, and those of `history` move."""
     newest: Annotated[IntArray, LANES]
     """Index of the newest tick of the history, equal in all lanes."""
 
@@ -464,7 +464,7 @@ def observe(
     """
     estimate, observation, offset = state.estimate, state.observation, state.offset
     measured, counts, shown, frame = state.measured, state.counts, state.shown, state.frame
-    h, delay, pendulum, motion = controller.h, controller.delay, controller.pendulum, state.motion
+    h, delay, pendulum, v = controller.h, controller.delay, controller.pendulum, state.pivot_v
     on_phi, on_phi_dot, on_bias = controller.gains
     resolution, correction = controller.resolution, controller.correction
 
@@ -474,10 +474,8 @@ def observe(
     f = back - int(back)
     for i in range(FREE_JOINTS):
         for n in range(BATCH_SIZE):
-            motion.q[i, n] = near.q[i, n] + f * (far.q[i, n] - near.q[i, n])
-    for i in range(FREE_JOINTS):
-        for n in range(BATCH_SIZE):
-            offset[i, n] += correction * (measured[i, n] - motion.q[i, n] - offset[i, n])
+            q = near.q[i, n] + f * (far.q[i, n] - near.q[i, n])
+            offset[i, n] += correction * (measured[i, n] - q - offset[i, n])
 
     # The angle that the counts show, at their time: the encoder turns with the flange.
     back = (delay + encoder_age) / h
@@ -491,11 +489,10 @@ def observe(
     whole = int(delay / h)
     near, far, f = tick_before(state, whole), tick_before(state, whole + 1), delay / h - whole
     for n in range(BATCH_SIZE):
-        motion.pivot_v[n] = near.pivot_v[n] + f * (far.pivot_v[n] - near.pivot_v[n])
-    for n in range(BATCH_SIZE):
         estimate.x[n] = near.x[n] + f * (far.x[n] - near.x[n])
+        v[n] = near.pivot_v[n] + f * (far.pivot_v[n] - near.pivot_v[n])
     for n in range(BATCH_SIZE):
-        pivot_v = motion.pivot_v[n]
+        pivot_v = v[n]
         u = (pivot_v - estimate.pivot_v[n]) / h
         phi, phi_dot = runge_kutta(estimate.phi[n], estimate.phi_dot[n], u, h, 0.0, pendulum)
         innovation = wrapped(shown[n] - estimate.bias[n] - phi + encoder_age * phi_dot)
@@ -515,9 +512,9 @@ def observe(
         if time > 1e-9:  # [s]: not a rounding
             then = tick_before(state, j)
             for n in range(BATCH_SIZE):
-                motion.pivot_v[n] = then.pivot_v[n]
+                v[n] = then.pivot_v[n]
             for n in range(BATCH_SIZE):
-                _propagate(observation, motion.pivot_v[n], time, pendulum, n)
+                _propagate(observation, v[n], time, pendulum, n)
         time = h
     time = controller.horizon - delay
     home_x = controller.home_reference[POSITION]
@@ -601,7 +598,6 @@ def advance_arm_model(controller: ControllerParams, state: ControllerState, lane
     newest = (state.newest[0] + 1) % HISTORY_TICKS
     for n in range(BATCH_SIZE):
         state.newest[n] = newest
-    motion = state.motion
     for i in range(FREE_JOINTS):
         for n in range(BATCH_SIZE):
             corrected[i, n] = model.q[i, n] + state.offset[i, n]
@@ -610,17 +606,11 @@ def advance_arm_model(controller: ControllerParams, state: ControllerState, lane
         velocity = state.dq  # it jumps to each setpoint and then rests
     kinematics(controller.code.motion, corrected, velocity, frame, lanes)
     home_x = controller.home_reference[POSITION]
-    for n in range(BATCH_SIZE):
-        motion.pivot_v[n] = pivot_velocity(frame, controller.pivot, n)
-        motion.x[n] = frame[POSITION, n] - home_x
-        motion.tilt[n] = -pose_error(frame, state.reference, n)[4]
     now = tick_before(state, 0)
     for n in range(BATCH_SIZE):
-        now.pivot_v[n] = motion.pivot_v[n]
-    for n in range(BATCH_SIZE):
-        now.x[n] = motion.x[n]
-    for n in range(BATCH_SIZE):
-        now.tilt[n] = motion.tilt[n]
+        now.pivot_v[n] = pivot_velocity(frame, controller.pivot, n)
+        now.x[n] = frame[POSITION, n] - home_x
+        now.tilt[n] = -pose_error(frame, state.reference, n)[4]
     for i in range(FREE_JOINTS):
         for n in range(BATCH_SIZE):
             now.q[i, n] = model.q[i, n]
