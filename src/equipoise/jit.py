@@ -103,8 +103,9 @@ if CACHED:
 
 MAX_UNROLLED: Final = 15
 """Largest number of passes of a loop that LLVM may replace by copies of its body; below the number
-of lanes, because only a loop that remains one is vectorised. In effect for the whole process."""
-binding.set_option("equipoise", f"--unroll-full-max-count={MAX_UNROLLED}")
+of lanes, because only a loop that remains one is vectorised."""
+for option in (f"--unroll-full-max-count={MAX_UNROLLED}", "--unroll-max-count=1"):
+    binding.set_option("equipoise", option)  # for the whole process
 
 
 def kernel(function: F, *, cached: bool = True) -> F:
