@@ -22,7 +22,7 @@ from equipoise.arguments import checked
 from equipoise.arm.arm import Arm
 from equipoise.arm.urdf import read_arm
 from equipoise.arrays import Array, Records
-from equipoise.control.controller import Observation
+from equipoise.control.policy import Observation
 from equipoise.errors import InputError
 from equipoise.files import Seed, StrPath, quoted
 from equipoise.film import RigRenderer

@@ -114,7 +114,7 @@ def test_every_kind_acts_and_begins_anew_and_has_a_task_and_a_digest(folder, nam
     assert policy.pendulum == shipped_pendulum()
     assert (policy.arm, policy.h, policy.u_max) == (iiwa(7), 0.01, 2.0)
     if policy.kernel is not None and name != "random":
-        assert act(policy.kernel, *OBSERVATION, 0.0) == before[0]
+        assert act(policy.kernel, OBSERVATION, 0.0) == before[0]
 
 
 @pytest.mark.parametrize(

@@ -31,13 +31,13 @@ def table(values=None, **changes):
 
 @given(state=states, gains=st.tuples(*[st.floats(-50, 50)] * 4))
 def test_a_linear_policy_is_clipped_to_the_range_of_the_actions(state, gains):
-    u = act(PolicyKernel(LINEAR, gains=gains), *state, 0.0)
+    u = act(PolicyKernel(LINEAR, gains=gains), state, 0.0)
     assert u == pytest.approx(float(np.clip(np.dot(gains, state), -2.0, 2.0)), abs=1e-12)
 
 
 @given(state=states, gains=st.tuples(*[st.floats(-50, 50)] * 4))
 def test_a_snapped_policy_takes_the_nearest_action(state, gains):
-    u = act(PolicyKernel(SNAPPED, gains=gains), *state, 0.0)
+    u = act(PolicyKernel(SNAPPED, gains=gains), state, 0.0)
     wanted = np.dot(gains, state)
     distances = np.abs(np.array(paper.ACTIONS) - wanted)
     assert u in paper.ACTIONS
@@ -47,8 +47,8 @@ def test_a_snapped_policy_takes_the_nearest_action(state, gains):
 def test_a_random_policy_gives_each_action_the_same_share_of_the_chances():
     kernel = PolicyKernel(RANDOM)
     for i, action in enumerate(paper.ACTIONS):
-        assert act(kernel, *STATE, i / 8) == action
-        assert act(kernel, *STATE, np.nextafter((i + 1) / 8, 0)) == action
+        assert act(kernel, STATE, i / 8) == action
+        assert act(kernel, STATE, np.nextafter((i + 1) / 8, 0)) == action
 
 
 # The table as a file

@@ -77,7 +77,7 @@ def test_swings_calibrate_the_energy(factor):
     state = fields(records, SwingUpState)
     swing_up.begin_swing_up(LAW, state, 0)
     for _, x_dot, phi, phi_dot, _ in rows.tolist():
-        swing_up.calibrate(LAW, state, x_dot, phi, phi_dot, 0)
+        swing_up.calibrate(LAW, state, (0.0, x_dot, phi, phi_dot), 0)
     assert state.w2[0] == pytest.approx(w2, rel=0.01)
 
 
@@ -93,7 +93,7 @@ def test_swings_calibrate_the_energy(factor):
 )
 def test_it_hands_over_where_the_policy_saves_the_pendulum(state, saved):
     states = fields(new_records(SwingUpState), SwingUpState)
-    assert swing_up.saves(LAW, states, shipped_policy().kernel, *state, 0) is saved
+    assert swing_up.saves(LAW, states, shipped_policy().kernel, state, 0) is saved
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_it_hands_over_where_the_policy_saves_the_pendulum(state, saved):
 def test_above_the_pivot_it_pumps_at_speeds_at_which_the_policy_can_catch(x_dot, phi, u):
     states = fields(new_records(SwingUpState), SwingUpState)
     swing_up.begin_swing_up(LAW, states, 0)
-    assert swing_up.pump(LAW, states, 0.0, x_dot, phi, -3.0, 0) == u  # too slow to come upright
+    assert swing_up.pump(LAW, states, (0.0, x_dot, phi, -3.0), 0) == u  # too slow to come upright
 
 
 @pytest.mark.parametrize("world", ["model", "twin:nominal"])

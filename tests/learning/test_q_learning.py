@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from equipoise.control.controller import Observation
+from equipoise.control.policy import Observation
 from equipoise.errors import InputError, SettingsError
 from equipoise.jit import kernel
 from equipoise.learning.choice import ALGORITHMS, compile_functions, with_digests

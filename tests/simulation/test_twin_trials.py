@@ -110,7 +110,7 @@ def test_a_recorded_trial_is_the_loop_as_python_writes_it():
     controller.start(params, records, 0.0, 0.0, shown, phi_dot)
     for row in range(steps):
         observation = controller.observation_of(memory)
-        memory.u[0] = act(LQR, *observation, 0.0)
+        memory.u[0] = act(LQR, observation, 0.0)
         measured, measured_at = twin.measured()
         assert rows.observation[row] == pytest.approx(observation, abs=1e-12)
         assert rows.u[row] == pytest.approx(memory.u[0], abs=1e-12)

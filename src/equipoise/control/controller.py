@@ -20,25 +20,12 @@ from equipoise.control.control_step import (
     ControllerState,
     kinematics,
 )
-from equipoise.control.policy import Policy
+from equipoise.control.policy import Observation, Policy
 from equipoise.elementary import BATCH_SIZE
 from equipoise.jit import call, compilable, kernel
 from equipoise.model.actuator import ROWS
 from equipoise.model.grid import box_index, make_grid
 from equipoise.settings import BoxSettings
-
-
-class Observation(NamedTuple):
-    """Observation of the policy."""
-
-    x: float
-    """Displacement of the flange from home [m]."""
-    x_dot: float
-    """Its velocity [m/s]."""
-    phi: float
-    """Angle of the pendulum from upright [rad]."""
-    phi_dot: float
-    """Its rate [rad/s]."""
 
 
 class StateEstimate(NamedTuple):

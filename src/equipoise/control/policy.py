@@ -37,6 +37,19 @@ TABLE, LINEAR, SNAPPED, RANDOM = range(4)
 """Kinds of `PolicyKernel`."""
 
 
+class Observation(NamedTuple):
+    """Observation of the policy."""
+
+    x: float
+    """Displacement of the flange from home [m]."""
+    x_dot: float
+    """Its velocity [m/s]."""
+    phi: float
+    """Angle of the pendulum from upright [rad]."""
+    phi_dot: float
+    """Its rate [rad/s]."""
+
+
 @runtime_checkable
 class Policy(Protocol):
     """A map from observations to accelerations of the flange; it may have a state."""
@@ -64,22 +77,18 @@ class PolicyKernel(NamedTuple):
 
 
 @inlined
-def act(
-    policy: PolicyKernel, x: float, x_dot: float, phi: float, phi_dot: float, chance: float
-) -> float:
+def act(policy: PolicyKernel, observation: Observation, chance: float) -> float:
     """Return the acceleration that a policy commands.
 
     Args:
         policy: Table or baseline.
-        x: Displacement of the flange [m].
-        x_dot: Its velocity [m/s].
-        phi: Angle of the pendulum from upright [rad].
-        phi_dot: Its angular velocity [rad/s].
+        observation: The observation.
         chance: Uniform number in [0, 1), for RANDOM.
 
     Returns:
         Acceleration u of the flange along x [m/s^2].
     """
+    x, x_dot, phi, phi_dot = observation
     if policy.kind == TABLE:
         return policy.u_of_box[box_index(x, x_dot, phi, phi_dot, policy.boxes)]
     actions = paper.ACTIONS
@@ -135,8 +144,7 @@ class KernelPolicy:
         if self.kernel.kind == RANDOM:
             chance = uniform(philox(0, self._tick, 0, 0, DEPLOYMENT)[0], 0.0, 1.0)
             self._tick += 1
-        x, x_dot, phi, phi_dot = observation.tolist()
-        return float(act(self.kernel, x, x_dot, phi, phi_dot, chance))
+        return float(act(self.kernel, Observation(*observation.tolist()), chance))
 
 
 class LearningPoint(Value):

@@ -29,7 +29,7 @@ from numba import types
 from equipoise import paper
 from equipoise.arrays import Array, IntArray, Records, fields, new_records, record_type
 from equipoise.control.control_step import LANES, ControllerParams, wrapped
-from equipoise.control.policy import KernelPolicy, PolicyKernel, act, nearest_action
+from equipoise.control.policy import KernelPolicy, Observation, PolicyKernel, act, nearest_action
 from equipoise.jit import call, compilable, inlined, kernel, pointer
 from equipoise.model.pendulum import PendulumParameters, runge_kutta
 
@@ -122,8 +122,9 @@ def time_limit(pendulum: PendulumParameters) -> float:
 
 def compiled_for(law: SwingUp, policy: PolicyKernel) -> SwingUp:
     """Return the constants of a swing-up that ends with a policy, compiled once."""
-    number, state = types.float64, numba.from_dtype(record_type(SwingUpState))
-    kinds = numba.typeof(law), state, numba.typeof(policy), *(number,) * 4, types.int64
+    state = numba.from_dtype(record_type(SwingUpState))
+    observation = numba.typeof(Observation(0.0, 0.0, 0.0, 0.0))
+    kinds = numba.typeof(law), state, numba.typeof(policy), observation, types.int64
     return law._replace(swing_up=pointer(swing_up, *kinds))
 
 
@@ -162,10 +163,9 @@ def begin_swing_up(law: SwingUp, state: SwingUpState, n: int) -> None:
 
 
 @compilable
-def calibrate(
-    law: SwingUp, state: SwingUpState, x_dot: float, phi: float, phi_dot: float, n: int
-) -> None:
+def calibrate(law: SwingUp, state: SwingUpState, observation: Observation, n: int) -> None:
     """Calibrate the w2 of lane `n` where a swing ends: at a reversal, or upright."""
+    _, x_dot, phi, phi_dot = observation
     pendulum, before, rate = law.pendulum, state.phi[n], state.phi_dot[n]
     turned, u = wrapped(phi - before), (x_dot - state.x_dot[n]) / law.h
     cosine = 0.5 * (cos(before) + cos(phi))
@@ -186,24 +186,20 @@ def calibrate(
 
 
 @compilable
-def pump(
-    law: SwingUp, state: SwingUpState, x: float, x_dot: float, phi: float, phi_dot: float, n: int
-) -> float:
+def pump(law: SwingUp, state: SwingUpState, observation: Observation, n: int) -> float:
     """Return the acceleration that brings the energy to that of upright, or damps [m/s^2].
 
     Args:
         law: Constants.
         state: Changed in place.
-        x: Displacement of the flange [m].
-        x_dot: Its velocity [m/s].
-        phi: Angle of the pendulum from upright [rad].
-        phi_dot: Its angular velocity [rad/s].
+        observation: The observation.
         n: Lane.
 
     Returns:
         One of the paper's accelerations, or 0.
     """
-    calibrate(law, state, x_dot, phi, phi_dot, n)
+    x, x_dot, phi, phi_dot = observation
+    calibrate(law, state, observation, n)
     state.ticks[n] += 1
     energy = phi_dot * phi_dot / (2.0 * state.w2[n]) + cos(phi) - 1.0
     natural = sqrt(law.pendulum.w2)
@@ -238,30 +234,21 @@ def within_track(u: float, x: float, x_dot: float, speed: float) -> float:
 
 @compilable
 def balances(
-    law: SwingUp,
-    policy: PolicyKernel,
-    x: float,
-    x_dot: float,
-    phi: float,
-    phi_dot: float,
-    error: float,
-    track: float,
+    law: SwingUp, policy: PolicyKernel, start: Observation, error: float, track: float
 ) -> bool:
     """Return whether the policy keeps the nominal pendulum up from a state, in simulation.
 
     Args:
         law: Constants.
         policy: The policy.
-        x: Displacement of the flange [m].
-        x_dot: Its velocity [m/s].
-        phi: Angle of the pendulum from upright [rad].
-        phi_dot: Its angular velocity [rad/s].
+        start: The state.
         error: Error of the angle that the policy observes [rad].
         track: Largest displacement of the flange [m].
     """
+    x, x_dot, phi, phi_dot = start
     h, phi_limit = law.h, REHEARSED_ANGLE * paper.PHI_LIMIT
     for _ in range(round(REHEARSAL / h)):
-        u = act(policy, x, x_dot, phi + error, phi_dot, 0.0)
+        u = act(policy, Observation(x, x_dot, phi + error, phi_dot), 0.0)
         phi, phi_dot = runge_kutta(phi, phi_dot, u, h, 0.0, law.pendulum)
         x += h * (x_dot + 0.5 * h * u)
         x_dot += h * u
@@ -272,20 +259,14 @@ def balances(
 
 @compilable
 def saves(
-    law: SwingUp,
-    state: SwingUpState,
-    policy: PolicyKernel,
-    x: float,
-    x_dot: float,
-    phi: float,
-    phi_dot: float,
-    n: int,
+    law: SwingUp, state: SwingUpState, policy: PolicyKernel, observation: Observation, n: int
 ) -> bool:
     """Return whether the policy is known to save the pendulum; arguments as of `pump`.
 
     The angle is within the limit already now, before the observation, and the policy balances from
     the observation, also where angle and rate are wrong.
     """
+    x, x_dot, phi, phi_dot = observation
     if not abs(phi) + law.horizon * abs(phi_dot) < REHEARSED_ANGLE * paper.PHI_LIMIT:
         return False
     late = state.ticks[n] * law.h / law.time_limit
@@ -293,8 +274,9 @@ def saves(
     angle, rate = _between(ANGLE_ERROR, late), _between(RATE_ERROR, late) * sqrt(law.pendulum.w2)
     for i in range(-1, 2):
         for j in range(-1, 2):
-            error, then = i * angle, phi_dot + j * rate
-            if not balances(law, policy, x, x_dot, phi - error, then, error, track):
+            error = i * angle
+            start = Observation(x, x_dot, phi - error, phi_dot + j * rate)
+            if not balances(law, policy, start, error, track):
                 return False
     return True
 
@@ -306,34 +288,19 @@ def _between(ends: tuple[float, float], fraction: float) -> float:
 
 
 def swing_up(
-    law: SwingUp,
-    state: SwingUpState,
-    policy: PolicyKernel,
-    x: float,
-    x_dot: float,
-    phi: float,
-    phi_dot: float,
-    n: int,
+    law: SwingUp, state: SwingUpState, policy: PolicyKernel, observation: Observation, n: int
 ) -> None:
     """Hand lane `n` over to the policy, or pump; arguments as of `pump`."""
-    if not law.damps and saves(law, state, policy, x, x_dot, phi, phi_dot, n):
+    if not law.damps and saves(law, state, policy, observation, n):
         state.ended[n] = 1
     else:
-        state.u[n] = pump(law, state, x, x_dot, phi, phi_dot, n)
+        state.u[n] = pump(law, state, observation, n)
 
 
 @kernel
-def swing_up_tick(
-    law: SwingUp,
-    states: Records,
-    policy: PolicyKernel,
-    x: float,
-    x_dot: float,
-    phi: float,
-    phi_dot: float,
-) -> None:
+def swing_up_tick(law: SwingUp, states: Records, policy: PolicyKernel, seen: Observation) -> None:
     """Decide in the first lane; see `swing_up`."""
-    call(law.swing_up, (law, states[0], policy, x, x_dot, phi, phi_dot, 0))
+    call(law.swing_up, (law, states[0], policy, seen, 0))
 
 
 class SwingUpPolicy:
@@ -359,7 +326,8 @@ class SwingUpPolicy:
     def act(self, observation: Array) -> float:
         """Return u [m/s^2] for the observation (x, x_dot, phi, phi_dot), shape (4,)."""
         if not self.balancing:
-            swing_up_tick(self._law, self._states, self._policy.kernel, *observation.tolist())
+            seen = Observation(*observation.tolist())
+            swing_up_tick(self._law, self._states, self._policy.kernel, seen)
         if self.balancing:
             return self._policy.act(observation)
         return float(self._state.u[0])

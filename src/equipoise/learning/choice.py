@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numba
 
-from equipoise.control.controller import Observation
+from equipoise.control.policy import Observation
 from equipoise.errors import InputError, SettingsError
 from equipoise.files import shortened
 from equipoise.jit import inlined

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from equipoise import paper
 
 if TYPE_CHECKING:  # help lists the names without Numba
-    from equipoise.control.controller import Observation
+    from equipoise.control.policy import Observation
 
 
 def failure(state: "Observation", u: float, next_state: "Observation", failed: bool) -> float:

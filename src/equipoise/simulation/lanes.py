@@ -16,7 +16,7 @@ from numba.typed import List
 
 from equipoise import paper
 from equipoise.arrays import Array, IntArray, Records, record_type
-from equipoise.control.controller import Observation
+from equipoise.control.policy import Observation
 from equipoise.executors import available_cores
 from equipoise.jit import compilable, kernel
 from equipoise.model.grid import TRUNCATED

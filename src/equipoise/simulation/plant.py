@@ -37,7 +37,7 @@ from equipoise.control.control_step import (
     pivot_velocity,
     wrapped,
 )
-from equipoise.control.controller import Observation
+from equipoise.control.policy import Observation
 from equipoise.control.swing_up import SwingUpState
 from equipoise.elementary import BATCH_SIZE, sincos
 from equipoise.jit import call, compilable, inlined, pointer

@@ -18,7 +18,7 @@ from equipoise.jit import call
 from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED
 from equipoise.model.random import philox, uniform
 from equipoise.settings import HANGING, Settings
-from equipoise.simulation.plant import DomainRandomization, copy_lane
+from equipoise.simulation.plant import DomainRandomization, copy_lane, observed
 
 
 class Trial(NamedTuple):
@@ -155,12 +155,12 @@ def trial_loop(place: Callable[..., None], advance: Callable[..., None]) -> Call
                 if policy.kind == RANDOM:
                     words = philox(world.seed, tick[n], number[n], 1, world.stream)
                     chance = uniform(words[0], 0.0, 1.0)
-                x, x_dot, phi, phi_dot = seen.x[n], seen.x_dot[n], seen.phi[n], seen.phi_dot[n]
+                observation = observed(seen, n)
                 if balancing[n] == 0:
-                    call(law.swing_up, (law, swings, policy, x, x_dot, phi, phi_dot, n))
+                    call(law.swing_up, (law, swings, policy, observation, n))
                     balancing[n] = swings.ended[n]
                 if balancing[n] != 0:
-                    u[n] = act(policy, x, x_dot, phi, phi_dot, chance)
+                    u[n] = act(policy, observation, chance)
                 else:
                     u[n] = swings.u[n]
             advance(world, seed, tick, number, lanes)

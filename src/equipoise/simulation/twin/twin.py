@@ -20,7 +20,7 @@ import numpy as np
 
 from equipoise.arm.arm import FREE_JOINTS, Arm
 from equipoise.arrays import Array
-from equipoise.control.controller import Observation
+from equipoise.control.policy import Observation
 from equipoise.jit import inlined, kernel
 from equipoise.model.encoder import counts_from_theta
 from equipoise.model.pendulum import PendulumParameters
