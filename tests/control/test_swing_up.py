@@ -24,7 +24,7 @@ from equipoise.simulation import run_trial, setup_of, simulate
 from equipoise.simulation.evaluation import evaluate
 
 PENDULUM = shipped_policy().pendulum.parameters()
-LAW = SwingUp(PENDULUM, paper.STEP, 0.0, inf, time_limit(PENDULUM))
+LAW = SwingUp(PENDULUM, paper.STEP, 0.0, inf)
 HANGING = {"evaluation.start": "hanging"}
 
 
@@ -52,9 +52,9 @@ def swung(law, pendulum, policy, seconds):
 def test_any_pendulum_comes_upright_within_the_papers_limits(period, c):
     w2 = (2.0 * pi / period) ** 2
     pendulum = PendulumParameters(w2, w2 / 9.81, c, 0.0, 0.0, False)
-    law = LAW._replace(pendulum=pendulum, time_limit=time_limit(pendulum))
+    law = LAW._replace(pendulum=pendulum)
     policy = SwingUpPolicy(baselines(pendulum, law.h)["LQR"], law)
-    rows = swung(law, pendulum, policy, law.time_limit)
+    rows = swung(law, pendulum, policy, time_limit(pendulum))
     assert policy.balancing
     assert np.abs(rows[:, 0]).max() < 0.9 * paper.X_LIMIT
     assert set(rows[:-1, 4]) <= {0.0, *paper.ACTIONS}
@@ -63,7 +63,7 @@ def test_any_pendulum_comes_upright_within_the_papers_limits(period, c):
 def test_it_stays_below_a_limit_of_the_speed():
     law = LAW._replace(max_speed=0.25)
     policy = SwingUpPolicy(baselines(PENDULUM, law.h)["LQR"], law)
-    rows = swung(law, PENDULUM, policy, law.time_limit)
+    rows = swung(law, PENDULUM, policy, time_limit(PENDULUM))
     assert policy.balancing
     assert np.abs(rows[:, 1]).max() < 0.25
 

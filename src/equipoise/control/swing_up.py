@@ -85,8 +85,6 @@ class SwingUp(NamedTuple):
     """Time from a measurement to its observation [s]."""
     max_speed: float
     """Limit of the flange's speed [m/s]; inf without a limit."""
-    time_limit: float
-    """Time after which it has failed [s]."""
     damps: bool = False
     """Whether it lets the pendulum hang, instead of swinging it up."""
     swing_up: int = 0
@@ -100,8 +98,7 @@ def make_swing_up(controller: ControllerParams, max_speed: float) -> SwingUp:
         controller: Constants of the controller.
         max_speed: Limit of the flange's speed [m/s]; inf without a limit.
     """
-    pendulum, h, horizon = controller.pendulum, controller.h, controller.horizon
-    return SwingUp(pendulum, h, horizon, max_speed, time_limit(pendulum))
+    return SwingUp(controller.pendulum, controller.h, controller.horizon, max_speed)
 
 
 def amplitude(pendulum: PendulumParameters, phi: float, phi_dot: float) -> float:
@@ -115,6 +112,7 @@ def amplitude(pendulum: PendulumParameters, phi: float, phi_dot: float) -> float
     return acos(max(-cos(phi) - phi_dot * phi_dot / (2.0 * pendulum.w2), -1.0))
 
 
+@compilable
 def time_limit(pendulum: PendulumParameters) -> float:
     """Return the time after which the swing-up of a pendulum has failed [s]."""
     return MAX_PERIODS * 2.0 * pi / sqrt(pendulum.w2)
@@ -269,7 +267,7 @@ def saves(
     x, x_dot, phi, phi_dot = observation
     if not abs(phi) + law.horizon * abs(phi_dot) < REHEARSED_ANGLE * paper.PHI_LIMIT:
         return False
-    late = state.ticks[n] * law.h / law.time_limit
+    late = state.ticks[n] * law.h / time_limit(law.pendulum)
     track = paper.X_LIMIT * _between(REHEARSED_TRACK, late)
     angle, rate = _between(ANGLE_ERROR, late), _between(RATE_ERROR, late) * sqrt(law.pendulum.w2)
     for i in range(-1, 2):

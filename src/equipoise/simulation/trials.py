@@ -13,7 +13,7 @@ from scipy.special import ndtri
 
 from equipoise.arrays import Array, IntArray
 from equipoise.control.policy import RANDOM, PolicyKernel, act
-from equipoise.control.swing_up import begin_swing_up
+from equipoise.control.swing_up import begin_swing_up, time_limit
 from equipoise.jit import call
 from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED
 from equipoise.model.random import philox, uniform
@@ -127,7 +127,7 @@ def trial_loop(place: Callable[..., None], advance: Callable[..., None]) -> Call
         batch, law = world.states[0], world.swing_up
         state, seen, u = batch.state, batch.controller.observation, batch.controller.u
         swings = batch.swing_up
-        balancing, swing_steps = batch.controller.balancing, round(law.time_limit / law.h)
+        balancing, swing_steps = batch.controller.balancing, round(time_limit(law.pendulum) / law.h)
         row = np.zeros(world.batch_size, np.int64)
         seed = np.full(world.batch_size, world.seed)
         number = np.zeros(world.batch_size, np.int64)
