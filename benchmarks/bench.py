@@ -276,7 +276,7 @@ def trials_work(world: str, count: int) -> Work:
 
     def work() -> int:
         trials = simulation.draw(count)
-        simulation.run(policy, trials, range(count), duration=TRIAL_TIME)
+        simulation.run(policy, trials, duration=TRIAL_TIME)
         return int(trials.steps.sum())
 
     return work

@@ -42,7 +42,7 @@ def main() -> None:
         simulation, trials = work
         begin = time.perf_counter()
         rows = simulation.draw(trials)
-        simulation.run(policy, rows, range(trials), duration=DURATION)
+        simulation.run(policy, rows, duration=DURATION)
         return time.perf_counter() - begin
 
     cluster = LocalCluster(n_workers=WORKERS, threads_per_worker=1, dashboard_address=None)

@@ -104,7 +104,7 @@ def run(policy: eq.TabularPolicy, world: str | World, trials: int, duration: flo
     """Run trials of a policy; their starts and noise depend on its seed."""
     simulation = simulate(world, setup_of(policy, world), seed=policy.seed, stream=TEST)
     rows = simulation.draw(trials)
-    simulation.run(policy, rows, range(trials), duration=duration)
+    simulation.run(policy, rows, duration=duration)
     outcomes = np.array([TRIAL_OUTCOMES[code] for code in rows.cause.tolist()])
     survived, track = outcomes == Outcome.SURVIVED, outcomes == Outcome.TRACK
     lean = np.degrees(rows.end[:, 2]) * np.sign(rows.end[:, 0])

@@ -112,8 +112,7 @@ def slice_of(
     trials = simulation.draw(len(chosen))
     nominal = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
     trials = trials._replace(start=states, variation=np.tile(nominal, (len(chosen), 1)))
-    rows, workers = range(len(chosen)), available_cores()
-    simulation.run(policy, trials, rows, duration=duration, workers=workers)
+    simulation.run(policy, trials, duration=duration, workers=available_cores())
     inside = is_inside(after_delay, fall(params, states)[:, axes])
     return MapSlice(edge, chosen, inside, trials.cause == TRUNCATED)
 

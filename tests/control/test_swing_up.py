@@ -112,7 +112,7 @@ def test_a_trial_begins_hanging_and_has_the_same_bits_either_way(world):
     setup = setup_of(policy, world, changed(policy.settings, HANGING))
     simulation = simulate(world, setup, seed=4, stream=1)
     trials = simulation.draw(4)
-    simulation.run(policy, trials, range(4), duration=5.0)
+    simulation.run(policy, trials, duration=5.0)
     assert np.all(trials.cause == TRUNCATED)
     assert np.all(trials.steps == 500)
     assert np.all((trials.upright > 200) & (trials.upright < 1500))

@@ -6,7 +6,7 @@ from scipy.stats import binomtest
 
 from equipoise import paper
 from equipoise.arm.iiwa import iiwa
-from equipoise.control.policy import shipped_policy, table_kernel
+from equipoise.control.policy import KernelPolicy, shipped_policy, table_kernel
 from equipoise.learning.train import measure_survival, score_tables
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.grid import make_grid
@@ -46,7 +46,7 @@ def test_a_result_is_that_of_the_policy_alone_on_the_common_trials(setup):
         simulation = PlantSimulation("model", setup, seed=3, stream=SELECTION)
         trials = simulation.draw(24)
         kernel = table_kernel(table, make_grid(setup.settings.boxes, setup.pendulum.parameters().k))
-        simulation.run(kernel, trials, range(24), duration=3.0)
+        simulation.run(KernelPolicy(kernel), trials, duration=3.0)
         assert (result.trials, result.survived) == (24, np.sum(trials.cause == 0))
         assert result.mean_duration == pytest.approx(0.01 * np.mean(trials.steps), rel=1e-12)
         rms_x = np.sqrt(np.sum(trials.sum_x2) / np.sum(trials.steps))
@@ -62,8 +62,9 @@ def policy_with(policy, trials):
 
 
 def test_the_bound_of_a_test_is_the_exact_one(monkeypatch):
-    def fall(self, policy, trials, rows, duration):
-        trials.cause[rows] = [int(trials.number[i] in {5, 60, 100}) for i in rows]
+    def fall(self, policy, duration, trials):
+        trials.cause[:] = np.isin(trials.number, [5, 60, 100])
+        return trials
 
     monkeypatch.setattr(PlantSimulation, "run_piece", fall)
     test = measure_survival(policy_with(shipped_policy(), 200), target=0.97, confidence=0.99)

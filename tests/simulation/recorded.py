@@ -1,6 +1,7 @@
 """Simulations for tests, and recorded trials in them."""
 
 from equipoise import paper
+from equipoise.control.policy import KernelPolicy
 from equipoise.model.actuator import IDEAL_ACTUATOR
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.random import TEST
@@ -19,8 +20,8 @@ def on_the_plant(params, arm, pendulum, settings=None, seed=0, stream=TEST):
 
 def run_all(simulation, kernel, trials, duration, workers=1, done=lambda rows: None):
     """Run all of some trials, and return them."""
-    rows = range(len(trials.steps))
-    simulation.run(kernel, trials, rows, duration=duration, workers=workers, done=done)
+    policy = KernelPolicy(kernel)
+    simulation.run(policy, trials, duration=duration, workers=workers, done=done)
     return trials
 
 

@@ -18,7 +18,7 @@ from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import resolve
 from equipoise.simulation.ideal import run_trials
 from equipoise.simulation.plant import DomainRandomization, failure, make_loop_params, scaled
-from equipoise.simulation.trials import draw_trials
+from equipoise.simulation.trials import Trials, draw_trials
 from tests.batch import NOMINAL, Batch
 from tests.simulation.recorded import on_the_plant, run_all
 
@@ -36,6 +36,11 @@ def plant():
 
 def drawn(count=100, seed=0, stream=TEST, settings=SETTINGS):
     return draw_trials(count, settings, seed, stream)
+
+
+def taken(trials, rows):
+    """Return some of the trials."""
+    return Trials._make(column[rows] for column in trials)
 
 
 def outcome(trials):
@@ -112,16 +117,16 @@ def test_a_trial_gives_the_same_bits_alone_as_in_company(kind):
     together, longest = drawn(40), 60
     simulation = on_the_plant(plant, ARM, PENDULUM, seed=5)
     world, policy = simulation.world_of(BATCH_SIZE), PolicyKernel(RANDOM)
-    run_trials(world, policy, together, np.arange(40), longest)
-    alone = drawn(40)
-    for i in range(40):
-        run_trials(world, policy, alone, np.array([i]), longest)
-    assert outcome(alone) == outcome(together)
+    run_trials(world, policy, together, longest)
+    alone = [taken(drawn(40), [i]) for i in range(40)]
+    for trial in alone:
+        run_trials(world, policy, trial, longest)
+    assert [outcome(trial) for trial in alone] == [outcome(taken(together, [i])) for i in range(40)]
     world.rows[:] = 7  # the states of a batch before its trials do not matter
-    backwards = drawn(40)
     for rows in (np.arange(39, 2, -1), np.arange(3)):
-        run_trials(world, policy, backwards, rows, longest)
-    assert outcome(backwards) == outcome(together)
+        backwards = taken(drawn(40), rows)
+        run_trials(world, policy, backwards, longest)
+        assert outcome(backwards) == outcome(taken(together, rows))
 
 
 @pytest.mark.parametrize("count", [1, 17, 65])

@@ -372,7 +372,7 @@ TaskPolicy = TabularPolicy | BoundPolicy
 """A policy with its task: the argument of evaluations and runs."""
 
 
-def tick_policy(policy: TaskPolicy) -> Policy:
+def tick_policy(policy: TaskPolicy | KernelPolicy) -> Policy:
     """Return a policy for a call per tick from Python: compiled if the policy has a kernel."""
     return policy if policy.kernel is None else KernelPolicy(policy.kernel)
 

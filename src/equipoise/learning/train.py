@@ -24,6 +24,7 @@ from equipoise.arm.urdf import read_arm
 from equipoise.arrays import Array
 from equipoise.control.policy import (
     Checkpoint,
+    KernelPolicy,
     LearningPoint,
     TabularPolicy,
     TargetTest,
@@ -169,8 +170,8 @@ def _score_table(simulation: PlantSimulation, candidate: tuple[int, Array]) -> C
     (episodes, u_of_box), setup = candidate, simulation.setup
     boxes = make_grid(setup.settings.boxes, simulation.pendulum.k)
     selection = setup.settings.selection
-    trials, rows = simulation.draw(selection.trials), range(selection.trials)
-    simulation.run(table_kernel(u_of_box, boxes), trials, rows, duration=selection.duration)
+    policy, trials = KernelPolicy(table_kernel(u_of_box, boxes)), simulation.draw(selection.trials)
+    simulation.run(policy, trials, duration=selection.duration)
     mean_duration = float(np.mean(trials.steps)) * setup.h
     rms_x = float(np.sqrt(np.sum(trials.sum_x2) / np.sum(trials.steps)))
     score = mean_duration / selection.duration - RMS_X_WEIGHT * rms_x / paper.X_LIMIT
@@ -206,8 +207,7 @@ def measure_survival(
         MODEL, setup_of(policy, MODEL), seed=policy.seed, stream=TARGET_TEST
     )
     trials = simulation.draw(selection.test_trials)
-    rows = range(selection.test_trials)
-    simulation.run(policy, trials, rows, duration=selection.duration, workers=workers, done=done)
+    simulation.run(policy, trials, duration=selection.duration, workers=workers, done=done)
     found = trial_results(policy.name, trials, policy.h).summary()
     return TargetTest(
         target=target,

@@ -19,7 +19,7 @@ from scipy.special import bdtr, betaincinv
 from equipoise.arguments import Workers, checked
 from equipoise.control.bound_policy import AnyPolicy, read_policy
 from equipoise.control.linear import baselines
-from equipoise.control.policy import PolicyKernel, TaskPolicy
+from equipoise.control.policy import KernelPolicy, TaskPolicy
 from equipoise.errors import InputError
 from equipoise.files import Artefact, Name, Seed, StrPath, Value
 from equipoise.model.actuator import Actuator
@@ -253,9 +253,9 @@ def evaluate(
     simulation = simulate(world, setup, seed=seed, stream=TEST)
     count, span = settings.evaluation.trials, settings.evaluation.duration
 
-    def run(name: str, policy: TaskPolicy | PolicyKernel) -> TrialResults:
+    def run(name: str, policy: TaskPolicy | KernelPolicy) -> TrialResults:
         trials = simulation.draw(count)
-        simulation.run(policy, trials, range(count), duration=span, workers=workers, done=done)
+        simulation.run(policy, trials, duration=span, workers=workers, done=done)
         return trial_results(name, trials, h)
 
     nominal = pendulum.parameters(linearised=settings.plant.linearised)
@@ -271,5 +271,5 @@ def evaluate(
         settings=settings,
         seed=seed,
         results=run(policy.name, policy),
-        baselines=tuple(run(name, kernel) for name, kernel in others.items()),
+        baselines=tuple(run(name, KernelPolicy(kernel)) for name, kernel in others.items()),
     )

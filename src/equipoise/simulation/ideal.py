@@ -4,7 +4,6 @@ With the actuator `ideal` this is the paper's simulation; with any other, the ar
 delay, servo and drive, and the controller observes through an encoder.
 """
 
-from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -114,14 +113,13 @@ class PlantSimulation(Simulation):
         """Return a closed loop for `reset`."""
         return PlantLoop(self)
 
-    def run_piece(
-        self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
-    ) -> None:
-        """Run trials of a compiled policy in this thread; see `Simulation.run`."""
+    def run_piece(self, policy: PolicyKernel, duration: float, trials: Trials) -> Trials:
+        """Run trials of a compiled policy in this thread; see `Simulation.run_piece`."""
         max_steps = round(duration / self.params.controller.h)
         world = self.world_of(BATCH_SIZE)
         world = world._replace(swing_up=self.law_for(world.swing_up, policy))
-        run_trials(world, policy, trials, np.array(rows, np.int64), max_steps)
+        run_trials(world, policy, trials, max_steps)
+        return trials
 
     def side_by_side(self, count: int) -> SideBySide:
         """Return worlds for lanes that advance together."""

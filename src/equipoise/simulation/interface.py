@@ -9,7 +9,7 @@ by (seed, trial, tick): a trial has the same bits either way.
 import functools
 import pickle
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from math import inf, nan
 from typing import Any, ClassVar, Final, NamedTuple
@@ -21,7 +21,7 @@ from equipoise.arm.arm import Arm
 from equipoise.arrays import Array
 from equipoise.control.control_step import ControllerParams, ControllerState
 from equipoise.control.controller import estimate_of, observation_of
-from equipoise.control.policy import KernelPolicy, Policy, PolicyKernel, TaskPolicy
+from equipoise.control.policy import KernelPolicy, Policy, PolicyKernel, TaskPolicy, tick_policy
 from equipoise.control.swing_up import (
     SwingUp,
     SwingUpPolicy,
@@ -190,17 +190,17 @@ class Simulation(ABC):
         """Draw the conditions of `count` trials from number `first` on."""
         return draw_trials(count, self.setup.settings, self.seed, self.stream, first)
 
-    def run_piece(
-        self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
-    ) -> None:
-        """Run trials of a compiled policy in this thread; only with a `PIECE`; see `run`."""
+    def run_piece(self, policy: PolicyKernel, duration: float, trials: Trials) -> Trials:
+        """Run trials of a compiled policy in this thread, and return them with their results.
+
+        Only with a `PIECE`; see `run`.
+        """
         raise NotImplementedError
 
     def run(
         self,
-        policy: TaskPolicy | PolicyKernel,
+        policy: TaskPolicy | KernelPolicy,
         trials: Trials,
-        rows: Sequence[int],
         *,
         duration: float,
         workers: Workers = 1,
@@ -209,9 +209,8 @@ class Simulation(ABC):
         """Run trials: compiled if policy and world are, otherwise from Python, one by one.
 
         Args:
-            policy: The policy, or its kernel alone.
+            policy: The policy.
             trials: Conditions, from `draw`; receives the results.
-            rows: Rows of the trials to run.
             duration: Length of a trial [s].
             workers: Number of threads for compiled trials, or an executor for them; the results do
                 not depend on it.
@@ -222,7 +221,7 @@ class Simulation(ABC):
                 trials that run from Python.
         """
         self._check_start(policy)
-        kernel = policy if isinstance(policy, PolicyKernel) else policy.kernel
+        kernel, count = policy.kernel, len(trials.number)
         if kernel is None or not self.PIECE:
             if not isinstance(workers, int):
                 raise InputError(
@@ -231,28 +230,28 @@ class Simulation(ABC):
                 )
             loop = self.loop()
             acting = self.acting(policy, loop)
-            for row in rows:
+            for row in range(count):
                 end = run_trial(loop, acting, trials.trial(row), duration, done=done)
                 trials.steps[row], trials.cause[row], trials.sum_x2[row] = end[:3]
                 trials.upright[row], trials.end[row] = end.upright, loop.state()
             return
         if isinstance(workers, int):
-            fraction = -(-len(rows) // (self.BATCH * workers)) * self.BATCH
+            fraction = -(-count // (self.BATCH * workers)) * self.BATCH
             size = min(self.PIECE, max(fraction, 1))
         else:  # at most 1000 tasks: each costs some milliseconds and a step of the progress
-            size = max(self.PIECE, -(-len(rows) // (self.BATCH * 1000)) * self.BATCH)
-        pieces = [list(rows[first : first + size]) for first in range(0, len(rows), size)]
+            size = max(self.PIECE, -(-count // (self.BATCH * 1000)) * self.BATCH)
+        pieces = [slice(first, first + size) for first in range(0, count, size)]
         parts = [Trials._make(column[piece] for column in trials) for piece in pieces]
-        for i, ended in completed(partial(_run_part, self, kernel, duration), parts, workers):
+        for i, ended in completed(partial(self.run_piece, kernel, duration), parts, workers):
             for column, result in zip(trials, ended, strict=True):
                 column[pieces[i]] = result
-            done(len(pieces[i]))
+            done(len(ended.number))
 
-    def acting(self, policy: TaskPolicy | PolicyKernel, loop: ClosedLoop) -> Policy:
+    def acting(self, policy: TaskPolicy | KernelPolicy, loop: ClosedLoop) -> Policy:
         """Return a policy for `run_trial`, after a swing-up where trials begin hanging.
 
         Args:
-            policy: The policy, or its kernel alone.
+            policy: The policy.
             loop: The closed loop in which it acts.
 
         Raises:
@@ -260,13 +259,9 @@ class Simulation(ABC):
             SettingsError: The pendulum is linearised.
         """
         self._check_start(policy)
-        if not isinstance(policy, PolicyKernel):
-            if policy.kernel is None:
-                return policy
-            policy = policy.kernel
-        if self._hanging:
-            return SwingUpPolicy(policy, make_swing_up(loop.params, self.max_speed))
-        return KernelPolicy(policy)
+        if self._hanging and policy.kernel is not None:
+            return SwingUpPolicy(policy.kernel, make_swing_up(loop.params, self.max_speed))
+        return tick_policy(policy)
 
     def law_for(self, law: SwingUp, policy: PolicyKernel) -> SwingUp:
         """Return the swing-up of trials of a policy, compiled where they begin hanging."""
@@ -277,11 +272,11 @@ class Simulation(ABC):
         """Whether trials begin with a hanging pendulum."""
         return self.setup.settings.evaluation.start == HANGING
 
-    def _check_start(self, policy: TaskPolicy | PolicyKernel) -> None:
+    def _check_start(self, policy: TaskPolicy | KernelPolicy) -> None:
         """Refuse a swing-up that cannot be, or cannot end."""
         if not self._hanging:
             return
-        if not isinstance(policy, PolicyKernel) and policy.kernel is None:
+        if policy.kernel is None:
             raise InputError(
                 f"no swing-up can end with {policy.name}: it simulates the policy in each tick, "
                 "expected a table, lqr or lqr-snapped; take one of those, or start by hand"
@@ -297,14 +292,6 @@ def _set_up(inputs: bytes) -> Simulation:
     """Set up a pickled simulation."""
     kind, world, setup, seed, stream = pickle.loads(inputs)
     return kind(world, setup, seed=seed, stream=stream)
-
-
-def _run_part(
-    simulation: Simulation, kernel: PolicyKernel, duration: float, trials: Trials
-) -> Trials:
-    """Run all of some trials, and return them with their results."""
-    simulation.run_piece(kernel, trials, range(len(trials.number)), duration)
-    return trials
 
 
 def predicted(loop: ClosedLoop) -> Array:

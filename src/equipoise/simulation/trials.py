@@ -111,9 +111,7 @@ def trial_loop(place: Callable[..., None], advance: Callable[..., None]) -> Call
             all but the world and the number of lanes as arrays.
     """
 
-    def run_trials(
-        world: Any, policy: PolicyKernel, trials: Trials, rows: IntArray, max_steps: int
-    ) -> None:
+    def run_trials(world: Any, policy: PolicyKernel, trials: Trials, max_steps: int) -> None:
         """Run trials side by side, and write their results.
 
         Args:
@@ -121,7 +119,6 @@ def trial_loop(place: Callable[..., None], advance: Callable[..., None]) -> Call
                 brings up the pendulums that hang at the start.
             policy: The policy.
             trials: Conditions; receives the results.
-            rows: Rows of the trials to run.
             max_steps: Number of steps after which a trial is truncated.
         """
         batch, law = world.states[0], world.swing_up
@@ -134,18 +131,18 @@ def trial_loop(place: Callable[..., None], advance: Callable[..., None]) -> Call
         tick = np.zeros(world.batch_size, np.int64)
         upright = np.zeros(world.batch_size, np.int64)
         sum_x2 = np.zeros(world.batch_size)
-        placed, lanes = 0, 0
+        placed, lanes, count = 0, 0, len(trials.number)
 
         def begin(n: int) -> None:
-            i = rows[placed]
-            row[n], number[n], tick[n], upright[n], sum_x2[n] = i, trials.number[i], 0, 0, 0.0
-            x, x_dot, phi, phi_dot = trials.start[i]
-            inertia, friction, delay, lag, zero = trials.variation[i]
+            row[n], number[n] = placed, trials.number[placed]
+            tick[n], upright[n], sum_x2[n] = 0, 0, 0.0
+            x, x_dot, phi, phi_dot = trials.start[placed]
+            inertia, friction, delay, lag, zero = trials.variation[placed]
             variation = DomainRandomization(inertia, friction, delay, lag, zero)
             place(world, variation, (x, x_dot, phi, phi_dot), n)
             begin_swing_up(law, swings, n)
 
-        while lanes < world.batch_size and placed < len(rows):
+        while lanes < world.batch_size and placed < count:
             begin(lanes)
             placed += 1
             lanes += 1
@@ -184,7 +181,7 @@ def trial_loop(place: Callable[..., None], advance: Callable[..., None]) -> Call
                 trials.upright[i] = upright[n]
                 trials.end[i, 0], trials.end[i, 1] = state.x[n], state.x_dot[n]
                 trials.end[i, 2], trials.end[i, 3] = state.phi[n], state.phi_dot[n]
-                if placed < len(rows):
+                if placed < count:
                     begin(n)
                     placed += 1
                     continue

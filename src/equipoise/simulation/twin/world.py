@@ -6,7 +6,6 @@ state decides how a trial ends; in a world with guards, the rules of a rig end i
 rig's measurements. A trial depends on its conditions, the master seed and its number alone.
 """
 
-from collections.abc import Sequence
 from math import inf, pi
 from typing import ClassVar, NamedTuple
 
@@ -201,20 +200,20 @@ class TwinSimulation(Simulation):
         worlds = [loop.prepare(self.draw(1).trial(0)) for loop in loops]
         return worlds, release, step, prepare
 
-    def run_piece(
-        self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
-    ) -> None:
-        """Run trials of a compiled policy in this thread; see `Simulation.run`."""
+    def run_piece(self, policy: PolicyKernel, duration: float, trials: Trials) -> Trials:
+        """Run trials of a compiled policy in this thread; see `Simulation.run_piece`."""
         max_steps = round(duration / self.params.h)
         try:
             loop = self._idle.pop()  # of a thread that has finished
         except IndexError:
             loop = TwinLoop(self)
         law = self.law_for(make_swing_up(self.params, self.max_speed), policy)
-        for row in rows:
+        for row in range(len(trials.number)):
             world = loop.prepare(trials.trial(row))._replace(swing_up=law)
-            run_trials(world, policy, trials, np.array([row]), max_steps)
+            one = Trials._make(column[row : row + 1] for column in trials)
+            run_trials(world, policy, one, max_steps)
         self._idle.append(loop)
+        return trials
 
 
 class TwinLoop(ClosedLoop):
