@@ -4,15 +4,15 @@ import numpy as np
 
 from equipoise.arrays import fields, new_records
 from equipoise.jit import call, kernel
-from equipoise.simulation.plant import BatchState, DomainRandomization, scaled
+from equipoise.simulation.plant import BatchState, DomainRandomization, Trial, scaled
 
 NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
 """A plant that is as the controller thinks."""
 
 
 @kernel
-def _reset(plant, batches, variation, start, n):
-    call(plant.reset, (plant, batches[0], variation, start, n))
+def _reset(plant, batches, trial, n):
+    call(plant.reset, (plant, batches[0], trial, n))
 
 
 @kernel
@@ -31,7 +31,7 @@ class Batch:
 
     def reset(self, pendulum, variation, start, n=0):
         """See `plant.reset`; the true pendulum need not be a variation of the nominal one."""
-        _reset(self.plant, self.records, variation, start, n)
+        _reset(self.plant, self.records, Trial(0, start, variation), n)
         own = scaled(pendulum, variation.inertia_factor, variation.friction_factor)
         pendula = self.state.pendula
         pendula.w2[n], pendula.k[n], pendula.c[n] = own.w2, own.k, own.c

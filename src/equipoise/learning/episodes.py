@@ -44,12 +44,13 @@ from equipoise.model.random import (
 )
 from equipoise.model.worlds import MODEL
 from equipoise.settings import Settings
-from equipoise.simulation import ClosedLoop, Setup, Trial, predicted, simulate
+from equipoise.simulation import ClosedLoop, Setup, predicted, simulate
 from equipoise.simulation.ideal import PlantSimulation
 from equipoise.simulation.plant import (
     BatchState,
     DomainRandomization,
     LoopParams,
+    Trial,
     box_of,
     copy_lane,
     draw_noise,
@@ -159,10 +160,8 @@ def exploration(episode: int, config: TrainingConfig) -> float:
 
 
 @inlined
-def draw_episode(
-    config: TrainingConfig, episode: int
-) -> tuple[DomainRandomization, tuple[float, float, float, float]]:
-    """Return the variation of the plant of an episode, and its start in SI units."""
+def draw_episode(config: TrainingConfig, episode: int) -> Trial:
+    """Return the conditions of an episode."""
     seed = config.seed
     w0, w1, w2, w3 = philox(seed, 0, episode, 0, TRAINING_EPISODE)
     inertia_noise, friction_noise = normal_pair(w0, w1)
@@ -182,7 +181,7 @@ def draw_episode(
         uniform(w2, -phi, phi),
         uniform(w3, -phi_dot, phi_dot),
     )
-    return variation, start
+    return Trial(episode, start, variation)
 
 
 @compilable
@@ -190,8 +189,7 @@ def release_on_plant(
     plant: LoopParams, config: TrainingConfig, batch: BatchState, episode: int, n: int
 ) -> None:
     """Release the pendulum of an episode on the compiled plant, in lane `n`."""
-    variation, start = draw_episode(config, episode)
-    call(plant.reset, (plant, batch, variation, start, n))
+    call(plant.reset, (plant, batch, draw_episode(config, episode), n))
 
 
 @inlined
@@ -206,8 +204,7 @@ def release_in_world(
     loop: ClosedLoop, config: TrainingConfig, batch: BatchState, episode: int, n: int
 ) -> None:
     """Release the pendulum of an episode in any world."""
-    variation, start = draw_episode(config, episode)
-    loop.reset(Trial(episode, start, variation))
+    loop.reset(draw_episode(config, episode))
     seen = batch.controller.observation
     seen.x[n], seen.x_dot[n], seen.phi[n], seen.phi_dot[n] = predicted(loop)
 

@@ -25,7 +25,8 @@ from equipoise.simulation.interface import (
     predicted,
     run_trial,
 )
-from equipoise.simulation.trials import Trial, Trials
+from equipoise.simulation.plant import Trial
+from equipoise.simulation.trials import Trials
 from equipoise.user_code import load_object, user_code
 
 __all__ = [

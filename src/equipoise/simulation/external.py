@@ -14,8 +14,7 @@ from equipoise.arrays import Array, fields, new_records
 from equipoise.control.control_step import ControllerState, make_controller_params, wrapped
 from equipoise.control.controller import command_tick, observe_tick, start
 from equipoise.simulation.interface import ClosedLoop, Simulation
-from equipoise.simulation.plant import draw_noise, failure, scaled
-from equipoise.simulation.trials import Trial
+from equipoise.simulation.plant import Trial, draw_noise, failure, scaled
 from equipoise.user_code import user_code
 
 

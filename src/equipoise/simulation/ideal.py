@@ -18,15 +18,15 @@ from equipoise.model.worlds import IDEAL, MODEL, World
 from equipoise.simulation.interface import ClosedLoop, Setup, SideBySide, Simulation
 from equipoise.simulation.plant import (
     BatchState,
-    DomainRandomization,
     LoopParams,
+    Trial,
     draw_uniform,
     make_loop_params,
     measure,
     scaled,
     to_normal,
 )
-from equipoise.simulation.trials import Trial, Trials, trial_loop
+from equipoise.simulation.trials import Trials, trial_loop
 
 
 class PlantWorld(NamedTuple):
@@ -49,15 +49,10 @@ class PlantWorld(NamedTuple):
 
 
 @inlined
-def place(
-    world: PlantWorld,
-    variation: DomainRandomization,
-    start: tuple[float, float, float, float],
-    n: int,
-) -> None:
+def place(world: PlantWorld, trial: Trial, n: int) -> None:
     """Place lane `n` at the start of a trial, see `plant.reset`, and measure."""
     batch = world.states[0]
-    call(world.plant.reset, (world.plant, batch, variation, start, n))
+    call(world.plant.reset, (world.plant, batch, trial, n))
     if world.plant.controller.has_sensor:
         measure(world.plant.controller, batch)
 
@@ -159,7 +154,7 @@ class PlantLoop(ClosedLoop):
         self._world = self._world._replace(stream=simulation.stream)
         self.pendulum = scaled(simulation.pendulum, own.inertia_factor, own.friction_factor)
         self.zero = own.zero if self.params.has_sensor else None
-        place_alone(self._world, own, trial.start, 0)
+        place_alone(self._world, trial, 0)
 
     def step(self, u: float) -> int:
         """Advance by one tick with u [m/s^2], and return the cause of the failure."""

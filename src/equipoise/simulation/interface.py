@@ -37,7 +37,8 @@ from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.settings import HANGING, Settings
-from equipoise.simulation.trials import Trial, Trials, draw_trials
+from equipoise.simulation.plant import Trial
+from equipoise.simulation.trials import Trials, draw_trials
 
 Done = Callable[[float], None]
 """Callback; receives the number of trials that have just finished; from Python, parts of one."""

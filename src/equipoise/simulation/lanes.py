@@ -21,7 +21,7 @@ from equipoise.executors import available_cores
 from equipoise.jit import compilable, kernel
 from equipoise.model.grid import TRUNCATED
 from equipoise.simulation.interface import Simulation
-from equipoise.simulation.plant import DomainRandomization, observed
+from equipoise.simulation.plant import observed, trial_of
 
 WINDOW: Final = 32
 """Number of episodes of a lane whose conditions are drawn together."""
@@ -95,10 +95,7 @@ def compiled_lanes(
     def release(worlds: Any, lanes: Any, rows: IntArray, start: Array, variation: Array) -> None:
         for k in range(len(rows)):
             lane, (b, n) = lanes[rows[k]], divmod(rows[k], worlds[0].batch_size)
-            x, x_dot, phi, phi_dot = start[k]
-            inertia, friction, delay, lag, zero = variation[k]
-            own = DomainRandomization(inertia, friction, delay, lag, zero)
-            place(worlds[b], own, (x, x_dot, phi, phi_dot), n)
+            place(worlds[b], trial_of(lane.number, start[k], variation[k]), n)
             lane.tick, lane.upright, lane.reward, lane.cause = 0, 0, 0.0, TRUNCATED
             read(worlds[b].states[0], lane, n)
 

@@ -15,6 +15,7 @@ a lane's result does not depend on the others. Training, evaluation, recorded ru
 policies all call the `step` below.
 """
 
+from collections.abc import Sequence
 from math import floor, inf, pi
 from typing import Annotated, Final, NamedTuple, Protocol
 
@@ -99,6 +100,26 @@ class DomainRandomization(NamedTuple):
     """Encoder zero error, added to phi [rad]."""
 
 
+class Trial(NamedTuple):
+    """Conditions of one trial or episode."""
+
+    number: int
+    """Its number, which determines all noise together with the seed."""
+    start: tuple[float, float, float, float]
+    """x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the release."""
+    variation: DomainRandomization
+    """Difference of the plant from the nominal one."""
+
+
+@inlined
+def trial_of(number: int, start: Sequence[float], variation: Sequence[float]) -> Trial:
+    """Return a trial of its number, its start and the fields of its `DomainRandomization`."""
+    x, x_dot, phi, phi_dot = start
+    inertia, friction, delay, lag, zero = variation
+    varied = DomainRandomization(inertia, friction, delay, lag, zero)
+    return Trial(number, (x, x_dot, phi, phi_dot), varied)
+
+
 class Pendula(Protocol):
     """Numbers of `PendulumParameters`."""
 
@@ -180,32 +201,23 @@ def make_loop_params(
         orientation_noise=settings.plant.orientation_error_sigma,
     )
     kinds = numba.typeof(plant), numba.from_dtype(record_type(BatchState))
-    variation = numba.typeof(DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0))
-    start, lane = types.UniTuple(types.float64, 4), types.int64
+    trial, lane = numba.typeof(trial_of(0, (0.0,) * 4, (1.0, 1.0, 0.0, 1.0, 0.0))), types.int64
     return plant._replace(
-        reset=pointer(reset, *kinds, variation, start, lane), step=pointer(step, *kinds, lane)
+        reset=pointer(reset, *kinds, trial, lane), step=pointer(step, *kinds, lane)
     )
 
 
-def reset(
-    plant: LoopParams,
-    batch: BatchState,
-    variation: DomainRandomization,
-    start: tuple[float, float, float, float],
-    n: int,
-) -> None:
-    """Place lane `n` at a state, the arm in steady motion on its track.
+def reset(plant: LoopParams, batch: BatchState, trial: Trial, n: int) -> None:
+    """Place lane `n` at the start of a trial, the arm in steady motion on its track.
 
     Args:
         plant: Constants.
         batch: Changed in place.
-        variation: Deviation of this lane until its next reset.
-        start: Displacement of the flange from home along base x [m], its velocity [m/s], angle of
-            the pendulum from upright [rad] and its angular velocity [rad/s].
+        trial: Start and plant of this lane until its next reset.
         n: Lane.
     """
     params, controller, state, arm = plant.controller, batch.controller, batch.state, batch.arm
-    x, x_dot, phi, phi_dot = start
+    (x, x_dot, phi, phi_dot), variation = trial.start, trial.variation
     zero = variation.zero if params.has_sensor else 0.0
     measured = params, controller, x, x_dot, phi + zero, phi_dot, n
     call(params.code.start_controller, measured)

@@ -18,18 +18,7 @@ from equipoise.jit import call
 from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED
 from equipoise.model.random import philox, uniform
 from equipoise.settings import HANGING, Settings
-from equipoise.simulation.plant import DomainRandomization, copy_lane, observed
-
-
-class Trial(NamedTuple):
-    """Conditions of one trial."""
-
-    number: int
-    """Number of the trial, which determines all noise together with the seed."""
-    start: tuple[float, float, float, float]
-    """x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the release."""
-    variation: DomainRandomization
-    """Difference of the plant from the nominal one."""
+from equipoise.simulation.plant import Trial, copy_lane, observed, trial_of
 
 
 class Trials(NamedTuple):
@@ -54,9 +43,8 @@ class Trials(NamedTuple):
 
     def trial(self, row: int) -> Trial:
         """Return the conditions in one row."""
-        x, x_dot, phi, phi_dot = self.start[row].tolist()
-        variation = DomainRandomization(*self.variation[row].tolist())
-        return Trial(int(self.number[row]), (x, x_dot, phi, phi_dot), variation)
+        number, start, variation, *_ = (column[row].tolist() for column in self)
+        return trial_of(number, start, variation)
 
 
 def draw_trials(count: int, settings: Settings, seed: int, stream: int, first: int = 0) -> Trials:
@@ -106,7 +94,7 @@ def trial_loop(place: Callable[..., None], advance: Callable[..., None]) -> Call
     """Return the loop that runs compiled trials in a world.
 
     Args:
-        place: Places a lane at the start of a trial: `place(world, variation, start, n)`.
+        place: Places a lane at the start of a trial: `place(world, trial, n)`.
         advance: Advances the first lanes by a step: `advance(world, seed, tick, number, lanes)`,
             all but the world and the number of lanes as arrays.
     """
@@ -136,10 +124,7 @@ def trial_loop(place: Callable[..., None], advance: Callable[..., None]) -> Call
         def begin(n: int) -> None:
             row[n], number[n] = placed, trials.number[placed]
             tick[n], upright[n], sum_x2[n] = 0, 0, 0.0
-            x, x_dot, phi, phi_dot = trials.start[placed]
-            inertia, friction, delay, lag, zero = trials.variation[placed]
-            variation = DomainRandomization(inertia, friction, delay, lag, zero)
-            place(world, variation, (x, x_dot, phi, phi_dot), n)
+            place(world, trial_of(number[n], trials.start[placed], trials.variation[placed]), n)
             begin_swing_up(law, swings, n)
 
         while lanes < world.batch_size and placed < count:

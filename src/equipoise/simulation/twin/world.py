@@ -35,8 +35,8 @@ from equipoise.safety.trial import (
     trial_violation,
 )
 from equipoise.simulation.interface import ClosedLoop, Measurement, Setup, SideBySide, Simulation
-from equipoise.simulation.plant import BatchState, DomainRandomization, failure, scaled
-from equipoise.simulation.trials import Trial, Trials, draw_trials, trial_loop
+from equipoise.simulation.plant import BatchState, Trial, failure, scaled, trial_of
+from equipoise.simulation.trials import Trials, draw_trials, trial_loop
 from equipoise.simulation.twin.physics import TICK
 from equipoise.simulation.twin.twin import Twin, advance, encoder, reply, reset, send_free, truth
 
@@ -69,18 +69,16 @@ class TwinWorld(NamedTuple):
 
 
 @inlined
-def release(
-    world: TwinWorld, _: DomainRandomization, start: tuple[float, float, float, float], n: int
-) -> None:
+def release(world: TwinWorld, trial: Trial, n: int) -> None:
     """Release the pendulum, the arm at rest at home; the controller has observed it until now.
 
     Args:
         world: Changed in place; its pendulum is that of the trial.
-        start: x, x_dot, phi, phi_dot at the release in SI units; the first two are not used.
+        trial: The trial; its x, x_dot and variation are not used.
         n: Lane, the first one.
     """
     twin, params, batch = world.twins[0], world.params, world.states[0]
-    phi, phi_dot = start[2], start[3]
+    _, _, phi, phi_dot = trial.start
     reset(twin, world.arrays[0], twin.home, phi, phi_dot)
     counts, stamp = encoder(twin)
     shown = pi - counts * params.resolution - stamp * phi_dot
@@ -194,8 +192,8 @@ class TwinSimulation(Simulation):
 
         def prepare(*columns: Array) -> None:
             for i, seed, number, variation in zip(*map(np.ndarray.tolist, columns), strict=True):
-                self.seed, own = seed, DomainRandomization(*variation)
-                loops[i].prepare(Trial(number, (0.0, 0.0, 0.0, 0.0), own))
+                self.seed = seed
+                loops[i].prepare(trial_of(number, (0.0,) * 4, variation))
 
         worlds = [loop.prepare(self.draw(1).trial(0)) for loop in loops]
         return worlds, release, step, prepare
@@ -235,7 +233,7 @@ class TwinLoop(ClosedLoop):
 
     def reset(self, trial: Trial) -> None:
         """Release the pendulum under the conditions of a trial."""
-        release_alone(self.prepare(trial), trial.variation, trial.start, 0)
+        release_alone(self.prepare(trial), trial, 0)
         self.now, self.tracked = 0.0, 0.0
 
     def prepare(self, trial: Trial) -> TwinWorld:
