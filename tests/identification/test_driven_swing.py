@@ -84,8 +84,8 @@ def recording(rng, rig=RIGHT):
 
 
 def judged(rng, rig=RIGHT, change=lambda *signals: signals):
-    *signals, resting = change(*recording(rng, rig))
-    return self_test(*signals, pendulum=KNOWN, counts_per_rev=COUNTS, resting=resting, delay=DELAY)
+    time, counts, *pivot, resting = change(*recording(rng, rig))
+    return self_test(time, (counts - resting) * 2.0 * pi / COUNTS, *pivot, KNOWN)
 
 
 @pytest.mark.parametrize(

@@ -45,8 +45,7 @@ COUNTS_TOLERANCE: Final = 0.05
 W2_TOLERANCE: Final = 0.05
 """Maximum relative deviation of w2 [-]: training varies it by 2 % (one standard deviation)."""
 DELAY_TOLERANCE: Final = 0.015
-"""Maximum deviation of tau from the expected delay [s]: the prediction has a margin of 5 ms, and 30
-ms make it fail."""
+"""Maximum |tau| [s]: the prediction has a margin of 5 ms, and 30 ms make it fail."""
 ZERO_TOLERANCE: Final = radians(0.5)
 """Maximum distance of the swing's middle from the resting count [rad]: stiction explains 0.1 deg
 with a good bearing, and half of the trials survive 0.75 deg."""
@@ -121,32 +120,20 @@ def driven_swing(
 
 
 def self_test(
-    time: Array,
-    counts: Array,
-    pivot_time: Array,
-    pivot_x: Array,
-    *,
-    pendulum: PendulumParameters,
-    counts_per_rev: int,
-    resting: float,
-    delay: float,
+    time: Array, angle: Array, pivot_time: Array, pivot_x: Array, pendulum: PendulumParameters
 ) -> SelfTest:
     """Judge the pendulum's response to the motion of its pivot.
 
     Args:
         time: Times of the encoder samples [s], from before the move until some periods after it,
             shape (n,).
-        counts: Encoder counts, shape (n,).
+        angle: Angles that the encoder shows, from the resting count [rad], shape (n,).
         pivot_time: Times of the measured joints [s], over at least the same time, shape (m,).
         pivot_x: Place of the pivot along base x, from the measured joints [m], shape (m,).
         pendulum: The identified pendulum; k / w2 is 1 / g.
-        counts_per_rev: Encoder counts per revolution, after x4.
-        resting: The count at which it was referenced.
-        delay: Expected delay of the encoder's time stamps behind those of the joints [s].
     """
     if refusal := _refusal(time, pivot_time, pivot_x):
         return SelfTest(*refusal)
-    angle = (counts - resting) * (2.0 * pi / counts_per_rev)
     answer = float(np.std(angle))
     if answer < MIN_RESPONSE:
         return SelfTest(
@@ -174,7 +161,7 @@ def self_test(
 
     # Blocks of half a period.
     blocks, fitted = int(float(np.ptp(time)) * sqrt(pendulum.w2) / pi), list(range(len(SCALES)))
-    start = _guess(model, angle, pendulum, delay)
+    start = _guess(model, angle, pendulum)
     # About ten evaluations are usual.
     unknowns = fit_unknowns(misfit, start, fitted, SCALES, xtol=1e-5, ftol=1e-4, max_nfev=30)
     J, residual = sensitivities(misfit, unknowns, fitted, SCALES), misfit(unknowns)
@@ -184,7 +171,7 @@ def self_test(
     half = float(SCALES[ZERO]) * half_width(max(float(spread[ZERO, ZERO]), 0.0), blocks)
     left = float(np.sqrt(np.mean(residual**2))) / answer
     result = SelfTest(SelfTestVerdict.PASSED, "", gain, w2, tau, zero, half, left)
-    verdict, reason = _verdict(result, pendulum.w2, delay)
+    verdict, reason = _verdict(result, pendulum.w2)
     return result._replace(verdict=verdict, reason=reason)
 
 
@@ -231,16 +218,14 @@ def _acceleration(time: Array, x: Array, at: Array) -> Array:
     return np.where((at > begin) & (at < end), u_of(np.clip(at, begin, end)), 0.0)
 
 
-def _guess(
-    model: Callable[[Array], Array], angle: Array, pendulum: PendulumParameters, delay: float
-) -> Array:
+def _guess(model: Callable[[Array], Array], angle: Array, pendulum: PendulumParameters) -> Array:
     """Return initial unknowns: w2 and tau from a search, G and zero that fit them best.
 
     The pendulum rests at first, so that the encoder shows its zero.
     """
     best, least = np.zeros(len(SCALES)), inf
     for w2 in pendulum.w2 * np.geomspace(0.4, 2.5, 25):
-        for tau in delay + np.array([-0.06, -0.03, 0.0, 0.03, 0.06]):
+        for tau in (-0.06, -0.03, 0.0, 0.03, 0.06):
             unknowns = np.array([1.0, w2, tau, 0.0, pendulum.c, 0.0, 0.0, 0.0])
             columns = np.stack([model(unknowns), np.ones_like(angle)], axis=1)
             solution = np.linalg.lstsq(columns, angle, rcond=None)[0]
@@ -251,7 +236,7 @@ def _guess(
     return best
 
 
-def _verdict(result: SelfTest, known_w2: float, delay: float) -> tuple[SelfTestVerdict, str]:
+def _verdict(result: SelfTest, known_w2: float) -> tuple[SelfTestVerdict, str]:
     """Return the first fault with its reason, or PASSED."""
     _, _, gain, w2, tau, zero, zero_half, misfit = result
     if not misfit < MAX_MISFIT:
@@ -274,10 +259,10 @@ def _verdict(result: SelfTest, known_w2: float, delay: float) -> tuple[SelfTestV
             f"w2 is {w2:.2f} 1/s^2, expected {known_w2:.2f} 1/s^2 within {W2_TOLERANCE:.0%}; "
             "identify this pendulum"
         )
-    if abs(tau - delay) > DELAY_TOLERANCE:
+    if abs(tau) > DELAY_TOLERANCE:
         return SelfTestVerdict.FAILED, (
-            f"the encoder is {1e3 * tau:.1f} ms behind the arm, expected {1e3 * delay:.1f} ms "
-            f"within {1e3 * DELAY_TOLERANCE:g} ms; look at its link and clock"
+            f"the encoder is {1e3 * tau:.1f} ms behind the arm, expected 0.0 ms within "
+            f"{1e3 * DELAY_TOLERANCE:g} ms; look at its link and clock"
         )
     if abs(zero) > ZERO_TOLERANCE:
         return SelfTestVerdict.ZERO, (

@@ -409,15 +409,10 @@ def _swing_out(run: Run, direction: float) -> Steps[SelfTest]:
     record((yield run.still()))
     while (t := run.time - begin) < MOVE_TIME + SWING_TIME:
         record((yield run.glide(path, t)))
-    job = partial(
-        self_test,
-        *np.array(encoder).reshape(-1, 2).T.copy(),
-        *np.array(pivot).reshape(-1, 2).T.copy(),
-        pendulum=run.params.pendulum,
-        counts_per_rev=round(2.0 * pi / run.params.resolution),
-        resting=run.encoder.hanging(),
-        delay=0.0,
-    )
+    time, counts = np.array(encoder).reshape(-1, 2).T.copy()
+    angle = (counts - run.encoder.hanging()) * run.params.resolution
+    moved = np.array(pivot).reshape(-1, 2).T.copy()
+    job = partial(self_test, time, angle, *moved, run.params.pendulum)
     try:
         return (yield from run.work(job, partial(run.accelerate, 0.0)))
     except Exception as error:  # the arm comes to rest, whatever failed
