@@ -178,9 +178,7 @@ def test_each_lane_and_joint_moves_alone(kind, error):
 
 def tracked(stream_time, stream_q, reply_time, reply_q, kind=KST, **options):
     given = {"delay": 0.0, "lag": 0.008, "actuator": ActuatorParameters(kind), **options}
-    predicted = np.empty_like(reply_time)
-    track(stream_time, stream_q, reply_time, reply_q, JointResponse(**given), predicted)
-    return predicted
+    return track(stream_time, stream_q, reply_time, reply_q, JointResponse(**given))
 
 
 @pytest.mark.parametrize(

@@ -16,10 +16,7 @@ W2, K = 70.2, 7.15
 
 
 def swung(time, theta, theta_dot, h, pendulum):
-    time = np.asarray(time, dtype=float)
-    thetas, theta_dots = np.empty_like(time), np.empty_like(time)
-    swing(time, theta, theta_dot, h, pendulum, thetas, theta_dots)
-    return thetas, theta_dots
+    return swing(np.asarray(time, dtype=float), theta, theta_dot, h, pendulum)
 
 
 def stepped(phi, phi_dot, u, h, n, pendulum):

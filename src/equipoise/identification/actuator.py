@@ -177,13 +177,13 @@ class Log(NamedTuple):
     def residual(self, kind: Kind, unknowns: Array, spread: float = JITTER) -> Array:
         """Return measured minus predicted positions [rad], shape (6, n)."""
         residual = np.empty_like(self.reply_q)
-        for joint, predicted in enumerate(residual):
+        for joint, q in enumerate(self.reply_q):
             delay, t_c, lag, bias = unknowns[[DELAY, T_C, LAG + joint, LOAD_BIAS + joint]].tolist()
             servo = ActuatorParameters(KINDS.index(kind), t_c)
             response = JointResponse(delay, lag, servo, spread, bias)
             stream = self.stream_time, self.stream_q[joint]
-            track(*stream, self.reply_time, self.reply_q[joint], response, predicted)
-        return (self.reply_q - residual)[:, self.settled :]
+            residual[joint] = q - track(*stream, self.reply_time, q, response)
+        return residual[:, self.settled :]
 
 
 class JointFit(NamedTuple):

@@ -109,14 +109,15 @@ class SelfTest(NamedTuple):
 
 @kernel
 def driven_swing(
-    theta: float, theta_dot: float, u: Array, h: float, pendulum: PendulumParameters, thetas: Array
-) -> None:
-    """Write theta [rad] after each step of length h, the pivot's acceleration u held over each."""
-    phi, phi_dot = pi - theta, -theta_dot
+    theta: float, theta_dot: float, u: Array, h: float, pendulum: PendulumParameters
+) -> Array:
+    """Return theta [rad] before and after each step of length h, u of the pivot held over each."""
+    thetas, phi, phi_dot = np.empty(len(u) + 1), pi - theta, -theta_dot
     thetas[0] = theta
     for i in range(len(u)):
         phi, phi_dot = step(phi, phi_dot, u[i], h, pendulum)
         thetas[i + 1] = pi - phi
+    return thetas
 
 
 def self_test(
@@ -145,7 +146,6 @@ def self_test(
     time, angle = time[::every], angle[::every]
     grid = np.arange(time[0] - 0.15, time[-1] + 0.15, MODEL_STEP)  # [s]: for the searched delays
     u = _acceleration(pivot_time, pivot_x, grid[:-1] + 0.5 * MODEL_STEP)
-    thetas = np.empty_like(grid)
 
     def model(unknowns: Array) -> Array:
         """Return the encoder angle [rad], shape (n,)."""
@@ -153,7 +153,7 @@ def self_test(
         k = w2 * pendulum.k / pendulum.w2
         # No friction drives: below zero the fit finds nothing better.
         parameters = PendulumParameters(w2, k, max(c, 0.0), max(coulomb, 0.0))
-        driven_swing(theta, theta_dot, u, MODEL_STEP, parameters, thetas)
+        thetas = driven_swing(theta, theta_dot, u, MODEL_STEP, parameters)
         return gain * np.interp(time - tau, grid, thetas) + zero
 
     def misfit(unknowns: Array) -> Array:

@@ -284,10 +284,9 @@ def simulate_swing(
     """
     rng = np.random.default_rng(seed)
     time = np.arange(round(duration * rate_hz) + 1) / rate_hz
-    theta, theta_dot = np.empty_like(time), np.empty_like(time)
     # Eight times as many steps as in a fit, so that a test of one does not share its error.
     h = 2.0 * pi / np.sqrt(parameters.w2) / 1024
-    swing(time, theta0, 0.0, float(h), parameters, theta, theta_dot)
+    theta, _ = swing(time, theta0, 0.0, float(h), parameters)
     reading: npt.NDArray[np.float64] = theta + zero_offset + noise * rng.standard_normal(time.size)
     counts = counts_from_theta(reading, counts_per_rev, 1)
     return Trajectory(
@@ -322,9 +321,8 @@ def fitted_curve(trajectory: Trajectory, pendulum: Pendulum) -> Array:
     inside = (trajectory.time >= begin - 1e-9) & (trajectory.time <= end + 1e-9)
     # The fitted state is that of the window's start, which may lie between two samples.
     time = np.concatenate(([begin], trajectory.time[inside]))
-    theta, theta_dot = np.empty_like(time), np.empty_like(time)
     h = (end - begin) / fit.periods / STEPS_PER_PERIOD
-    swing(time, fit.theta, fit.theta_dot, h, pendulum.parameters(), theta, theta_dot)
+    theta, theta_dot = swing(time, fit.theta, fit.theta_dot, h, pendulum.parameters())
     curve = np.full(trajectory.time.shape, np.nan)
     curve[inside] = (theta_dot if fit.quantity == "rate" else theta)[1:] + fit.offset
     return curve

@@ -71,11 +71,10 @@ class SwingRecording(NamedTuple):
 
     def residual(self, unknowns: Array) -> Array:
         """Return recorded minus predicted values, shape (n,); 1e30 where a prediction diverged."""
-        thetas, theta_dots = np.empty_like(self.time), np.empty_like(self.time)
         w2, c, coulomb, drag, theta, theta_dot, offset, scale = map(float, unknowns)
         pendulum = PendulumParameters(w2, 0.0, c, coulomb, drag)
         h = self.period / STEPS_PER_PERIOD
-        swing(self.time, scale * theta, scale * theta_dot, h, pendulum, thetas, theta_dots)
+        thetas, theta_dots = swing(self.time, scale * theta, scale * theta_dot, h, pendulum)
         predicted = (theta_dots if self.is_rate else thetas) / scale + offset
         return np.clip(np.nan_to_num(self.values - predicted, nan=1e30), -1e30, 1e30)
 

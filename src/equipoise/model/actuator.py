@@ -22,6 +22,7 @@ import functools
 from math import exp, inf, log, log1p, sqrt
 from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Protocol, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from equipoise.arm.arm import FREE_JOINTS
@@ -300,13 +301,8 @@ class JointResponse(NamedTuple):
 
 @kernel
 def track(
-    stream_time: Array,
-    stream_q: Array,
-    reply_time: Array,
-    reply_q: Array,
-    response: JointResponse,
-    predicted: Array,
-) -> None:
+    stream_time: Array, stream_q: Array, reply_time: Array, reply_q: Array, response: JointResponse
+) -> Array:
     """Simulate one joint from its first measured position to its last.
 
     The joint moves as under `follow`. The phase of the servo's cycles is unknown, and transports
@@ -320,8 +316,11 @@ def track(
         reply_time: Measurement times [s], increasing, shape (p,), p > 1.
         reply_q: Measured positions [rad], shape (p,).
         response: Model of the joint.
-        predicted: Receives the positions [rad], shape (p,).
+
+    Returns:
+        Positions at the measurement times [rad], shape (p,).
     """
+    predicted = np.empty(len(reply_time))
     delay, lag, actuator, spread, push = response
     rate, amplitude, width = 1.0 / actuator.cycle, actuator.amplitude, actuator.width
     shaped, driven = actuator.kind == KST, actuator.kind >= UNSHAPED
@@ -354,6 +353,7 @@ def track(
             else:
                 q += (mean + push) * fraction
         predicted[j] = q + (now - reply_time[j]) / CYCLE * (before - q)
+    return predicted
 
 
 @compilable

@@ -155,14 +155,8 @@ def step(
 
 @kernel
 def swing(
-    time: Array,
-    theta: float,
-    theta_dot: float,
-    h: float,
-    pendulum: PendulumParameters,
-    thetas: Array,
-    theta_dots: Array,
-) -> None:
+    time: Array, theta: float, theta_dot: float, h: float, pendulum: PendulumParameters
+) -> tuple[Array, Array]:
     """Simulate a free swing at any increasing times.
 
     Integrates in fixed steps of `h` from `time[0]` on, with a cubic through angle and rate at both
@@ -175,9 +169,11 @@ def swing(
         theta_dot: Rate at `time[0]` [rad/s].
         h: Length of the steps [s].
         pendulum: Physical parameters.
-        thetas: Receives the angle from hanging [rad], shape (n,).
-        theta_dots: Receives the rate [rad/s], shape (n,).
+
+    Returns:
+        Angle from hanging [rad] and rate [rad/s], each of shape (n,).
     """
+    thetas, theta_dots = np.empty(len(time)), np.empty(len(time))
     phi, phi_dot = pi - theta, -theta_dot
     before, before_dot = phi, phi_dot
     node = 0
@@ -200,6 +196,7 @@ def swing(
         c2, c3 = 3.0 * rise - 2.0 * m0 - m1, m0 + m1 - 2.0 * rise
         thetas[i] = pi - (before + s * (m0 + s * (c2 + s * c3)))
         theta_dots[i] = -(m0 + s * (2.0 * c2 + s * 3.0 * c3)) / h
+    return thetas, theta_dots
 
 
 class SwingFit(Value):

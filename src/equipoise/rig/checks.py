@@ -422,7 +422,7 @@ def warm_up(request: RunRequest) -> None:
         _ = controller.box  # the log of a tick names it
         controller.command(u)
     controller.hold()  # a tick that was missed
-    driven_swing(0.0, 0.0, np.zeros(1), MODEL_STEP, PendulumParameters(1.0, 1.0, 0.0), np.zeros(2))
+    driven_swing(0.0, 0.0, np.zeros(1), MODEL_STEP, PendulumParameters(1.0, 1.0, 0.0))
     FlangeKinematics(arm, params).pose(arm.home)
     if request.start == HANGING and (kernel := request.policy.kernel) is not None:
         SwingUpPolicy(kernel, make_swing_up(params, inf)).act(np.zeros(4))

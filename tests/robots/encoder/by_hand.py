@@ -21,9 +21,8 @@ class ByHand:
     def __init__(self, height):
         self.height, self.start = height, 0.0
         self._time = np.arange(0.0, 60.0, 0.0005)
-        self._theta, rate = np.empty_like(self._time), np.empty_like(self._time)
         begin = height + self.tremor(RELEASE)
-        swing(self._time, begin, 0.0, 0.0005, PENDULUM.parameters(), self._theta, rate)
+        self._theta, _ = swing(self._time, begin, 0.0, 0.0005, PENDULUM.parameters())
 
     def tremor(self, time):
         return TREMOR * sin(2.0 * pi * 7.0 * time)
