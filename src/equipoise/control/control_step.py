@@ -234,18 +234,18 @@ def make_controller_params(
     pendulum: PendulumParameters,
     *,
     h: float,
-    counts_per_rev: int,
+    counts_per_rev: int | None = None,
     has_sensor: bool = True,
 ) -> ControllerParams:
     """Return the constants of a controller.
 
     Args:
         arm: The arm with its home posture.
-        settings: The sections `clik` and `controller`.
+        settings: The sections `clik`, `controller` and `plant`.
         actuator: The model of the arm's response.
         pendulum: Nominal parameters.
         h: Time between ticks [s].
-        counts_per_rev: Encoder counts per revolution, after x4.
+        counts_per_rev: Encoder counts per revolution, after x4; by default those of `settings`.
         has_sensor: Whether a sensor and an actuator are modelled.
 
     Raises:
@@ -270,6 +270,7 @@ def make_controller_params(
     wrist_x, wrist_y, wrist_z = (float(value) for value in compiled.wrist)
     limits = ((j.lower, j.upper, j.velocity, j.acceleration) for j in arm.free_joints)
     own, clik = settings.controller, settings.clik
+    counts_per_rev = counts_per_rev or settings.plant.counts_per_rev
     params = ControllerParams(
         code=ControllerCode(compiled.kinematics, compiled.motion),
         # The inverse is damped below a twentieth of the manipulability at home.

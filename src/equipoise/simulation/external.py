@@ -31,20 +31,14 @@ class ExternalLoop(ClosedLoop):
             ArmError: Home is a singular posture.
             SettingsError: The delay exceeds the controller's history.
         """
-        setup, nominal = simulation.setup, simulation.pendulum
-        plant = setup.settings.plant
-        self.simulation, self.pendulum = simulation, nominal
+        _, arm, settings, actuator, h = simulation.setup
+        self.simulation, self.pendulum = simulation, simulation.pendulum
         self.params = make_controller_params(
-            setup.arm,
-            setup.settings,
-            setup.actuator,
-            nominal,
-            h=setup.h,
-            counts_per_rev=plant.counts_per_rev,
-            has_sensor=setup.actuator.kind != "ideal",
+            arm, settings, actuator, self.pendulum, h=h, has_sensor=actuator.kind != "ideal"
         )
         self._controllers = new_records(ControllerState)
         self.controller = fields(self._controllers, ControllerState)
+        plant = settings.plant
         self._sigmas = np.repeat([plant.position_error_sigma, plant.orientation_error_sigma], 3)
         self._state, self._tick = np.zeros(4), 0
 

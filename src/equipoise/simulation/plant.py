@@ -188,13 +188,7 @@ def make_loop_params(
     """
     plant = LoopParams(
         controller=make_controller_params(
-            arm,
-            settings,
-            actuator,
-            pendulum,
-            h=h,
-            counts_per_rev=settings.plant.counts_per_rev,
-            has_sensor=actuator.kind != "ideal",
+            arm, settings, actuator, pendulum, h=h, has_sensor=actuator.kind != "ideal"
         ),
         max_speed=settings.plant.max_speed or inf,
         position_noise=settings.plant.position_error_sigma,
