@@ -9,14 +9,13 @@ from scipy import stats
 from equipoise import paper
 from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import RANDOM, PolicyKernel
-from equipoise.elementary import BATCH_SIZE
 from equipoise.model.actuator import Actuator
 from equipoise.model.grid import ANGLE, TRACK, TRUNCATED
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import resolve
-from equipoise.simulation.ideal import run_trials
+from equipoise.simulation.ideal import PlantLoop
 from equipoise.simulation.plant import DomainRandomization, failure, make_loop_params, scaled
 from equipoise.simulation.trials import Trials, draw_trials
 from tests.batch import NOMINAL, Batch
@@ -116,7 +115,8 @@ def test_a_trial_gives_the_same_bits_alone_as_in_company(kind):
     plant = make_loop_params(ARM, SETTINGS, paper.STEP, PENDULUM, actuator)
     together, longest = drawn(40), 60
     simulation = on_the_plant(plant, ARM, PENDULUM, seed=5)
-    world, policy = simulation.world_of(BATCH_SIZE), PolicyKernel(RANDOM)
+    world, policy = simulation.new_world(), PolicyKernel(RANDOM)
+    run_trials = PlantLoop.KERNELS.run_trials
     run_trials(world, policy, together, longest)
     alone = [taken(drawn(40), [i]) for i in range(40)]
     for trial in alone:

@@ -6,16 +6,13 @@ delay, servo and drive, and the controller observes through an encoder.
 
 from typing import ClassVar, NamedTuple
 
-import numpy as np
-
-from equipoise.arrays import Array, IntArray, Records, fields, new_records, rows_of
-from equipoise.control.policy import PolicyKernel
+from equipoise.arrays import Array, IntArray, Records, new_records, rows_of
 from equipoise.control.swing_up import SwingUp, make_swing_up
 from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import SettingsError
-from equipoise.jit import call, inlined, kernel
+from equipoise.jit import call, inlined
 from equipoise.model.worlds import IDEAL, MODEL, World
-from equipoise.simulation.interface import ClosedLoop, Setup, SideBySide, Simulation
+from equipoise.simulation.interface import CompiledLoop, Setup, SideBySide, Simulation, kernels_of
 from equipoise.simulation.plant import (
     BatchState,
     LoopParams,
@@ -26,7 +23,6 @@ from equipoise.simulation.plant import (
     scaled,
     to_normal,
 )
-from equipoise.simulation.trials import Trials, trial_loop
 
 
 class PlantWorld(NamedTuple):
@@ -38,14 +34,14 @@ class PlantWorld(NamedTuple):
     """`BatchState`."""
     rows: IntArray
     """Its rows of lanes, from `rows_of`."""
-    batch_size: int
-    """Number of trials that run side by side."""
+    swing_up: SwingUp
+    """Swing-up of trials that begin with a hanging pendulum."""
     seed: int
     """Seed of the trials."""
     stream: int
     """Stream of the noise: selection or test."""
-    swing_up: SwingUp
-    """Swing-up of trials that begin with a hanging pendulum."""
+    batch_size: int = BATCH_SIZE
+    """Number of trials that run side by side."""
 
 
 @inlined
@@ -78,12 +74,6 @@ def advance(
     call(world.plant.step, (world.plant, batch, lanes))
 
 
-run_trials = kernel(trial_loop(place, advance))
-"""Runs trials in all lanes of a batch; see `trial_loop`."""
-place_alone, advance_alone = kernel(place), kernel(advance)
-"""The same steps, called from Python."""
-
-
 class PlantSimulation(Simulation):
     """Trials on the plant of the training."""
 
@@ -108,25 +98,17 @@ class PlantSimulation(Simulation):
         """Return a closed loop for `reset`."""
         return PlantLoop(self)
 
-    def run_piece(self, policy: PolicyKernel, duration: float, trials: Trials) -> Trials:
-        """Run trials of a compiled policy in this thread; see `Simulation.run_piece`."""
-        max_steps = round(duration / self.params.controller.h)
-        world = self.world_of(BATCH_SIZE)
-        world = world._replace(swing_up=self.law_for(world.swing_up, policy))
-        run_trials(world, policy, trials, max_steps)
-        return trials
-
     def side_by_side(self, count: int) -> SideBySide:
         """Return worlds for lanes that advance together."""
-        worlds = [self.world_of(BATCH_SIZE) for _ in range(0, count, BATCH_SIZE)]
+        worlds = [self.new_world() for _ in range(0, count, BATCH_SIZE)]
         return worlds, place, advance, lambda *_: None
 
-    def world_of(self, batch_size: int) -> PlantWorld:
-        """Return the world of some trials that run side by side."""
+    def new_world(self) -> PlantWorld:
+        """Return the world of trials that run side by side."""
         states = new_records(BatchState)
         rows = rows_of(states, BATCH_SIZE)
         law = make_swing_up(self.params.controller, self.max_speed)
-        return PlantWorld(self.params, states, rows, batch_size, self.seed, self.stream, law)
+        return PlantWorld(self.params, states, rows, law, self.seed, self.stream)
 
 
 class IdealSimulation(PlantSimulation):
@@ -135,42 +117,27 @@ class IdealSimulation(PlantSimulation):
     ideal_arm: ClassVar[bool] = True
 
 
-class PlantLoop(ClosedLoop):
-    """Closed loop of the training, in the first lane of a batch."""
+class PlantLoop(CompiledLoop):
+    """Closed loop of the training."""
+
+    KERNELS = kernels_of(place, advance)
 
     def __init__(self, simulation: PlantSimulation) -> None:
         """Allocate the state."""
-        self._simulation, self._world = simulation, simulation.world_of(1)
-        self._batch = fields(self._world.states, BatchState)
-        self._seed, self._tick, self._number = np.zeros((3, 1), np.int64)
-        self.params, self.controller = simulation.params.controller, self._batch.controller
-        self.pendulum = simulation.pendulum
+        super().__init__(simulation, simulation.params.controller, simulation.new_world())
 
-    def reset(self, trial: Trial) -> None:
-        """Release the pendulum under the conditions of a trial."""
-        own, simulation = trial.variation, self._simulation
-        self._seed[0], self._number[0], self._tick[0] = simulation.seed, trial.number, 0
-        self.now, self.tracked = 0.0, 0.0
-        self._world = self._world._replace(stream=simulation.stream)
+    def prepare(self, trial: Trial) -> PlantWorld:
+        """Return the world, before the release of a trial."""
+        own, simulation = trial.variation, self.simulation
         self.pendulum = scaled(simulation.pendulum, own.inertia_factor, own.friction_factor)
         self.zero = own.zero if self.params.has_sensor else None
-        place_alone(self._world, trial, 0)
+        return self._world._replace(seed=simulation.seed, stream=simulation.stream)
 
-    def step(self, u: float) -> int:
-        """Advance by one tick with u [m/s^2], and return the cause of the failure."""
-        self.controller.u[0] = u
-        advance_alone(self._world, self._seed, self._tick, self._number, 1)
-        self._tick += 1
-        self.now = float(self._tick[0]) * self.params.h
-        self.tracked = float(self._batch.u_tracked[0])
-        return int(self._batch.cause[0])
-
-    def state(self) -> Array:
-        """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
-        true = self._batch.state
-        return np.array([true.x[0], true.x_dot[0], true.phi[0], true.phi_dot[0]])
+    def time(self) -> float:
+        """Return the time since the release [s]."""
+        return float(self._tick[0]) * self.params.h
 
     def joints(self) -> Array:
         """Return the true positions of all joints [rad], shape (n,)."""
         q = self._batch.arm.q if self.params.has_sensor else self.controller.q
-        return self._simulation.setup.arm.with_held(q[:, 0])
+        return self.simulation.setup.arm.with_held(q[:, 0])

@@ -18,27 +18,22 @@ import numpy as np
 
 from equipoise.arguments import Workers
 from equipoise.arm.arm import Arm
-from equipoise.arrays import Array
+from equipoise.arrays import Array, fields
 from equipoise.control.control_step import ControllerParams, ControllerState
 from equipoise.control.controller import estimate_of, observation_of
 from equipoise.control.policy import KernelPolicy, Policy, PolicyKernel, TaskPolicy, tick_policy
-from equipoise.control.swing_up import (
-    SwingUp,
-    SwingUpPolicy,
-    compiled_for,
-    make_swing_up,
-    time_limit,
-)
+from equipoise.control.swing_up import SwingUpPolicy, compiled_for, make_swing_up, time_limit
 from equipoise.errors import InputError, SettingsError
 from equipoise.executors import completed
 from equipoise.files import quoted
+from equipoise.jit import kernel
 from equipoise.model.actuator import Actuator
 from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.settings import HANGING, Settings
-from equipoise.simulation.plant import Trial
-from equipoise.simulation.trials import Trials, draw_trials
+from equipoise.simulation.plant import BatchState, Trial, observed
+from equipoise.simulation.trials import Trials, draw_trials, trial_loop
 
 Done = Callable[[float], None]
 """Callback; receives the number of trials that have just finished; from Python, parts of one."""
@@ -112,6 +107,63 @@ class ClosedLoop(ABC):
         return Measurement(float(self.controller.counts[0]), self.now, q, self.now)
 
 
+class WorldKernels(NamedTuple):
+    """Compiled functions of a world; see `trial_loop`."""
+
+    run_trials: Callable[..., None]
+    """Runs trials side by side."""
+    place: Callable[..., None]
+    """Places a lane at the start of a trial."""
+    advance: Callable[..., None]
+    """Advances the first lanes by a step."""
+
+
+def kernels_of(place: Callable[..., None], advance: Callable[..., None]) -> WorldKernels:
+    """Return the functions of a world from two of its own; see `trial_loop`."""
+    return WorldKernels(kernel(trial_loop(place, advance)), kernel(place), kernel(advance))
+
+
+class CompiledLoop(ClosedLoop):
+    """Closed loop in the first lane of a world of compiled trials."""
+
+    KERNELS: ClassVar[WorldKernels]
+    """Functions of the world."""
+
+    def __init__(self, simulation: "Simulation", params: ControllerParams, world: Any) -> None:
+        """Begin with a world, whose `states` hold a `BatchState`."""
+        self.simulation, self.params, self._world = simulation, params, world
+        self._batch = fields(world.states, BatchState)
+        self.controller = self._batch.controller
+        self._seed, self._tick, self._number = np.zeros((3, 1), np.int64)
+
+    @abstractmethod
+    def prepare(self, trial: Trial) -> Any:
+        """Return the world with the pendulum of a trial, before its release."""
+
+    @abstractmethod
+    def time(self) -> float:
+        """Return the time since the release [s]."""
+
+    def reset(self, trial: Trial) -> None:
+        """Release the pendulum under the conditions of a trial."""
+        self._seed[0], self._tick[0], self._number[0] = self.simulation.seed, 0, trial.number
+        self._world = self.prepare(trial)
+        self.KERNELS.place(self._world, trial, 0)
+        self.now, self.tracked = 0.0, 0.0
+
+    def step(self, u: float) -> int:
+        """Advance by one tick with u [m/s^2], and return the cause of the failure."""
+        self.controller.u[0] = u
+        self.KERNELS.advance(self._world, self._seed, self._tick, self._number, 1)
+        self._tick += 1
+        self.now, self.tracked = self.time(), float(self._batch.u_tracked[0])
+        return int(self._batch.cause[0])
+
+    def state(self) -> Array:
+        """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
+        return np.array(observed(self._batch.state, 0))
+
+
 class Setup(NamedTuple):
     """Pendulum, arm and controller of trials."""
 
@@ -145,7 +197,7 @@ class Simulation(ABC):
     """Number of trials that advance together."""
     PIECE: ClassVar[int] = 0
     """Maximum number of compiled trials that a thread takes at a time, a multiple of `BATCH`; 0 for
-    a world whose trials run from Python."""
+    a world whose trials run from Python. The loop of others is a `CompiledLoop`."""
 
     def __init__(self, world: str | World, setup: Setup, *, seed: int, stream: int) -> None:
         """Set up a world; a subclass may raise `SettingsError` for a name.
@@ -166,6 +218,7 @@ class Simulation(ABC):
         """Nominal parameters, which the trials vary."""
         self.max_speed = setup.settings.plant.max_speed or inf
         """Limit of the flange's speed [m/s]; inf without a limit."""
+        self._idle: list[Any] = []
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the inputs; a process sets up the simulation once, for all tasks."""
@@ -192,11 +245,19 @@ class Simulation(ABC):
         return draw_trials(count, self.setup.settings, self.seed, self.stream, first)
 
     def run_piece(self, policy: PolicyKernel, duration: float, trials: Trials) -> Trials:
-        """Run trials of a compiled policy in this thread, and return them with their results.
-
-        Only with a `PIECE`; see `run`.
-        """
-        raise NotImplementedError
+        """Run trials of a compiled policy in this thread, and return them with their results."""
+        try:
+            loop: Any = self._idle.pop()  # of a thread that has finished
+        except IndexError:
+            loop = self.loop()
+        law = make_swing_up(loop.params, self.max_speed)
+        law = compiled_for(law, policy) if self._hanging else law
+        for first in range(0, len(trials.number), self.PIECE):
+            part = Trials._make(column[first : first + self.PIECE] for column in trials)
+            world = loop.prepare(part.trial(0))._replace(swing_up=law)
+            loop.KERNELS.run_trials(world, policy, part, round(duration / self.setup.h))
+        self._idle.append(loop)
+        return trials
 
     def run(
         self,
@@ -264,10 +325,6 @@ class Simulation(ABC):
             return SwingUpPolicy(policy.kernel, make_swing_up(loop.params, self.max_speed))
         return tick_policy(policy)
 
-    def law_for(self, law: SwingUp, policy: PolicyKernel) -> SwingUp:
-        """Return the swing-up of trials of a policy, compiled where they begin hanging."""
-        return compiled_for(law, policy) if self._hanging else law
-
     @property
     def _hanging(self) -> bool:
         """Whether trials begin with a hanging pendulum."""
@@ -277,7 +334,7 @@ class Simulation(ABC):
         """Refuse a swing-up that cannot be, or cannot end."""
         if not self._hanging:
             return
-        if policy.kernel is None:
+        if not isinstance(policy, KernelPolicy) and policy.kernel is None:
             raise InputError(
                 f"no swing-up can end with {policy.name}: it simulates the policy in each tick, "
                 "expected a table, lqr or lqr-snapped; take one of those, or start by hand"

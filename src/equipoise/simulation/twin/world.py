@@ -12,17 +12,16 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from equipoise.arm.arm import FREE_JOINTS
-from equipoise.arrays import Array, IntArray, Records, fields, new_records, rows_of
+from equipoise.arrays import Array, IntArray, Records, new_records, rows_of
 from equipoise.control.control_step import (
     SETPOINTS_PER_TICK,
     ControllerParams,
     make_controller_params,
     wrapped,
 )
-from equipoise.control.policy import PolicyKernel
 from equipoise.control.swing_up import SwingUp, make_swing_up
 from equipoise.elementary import BATCH_SIZE
-from equipoise.jit import call, inlined, kernel
+from equipoise.jit import call, inlined
 from equipoise.model.grid import SAFETY_STOP, TRUNCATED
 from equipoise.model.worlds import World, pendulum_on, read_world
 from equipoise.safety.rules import NO_VIOLATION
@@ -34,9 +33,16 @@ from equipoise.safety.trial import (
     trial_safety,
     trial_violation,
 )
-from equipoise.simulation.interface import ClosedLoop, Measurement, Setup, SideBySide, Simulation
+from equipoise.simulation.interface import (
+    CompiledLoop,
+    Measurement,
+    Setup,
+    SideBySide,
+    Simulation,
+    kernels_of,
+)
 from equipoise.simulation.plant import BatchState, Trial, failure, scaled, trial_of
-from equipoise.simulation.trials import Trials, draw_trials, trial_loop
+from equipoise.simulation.trials import Trials, draw_trials
 from equipoise.simulation.twin.physics import TICK
 from equipoise.simulation.twin.twin import Twin, advance, encoder, reply, reset, send_free, truth
 
@@ -90,7 +96,9 @@ def release(world: TwinWorld, trial: Trial, n: int) -> None:
 
 @inlined
 def _read_truth(world: TwinWorld) -> None:
-    real, state = truth(world.twins[0], world.arrays[0]), world.states[0].state
+    real, batch = truth(world.twins[0], world.arrays[0]), world.states[0]
+    state = batch.state
+    batch.u_tracked[0] = (real.x_dot - state.x_dot[0]) / world.params.h
     state.x[0], state.x_dot[0], state.phi[0], state.phi_dot[0] = real
     state.phi[0] = wrapped(state.phi[0])
 
@@ -140,12 +148,6 @@ def step(world: TwinWorld, seed: IntArray, tick: IntArray, number: IntArray, lan
     batch.cause[0] = cause
 
 
-run_trials = kernel(trial_loop(release, step))
-"""Runs trials one after the other; see `trial_loop`."""
-release_alone, step_alone = kernel(release), kernel(step)
-"""The same steps, called from Python."""
-
-
 class TwinSimulation(Simulation):
     """Trials on a digital twin."""
 
@@ -169,7 +171,6 @@ class TwinSimulation(Simulation):
         self.safety = trial_safety(arm, numbers, actuator, h, settings.plant.max_speed)
         """Safety limits of a trial."""
         self.max_speed = min(self.max_speed, numbers.max_speed or inf)
-        self._idle: list[TwinLoop] = []
 
     def draw(self, count: int, first: int = 0) -> Trials:
         """Draw the conditions of `count` trials from number `first` on.
@@ -198,69 +199,38 @@ class TwinSimulation(Simulation):
         worlds = [loop.prepare(self.draw(1).trial(0)) for loop in loops]
         return worlds, release, step, prepare
 
-    def run_piece(self, policy: PolicyKernel, duration: float, trials: Trials) -> Trials:
-        """Run trials of a compiled policy in this thread; see `Simulation.run_piece`."""
-        max_steps = round(duration / self.params.h)
-        try:
-            loop = self._idle.pop()  # of a thread that has finished
-        except IndexError:
-            loop = TwinLoop(self)
-        law = self.law_for(make_swing_up(self.params, self.max_speed), policy)
-        for row in range(len(trials.number)):
-            world = loop.prepare(trials.trial(row))._replace(swing_up=law)
-            one = Trials._make(column[row : row + 1] for column in trials)
-            run_trials(world, policy, one, max_steps)
-        self._idle.append(loop)
-        return trials
 
-
-class TwinLoop(ClosedLoop):
+class TwinLoop(CompiledLoop):
     """Closed loop on a twin, which the trials use in turn."""
+
+    KERNELS = kernels_of(release, step)
 
     def __init__(self, simulation: TwinSimulation) -> None:
         """Build the twin, and allocate the controller."""
-        arm, nominal = simulation.setup.arm, simulation.pendulum
-        self._simulation = simulation
-        self._twin = Twin(arm, nominal, simulation.numbers)
-        states = new_records(BatchState)
-        self._state = fields(states, BatchState)
-        self.params, self.controller = simulation.params, self._state.controller
-        monitor = new_trial_monitor(arm, simulation.safety)
-        self._unused = np.zeros(1, np.int64)
+        arm, params, self._numbers = simulation.setup.arm, simulation.params, simulation.numbers
+        self._twin = Twin(arm, simulation.pendulum, self._numbers)
+        states, monitor = new_records(BatchState), new_trial_monitor(arm, simulation.safety)
         rows, q = rows_of(states, BATCH_SIZE), np.zeros(FREE_JOINTS)
-        law = make_swing_up(self.params, simulation.max_speed)
-        self._world = TwinWorld(*self._twin.args, self.params, states, rows, q, monitor, law, 0, 0)
-
-    def reset(self, trial: Trial) -> None:
-        """Release the pendulum under the conditions of a trial."""
-        release_alone(self.prepare(trial), trial, 0)
-        self.now, self.tracked = 0.0, 0.0
+        law = make_swing_up(params, simulation.max_speed)
+        world = TwinWorld(*self._twin.args, params, states, rows, q, monitor, law, 0, 0)
+        super().__init__(simulation, params, world)
 
     def prepare(self, trial: Trial) -> TwinWorld:
         """Return the world with the pendulum of a trial, before its release."""
-        simulation, own = self._simulation, trial.variation
+        simulation, own = self.simulation, trial.variation
         varied = scaled(simulation.pendulum, own.inertia_factor, own.friction_factor)
-        self.pendulum = pendulum_on(simulation.setup.pendulum, simulation.numbers, varied)
+        self.pendulum = pendulum_on(simulation.setup.pendulum, self._numbers, varied)
         self._twin.set_trial(self.pendulum, simulation.seed, trial.number)
         self.zero = float(self._twin.state.zero)
         return self._world._replace(seed=simulation.seed, stream=simulation.stream)
 
-    def step(self, u: float) -> int:
-        """Advance by one tick with u [m/s^2], and return the cause of the failure."""
-        self.controller.u[0], x_dot = u, float(self._state.state.x_dot[0])
-        step_alone(self._world, self._unused, self._unused, self._unused, 1)
-        moved = float(self._state.state.x_dot[0]) - x_dot
-        self.tracked, self.now = moved / self.params.h, self._twin.now
-        return int(self._state.cause[0])
+    def time(self) -> float:
+        """Return the time since the release [s]; a rule may end a trial within a tick."""
+        return self._twin.now
 
     def push(self, rate: float) -> None:
         """Push the pendulum, which changes its rate [rad/s]."""
         self._twin.data.qvel[-1] += rate
-
-    def state(self) -> Array:
-        """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
-        true = self._state.state
-        return np.array([true.x[0], true.x_dot[0], true.phi[0], true.phi_dot[0]])
 
     def joints(self) -> Array:
         """Return the true positions of all joints [rad], shape (n,)."""
