@@ -42,7 +42,6 @@ from equipoise.simulation.interface import (
     kernels_of,
 )
 from equipoise.simulation.plant import BatchState, Trial, failure, scaled, trial_of
-from equipoise.simulation.trials import Trials, draw_trials
 from equipoise.simulation.twin.physics import TICK
 from equipoise.simulation.twin.twin import Twin, advance, encoder, reply, reset, send_free, truth
 
@@ -161,6 +160,10 @@ class TwinSimulation(Simulation):
             SettingsError: The world does not exist, or the delay exceeds the controller's history.
         """
         world = world if isinstance(world, World) else read_world(world)
+        # I and b vary by the numbers of the twin; it draws jitter, noise and zero error by itself.
+        sigmas = world.settings.model_dump(include={"inertia_sigma", "friction_sigma"})
+        plant = setup.settings.plant.model_copy(update=sigmas)
+        setup = setup._replace(settings=setup.settings.model_copy(update={"plant": plant}))
         super().__init__(world, setup, seed=seed, stream=stream)
         numbers = self.twin = self.numbers = world.settings
         arm, settings, actuator, h = setup.arm, setup.settings, setup.actuator, setup.h
@@ -171,17 +174,6 @@ class TwinSimulation(Simulation):
         self.safety = trial_safety(arm, numbers, actuator, h, settings.plant.max_speed)
         """Safety limits of a trial."""
         self.max_speed = min(self.max_speed, numbers.max_speed or inf)
-
-    def draw(self, count: int, first: int = 0) -> Trials:
-        """Draw the conditions of `count` trials from number `first` on.
-
-        I and b vary by the parameters of the twin; the twin draws jitter, noise and the zero error
-        of the encoder by itself.
-        """
-        sigmas = self.numbers.model_dump(include={"inertia_sigma", "friction_sigma"})
-        plant = self.setup.settings.plant.model_copy(update=sigmas)
-        settings = self.setup.settings.model_copy(update={"plant": plant})
-        return draw_trials(count, settings, self.seed, self.stream, first)
 
     def loop(self) -> "TwinLoop":
         """Return a closed loop for `reset`."""
