@@ -15,7 +15,6 @@ from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import resolve
-from equipoise.simulation.ideal import PlantLoop
 from equipoise.simulation.plant import DomainRandomization, failure, make_loop_params, scaled
 from equipoise.simulation.trials import Trials, draw_trials
 from tests.batch import NOMINAL, Batch
@@ -115,8 +114,9 @@ def test_a_trial_gives_the_same_bits_alone_as_in_company(kind):
     plant = make_loop_params(ARM, SETTINGS, paper.STEP, PENDULUM, actuator)
     together, longest = drawn(40), 60
     simulation = on_the_plant(plant, ARM, PENDULUM, seed=5)
-    world, policy = simulation.new_world(), PolicyKernel(RANDOM)
-    run_trials = PlantLoop.KERNELS.run_trials
+    loop, policy = simulation.loop(), PolicyKernel(RANDOM)
+    world = loop.prepare(simulation.draw(1).trial(0))
+    run_trials = loop.KERNELS.run_trials
     run_trials(world, policy, together, longest)
     alone = [taken(drawn(40), [i]) for i in range(40)]
     for trial in alone:

@@ -12,7 +12,7 @@ from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import SettingsError
 from equipoise.jit import call, inlined
 from equipoise.model.worlds import IDEAL, MODEL, World
-from equipoise.simulation.interface import CompiledLoop, Setup, SideBySide, Simulation, kernels_of
+from equipoise.simulation.interface import CompiledLoop, Setup, Simulation, kernels_of
 from equipoise.simulation.plant import (
     BatchState,
     LoopParams,
@@ -98,18 +98,6 @@ class PlantSimulation(Simulation):
         """Return a closed loop for `reset`."""
         return PlantLoop(self)
 
-    def side_by_side(self, count: int) -> SideBySide:
-        """Return worlds for lanes that advance together."""
-        worlds = [self.new_world() for _ in range(0, count, BATCH_SIZE)]
-        return worlds, place, advance, lambda *_: None
-
-    def new_world(self) -> PlantWorld:
-        """Return the world of trials that run side by side."""
-        states = new_records(BatchState)
-        rows = rows_of(states, BATCH_SIZE)
-        law = make_swing_up(self.params.controller, self.max_speed)
-        return PlantWorld(self.params, states, rows, law, self.seed, self.stream)
-
 
 class IdealSimulation(PlantSimulation):
     """Trials on the paper's plant."""
@@ -124,7 +112,10 @@ class PlantLoop(CompiledLoop):
 
     def __init__(self, simulation: PlantSimulation) -> None:
         """Allocate the state."""
-        super().__init__(simulation, simulation.params.controller, simulation.new_world())
+        params, states = simulation.params, new_records(BatchState)
+        law = make_swing_up(params.controller, simulation.max_speed)
+        world = PlantWorld(params, states, rows_of(states, BATCH_SIZE), law, 0, 0)
+        super().__init__(simulation, params.controller, world)
 
     def prepare(self, trial: Trial) -> PlantWorld:
         """Return the world, before the release of a trial."""

@@ -25,7 +25,6 @@ from equipoise.control.policy import KernelPolicy, Policy, PolicyKernel, TaskPol
 from equipoise.control.swing_up import SwingUpPolicy, compiled_for, make_swing_up, time_limit
 from equipoise.errors import InputError, SettingsError
 from equipoise.executors import completed
-from equipoise.files import quoted
 from equipoise.jit import kernel
 from equipoise.model.actuator import Actuator
 from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED
@@ -108,19 +107,24 @@ class ClosedLoop(ABC):
 
 
 class WorldKernels(NamedTuple):
-    """Compiled functions of a world; see `trial_loop`."""
+    """Functions of a world; see `trial_loop`."""
 
+    place: Callable[..., None]
+    """Places a lane at the start of a trial, from a kernel."""
+    advance: Callable[..., None]
+    """Advances the first lanes by a step, from a kernel."""
+    place_alone: Callable[..., None]
+    """The same, compiled, from Python."""
+    advance_alone: Callable[..., None]
+    """The same, compiled, from Python."""
     run_trials: Callable[..., None]
     """Runs trials side by side."""
-    place: Callable[..., None]
-    """Places a lane at the start of a trial."""
-    advance: Callable[..., None]
-    """Advances the first lanes by a step."""
 
 
 def kernels_of(place: Callable[..., None], advance: Callable[..., None]) -> WorldKernels:
     """Return the functions of a world from two of its own; see `trial_loop`."""
-    return WorldKernels(kernel(trial_loop(place, advance)), kernel(place), kernel(advance))
+    run_trials = kernel(trial_loop(place, advance))
+    return WorldKernels(place, advance, kernel(place), kernel(advance), run_trials)
 
 
 class CompiledLoop(ClosedLoop):
@@ -148,13 +152,13 @@ class CompiledLoop(ClosedLoop):
         """Release the pendulum under the conditions of a trial."""
         self._seed[0], self._tick[0], self._number[0] = self.simulation.seed, 0, trial.number
         self._world = self.prepare(trial)
-        self.KERNELS.place(self._world, trial, 0)
+        self.KERNELS.place_alone(self._world, trial, 0)
         self.now, self.tracked = 0.0, 0.0
 
     def step(self, u: float) -> int:
         """Advance by one tick with u [m/s^2], and return the cause of the failure."""
         self.controller.u[0] = u
-        self.KERNELS.advance(self._world, self._seed, self._tick, self._number, 1)
+        self.KERNELS.advance_alone(self._world, self._seed, self._tick, self._number, 1)
         self._tick += 1
         self.now, self.tracked = self.time(), float(self._batch.u_tracked[0])
         return int(self._batch.cause[0])
@@ -177,12 +181,6 @@ class Setup(NamedTuple):
     """The controller's model of the arm's response."""
     h: float
     """Time between ticks [s]."""
-
-
-SideBySide = tuple[list[Any], Callable[..., None], Callable[..., None], Callable[..., object]]
-"""Worlds whose lanes advance together (`equipoise.simulation.lanes`): a list of them; the functions
-`place` and `advance` of `trial_loop`; and `prepare(rows, seeds, numbers, variations)`, which is
-called before lanes are placed at the start of trials."""
 
 
 class Simulation(ABC):
@@ -229,17 +227,6 @@ class Simulation(ABC):
     def loop(self) -> ClosedLoop:
         """Return a closed loop for `reset`."""
 
-    def side_by_side(self, count: int) -> SideBySide:
-        """Return worlds for lanes that advance together.
-
-        Raises:
-            InputError: The trials of this world are not compiled.
-        """
-        raise InputError(
-            f"the world {quoted(self.name)} runs from Python, so that it has no lanes; give "
-            "vectorization_mode='sync' or 'async'"
-        )
-
     def draw(self, count: int, first: int = 0) -> Trials:
         """Draw the conditions of `count` trials from number `first` on."""
         return draw_trials(count, self.setup.settings, self.seed, self.stream, first)
@@ -250,11 +237,11 @@ class Simulation(ABC):
             loop: Any = self._idle.pop()  # of a thread that has finished
         except IndexError:
             loop = self.loop()
-        law = make_swing_up(loop.params, self.max_speed)
-        law = compiled_for(law, policy) if self._hanging else law
         for first in range(0, len(trials.number), self.PIECE):
             part = Trials._make(column[first : first + self.PIECE] for column in trials)
-            world = loop.prepare(part.trial(0))._replace(swing_up=law)
+            world = loop.prepare(part.trial(0))
+            if self._hanging:
+                world = world._replace(swing_up=compiled_for(world.swing_up, policy))
             loop.KERNELS.run_trials(world, policy, part, round(duration / self.setup.h))
         self._idle.append(loop)
         return trials

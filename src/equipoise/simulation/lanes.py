@@ -17,7 +17,9 @@ from numba.typed import List
 from equipoise import paper
 from equipoise.arrays import Array, IntArray, Records, record_type
 from equipoise.control.policy import Observation
+from equipoise.errors import InputError
 from equipoise.executors import available_cores
+from equipoise.files import quoted
 from equipoise.jit import compilable, kernel
 from equipoise.model.grid import TRUNCATED
 from equipoise.simulation.interface import Simulation
@@ -143,9 +145,16 @@ class Lanes:
         Raises:
             InputError: The trials of this world are not compiled.
         """
-        worlds, place, advance, self._prepare = simulation.side_by_side(count)
-        self._release, step = compiled_lanes(place, advance, reward, cached)
+        if not simulation.PIECE:
+            raise InputError(
+                f"the world {quoted(simulation.name)} runs from Python, so that it has no lanes; "
+                "give vectorization_mode='sync' or 'async'"
+            )
         self._simulation = simulation
+        self._loops: list[Any] = [simulation.loop() for _ in range(0, count, simulation.BATCH)]
+        kernels, trial = self._loops[0].KERNELS, simulation.draw(1).trial(0)
+        worlds = [loop.prepare(trial) for loop in self._loops]
+        self._release, step = compiled_lanes(kernels.place, kernels.advance, reward, cached)
         self._lanes: Records = np.zeros(count, record_type(Lane))
         self._numbers = self._lanes.view(np.int64)
         self._start, self._variation = np.zeros((count, WINDOW, 4)), np.zeros((count, WINDOW, 5))
@@ -176,7 +185,10 @@ class Lanes:
             drawn = simulation.draw(WINDOW, first)
             self._start[i], self._variation[i] = drawn.start, drawn.variation
         start, variation = self._start[rows, place], self._variation[rows, place]
-        self._prepare(rows, lanes["seed"][rows], lanes["number"][rows], variation)
+        if simulation.BATCH == 1:  # each lane has a world of its own, which a trial changes
+            for i, own in zip(rows.tolist(), variation.tolist(), strict=True):
+                simulation.seed, number = lanes["seed"][i].item(), lanes["number"][i].item()
+                self._loops[i].prepare(trial_of(number, (0.0,) * 4, own))
         self._release(self._worlds, lanes, rows, start, variation)
         return self._copy()
 

@@ -33,15 +33,8 @@ from equipoise.safety.trial import (
     trial_safety,
     trial_violation,
 )
-from equipoise.simulation.interface import (
-    CompiledLoop,
-    Measurement,
-    Setup,
-    SideBySide,
-    Simulation,
-    kernels_of,
-)
-from equipoise.simulation.plant import BatchState, Trial, failure, scaled, trial_of
+from equipoise.simulation.interface import CompiledLoop, Measurement, Setup, Simulation, kernels_of
+from equipoise.simulation.plant import BatchState, Trial, failure, scaled
 from equipoise.simulation.twin.physics import TICK
 from equipoise.simulation.twin.twin import Twin, advance, encoder, reply, reset, send_free, truth
 
@@ -178,18 +171,6 @@ class TwinSimulation(Simulation):
     def loop(self) -> "TwinLoop":
         """Return a closed loop for `reset`."""
         return TwinLoop(self)
-
-    def side_by_side(self, count: int) -> SideBySide:
-        """Return worlds for lanes that advance together."""
-        loops = [self.loop() for _ in range(count)]
-
-        def prepare(*columns: Array) -> None:
-            for i, seed, number, variation in zip(*map(np.ndarray.tolist, columns), strict=True):
-                self.seed = seed
-                loops[i].prepare(trial_of(number, (0.0,) * 4, variation))
-
-        worlds = [loop.prepare(self.draw(1).trial(0)) for loop in loops]
-        return worlds, release, step, prepare
 
 
 class TwinLoop(CompiledLoop):
