@@ -14,6 +14,7 @@ from equipoise.arrays import fields, new_records
 from equipoise.control.control_step import ControllerState, horizon, make_controller_params
 from equipoise.control.controller import command_tick, estimate_of, observe_tick, start
 from equipoise.control.linear import lqr_gains
+from equipoise.control.policy import Observation
 from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import SettingsError
 from equipoise.files import Estimate
@@ -85,7 +86,7 @@ def swinging(age, revolutions, counts=FINE, ticks=300):
     controller = made(Actuator.assumed("lag", delay=0.01, lag=0.008), counts=counts)
     records = new_records(ControllerState)
     memory = fields(records, ControllerState)
-    start(controller, records, 0.0, 0.0, *swing(0.0))
+    start(controller, records, Observation(0.0, 0.0, *swing(0.0)))
     memory.measured[:, 0] = ARM.home_free
     estimates = []
     for time in times[1:]:
@@ -116,7 +117,7 @@ def offsets_of(reply_age, actuator, believed_age):
     controller = made(actuator, "controller.predict=false")
     records = new_records(ControllerState)
     memory = fields(records, ControllerState)
-    start(controller, records, 0.0, 0.0, 0.0, 0.0)
+    start(controller, records, Observation(0.0, 0.0, 0.0, 0.0))
     arm = Joints(actuator, 1.0, ARM.home_free)
     went, sent = [arm.q.copy()] * 50, [(-1000, ARM.home_free)]
     transport = round(1e3 * actuator.delay.value)

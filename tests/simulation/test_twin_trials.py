@@ -11,7 +11,7 @@ from equipoise.arrays import fields, new_records
 from equipoise.control import controller
 from equipoise.control.control_step import ControllerState
 from equipoise.control.linear import lqr_gains
-from equipoise.control.policy import LINEAR, RANDOM, KernelPolicy, PolicyKernel, act
+from equipoise.control.policy import LINEAR, RANDOM, KernelPolicy, Observation, PolicyKernel, act
 from equipoise.model.actuator import Actuator
 from equipoise.model.grid import ANGLE, TRUNCATED
 from equipoise.model.pendulum import Pendulum
@@ -107,7 +107,7 @@ def test_a_recorded_trial_is_the_loop_as_python_writes_it():
     twin.reset(phi=phi, phi_dot=phi_dot)
     counts, stamp = twin.encoder()
     shown = pi - counts * 2 * pi / 8192 - stamp * phi_dot
-    controller.start(params, records, 0.0, 0.0, shown, phi_dot)
+    controller.start(params, records, Observation(0.0, 0.0, shown, phi_dot))
     for row in range(steps):
         observation = controller.observation_of(memory)
         memory.u[0] = act(LQR, observation, 0.0)

@@ -45,6 +45,7 @@ from equipoise.arm.clik import (
 from equipoise.arm.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST
 from equipoise.arrays import Array, IntArray, record_type
 from equipoise.control.linear import Gains, observer_gains
+from equipoise.control.policy import Observation
 from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import ArmError, SettingsError
 from equipoise.jit import call, compilable, flat, inlined, pointer
@@ -297,11 +298,12 @@ def make_controller_params(
 
 def _compiled(params: ControllerParams) -> ControllerCode:
     number, whole = types.float64, types.int64
+    measured = numba.typeof(Observation(0.0, 0.0, 0.0, 0.0))
     kinds = numba.typeof(params), numba.from_dtype(record_type(ControllerState))
     arm = numba.from_dtype(record_type(Servos)), numba.typeof(params.actuator)
     return params.code._replace(
         follow_setpoint=pointer(follow_setpoint, *arm, whole, types.boolean, whole),
-        start_controller=pointer(start_controller, *kinds, number, number, number, number, whole),
+        start_controller=pointer(start_controller, *kinds, measured, whole),
         observe=pointer(observe, *kinds, number, number, whole),
         command=pointer(command, *kinds, whole),
         advance_arm_model=pointer(advance_arm_model, *kinds, whole),
@@ -391,25 +393,17 @@ def place_command(
 
 
 def start_controller(
-    controller: ControllerParams,
-    state: ControllerState,
-    x: float,
-    x_dot: float,
-    phi: float,
-    phi_dot: float,
-    n: int,
+    controller: ControllerParams, state: ControllerState, measured: Observation, n: int
 ) -> None:
     """Start lane `n` with an arm that moves steadily and the measured pendulum.
 
     Args:
         controller: Constants.
         state: Changed in place.
-        x: Displacement of the flange from home along base x [m].
-        x_dot: Its velocity [m/s].
-        phi: Measured angle of the pendulum from upright [rad].
-        phi_dot: Measured angular velocity [rad/s].
+        measured: The measured state.
         n: Lane.
     """
+    x, x_dot, phi, phi_dot = measured
     place_command(controller, state, x, x_dot, n)
     state.limit_exceeded[n] = 0
     state.balancing[n] = 1 if cos(phi) > 0.0 else 0

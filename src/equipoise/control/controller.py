@@ -64,11 +64,9 @@ def hold_tick(params: ControllerParams, states: Records) -> None:
 
 
 @kernel
-def start(
-    params: ControllerParams, states: Records, x: float, x_dot: float, phi: float, phi_dot: float
-) -> None:
+def start(params: ControllerParams, states: Records, measured: Observation) -> None:
     """Start the first lane; see `control_step.start_controller`."""
-    call(params.code.start_controller, (params, states[0], x, x_dot, phi, phi_dot, 0))
+    call(params.code.start_controller, (params, states[0], measured, 0))
 
 
 def estimate_of(state: ControllerState) -> Array:
@@ -104,7 +102,7 @@ class Controller:
 
     def begin(self, phi: float, phi_dot: float) -> None:
         """Begin at home, at rest, with the measured pendulum [rad], [rad/s]."""
-        start(self._params, self._states, 0.0, 0.0, phi, phi_dot)
+        start(self._params, self._states, Observation(0.0, 0.0, phi, phi_dot))
         state = self._state
         self._model = state.model.q.copy(), state.model.dq.copy()
         # Estimate at the last tick with counts, and the number of ticks since.

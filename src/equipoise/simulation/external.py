@@ -13,6 +13,7 @@ import numpy as np
 from equipoise.arrays import Array, fields, new_records
 from equipoise.control.control_step import ControllerState, make_controller_params, wrapped
 from equipoise.control.controller import command_tick, observe_tick, start
+from equipoise.control.policy import Observation
 from equipoise.simulation.interface import ClosedLoop, Simulation
 from equipoise.simulation.plant import Trial, draw_noise, failure, scaled
 from equipoise.user_code import user_code
@@ -73,8 +74,8 @@ class ExternalLoop(ClosedLoop):
         nominal = self.simulation.pendulum
         self.pendulum = scaled(nominal, own.inertia_factor, own.friction_factor)
         self.zero = own.zero if self.params.has_sensor else None
-        shown = phi + (self.zero or 0.0)
-        start(self.params, self._controllers, x, x_dot, shown, phi_dot)
+        measured = Observation(x, x_dot, phi + (self.zero or 0.0), phi_dot)
+        start(self.params, self._controllers, measured)
         with user_code(f"the world {self.simulation.world}"):
             self.release(self.controller.q[:, 0].copy(), trial.start)
             self._observe()

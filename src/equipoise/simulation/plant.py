@@ -213,8 +213,8 @@ def reset(plant: LoopParams, batch: BatchState, trial: Trial, n: int) -> None:
     params, controller, state, arm = plant.controller, batch.controller, batch.state, batch.arm
     (x, x_dot, phi, phi_dot), variation = trial.start, trial.variation
     zero = variation.zero if params.has_sensor else 0.0
-    measured = params, controller, x, x_dot, phi + zero, phi_dot, n
-    call(params.code.start_controller, measured)
+    measured = Observation(x, x_dot, phi + zero, phi_dot)
+    call(params.code.start_controller, (params, controller, measured, n))
     own = scaled(params.pendulum, variation.inertia_factor, variation.friction_factor)
     pendula = batch.pendula
     pendula.w2[n], pendula.k[n], pendula.c[n] = own.w2, own.k, own.c

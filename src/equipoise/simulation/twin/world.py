@@ -19,6 +19,7 @@ from equipoise.control.control_step import (
     make_controller_params,
     wrapped,
 )
+from equipoise.control.policy import Observation
 from equipoise.control.swing_up import SwingUp, make_swing_up
 from equipoise.elementary import BATCH_SIZE
 from equipoise.jit import call, inlined
@@ -80,8 +81,8 @@ def release(world: TwinWorld, trial: Trial, n: int) -> None:
     reset(twin, world.arrays[0], twin.home, phi, phi_dot)
     counts, stamp = encoder(twin)
     shown = pi - counts * params.resolution - stamp * phi_dot
-    begun = params, batch.controller, 0.0, 0.0, shown, phi_dot, n
-    call(params.code.start_controller, begun)
+    measured = Observation(0.0, 0.0, shown, phi_dot)
+    call(params.code.start_controller, (params, batch.controller, measured, n))
     reset_trial_monitor(world.monitor, params.home)
     _read_truth(world)
 
