@@ -103,7 +103,8 @@ def test_a_recorded_trial_is_the_loop_as_python_writes_it():
     memory = fields(records, ControllerState)
     pendulum = PARAMETERS._replace(c=0.15 * trial.variation.friction_factor, coulomb=0.1)
     _, _, phi, phi_dot = trial.start
-    twin = Twin(ARM, pendulum, WORLD, seed=3, index=1)
+    twin = Twin(ARM, pendulum, WORLD)
+    twin.set_trial(pendulum, 3, 1)
     twin.reset(phi=phi, phi_dot=phi_dot)
     counts, stamp = twin.encoder()
     shown = pi - counts * 2 * pi / 8192 - stamp * phi_dot

@@ -289,13 +289,7 @@ class Twin:
     """
 
     def __init__(
-        self,
-        arm: Arm,
-        pendulum: PendulumParameters,
-        settings: TwinSettings,
-        *,
-        seed: int = 0,
-        index: int = 0,
+        self, arm: Arm, pendulum: PendulumParameters, settings: TwinSettings, *, seed: int = 0
     ) -> None:
         """Build a twin, at home and with the pendulum hanging.
 
@@ -304,7 +298,6 @@ class Twin:
             pendulum: The pendulum of this trial, with the friction that acts in the twin.
             settings: The world's numbers.
             seed: Master seed of jitter, noise and the error of the encoder's zero.
-            index: Number of the trial.
 
         Raises:
             ArmError: The masses of the arm's links are not known.
@@ -337,7 +330,7 @@ class Twin:
         state.encoder_jitter = settings.encoder_jitter
         state.reply_age = ceil(settings.reply_age / TICK - 1e-9)
         state.joint_noise = settings.joint_noise
-        self.set_trial(pendulum, seed, index)
+        self.set_trial(pendulum, seed, 0)
         self.reset()
 
     def set_trial(self, pendulum: PendulumParameters, seed: int, index: int) -> None:
