@@ -39,6 +39,8 @@ from equipoise.printable import printable
 logger = logging.getLogger(__name__)
 
 F = TypeVar("F", bound=Callable[..., Any])
+Kernel = Callable[..., Any]
+"""A kernel, or a function that kernels call."""
 
 PACKAGE = Path(__file__).parent
 KERNEL_FILES: Final = (

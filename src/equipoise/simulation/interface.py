@@ -25,7 +25,7 @@ from equipoise.control.policy import KernelPolicy, Policy, PolicyKernel, TaskPol
 from equipoise.control.swing_up import SwingUpPolicy, compiled_for, make_swing_up, time_limit
 from equipoise.errors import InputError, SettingsError
 from equipoise.executors import completed
-from equipoise.jit import kernel
+from equipoise.jit import Kernel, kernel
 from equipoise.model.actuator import Actuator
 from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED
 from equipoise.model.pendulum import Pendulum, PendulumParameters
@@ -109,19 +109,19 @@ class ClosedLoop(ABC):
 class WorldKernels(NamedTuple):
     """Functions of a world; see `trial_loop`."""
 
-    place: Callable[..., None]
+    place: Kernel
     """Places a lane at the start of a trial, from a kernel."""
-    advance: Callable[..., None]
+    advance: Kernel
     """Advances the first lanes by a step, from a kernel."""
-    place_alone: Callable[..., None]
+    place_alone: Kernel
     """The same, compiled, from Python."""
-    advance_alone: Callable[..., None]
+    advance_alone: Kernel
     """The same, compiled, from Python."""
-    run_trials: Callable[..., None]
+    run_trials: Kernel
     """Runs trials side by side."""
 
 
-def kernels_of(place: Callable[..., None], advance: Callable[..., None]) -> WorldKernels:
+def kernels_of(place: Kernel, advance: Kernel) -> WorldKernels:
     """Return the functions of a world from two of its own; see `trial_loop`."""
     run_trials = kernel(trial_loop(place, advance))
     return WorldKernels(place, advance, kernel(place), kernel(advance), run_trials)

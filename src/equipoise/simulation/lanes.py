@@ -6,7 +6,6 @@ worlds of a thread.
 """
 
 import functools
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import Annotated, Any, Final, Protocol
@@ -20,7 +19,7 @@ from equipoise.control.policy import Observation
 from equipoise.errors import InputError
 from equipoise.executors import available_cores
 from equipoise.files import quoted
-from equipoise.jit import compilable, kernel
+from equipoise.jit import Kernel, compilable, kernel
 from equipoise.model.grid import TRUNCATED
 from equipoise.simulation.interface import Simulation
 from equipoise.simulation.plant import observed, trial_of
@@ -83,8 +82,8 @@ def append(worlds: Any, world: Any) -> None:
 
 @functools.cache
 def compiled_lanes(
-    place: Callable[..., None], advance: Callable[..., None], reward: Any, cached: bool
-) -> tuple[Callable[..., None], Callable[..., None]]:
+    place: Kernel, advance: Kernel, reward: Kernel, cached: bool
+) -> tuple[Kernel, Kernel]:
     """Return the compiled release and step of lanes; see `Lanes`.
 
     Args:

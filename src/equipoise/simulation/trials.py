@@ -4,7 +4,6 @@ The conditions of trial i depend on the seed and i alone: not on the number of t
 or on the policy, so that policies are compared on the same trials.
 """
 
-from collections.abc import Callable
 from math import pi
 from typing import Any, NamedTuple
 
@@ -14,7 +13,7 @@ from scipy.special import ndtri
 from equipoise.arrays import Array, IntArray
 from equipoise.control.policy import RANDOM, PolicyKernel, act
 from equipoise.control.swing_up import begin_swing_up, time_limit
-from equipoise.jit import call
+from equipoise.jit import Kernel, call
 from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED
 from equipoise.model.random import philox, uniform
 from equipoise.settings import HANGING, Settings
@@ -90,7 +89,7 @@ def draw_trials(count: int, settings: Settings, seed: int, stream: int, first: i
     )
 
 
-def trial_loop(place: Callable[..., None], advance: Callable[..., None]) -> Callable[..., None]:
+def trial_loop(place: Kernel, advance: Kernel) -> Kernel:
     """Return the loop that runs compiled trials in a world.
 
     Args:
