@@ -10,7 +10,6 @@ The learning rule is in `equipoise.learning.q_learning`, the rewards in
 """
 
 import functools
-from collections.abc import Callable
 from math import inf
 from typing import Annotated, Any, NamedTuple, Protocol
 
@@ -22,7 +21,7 @@ from equipoise.control.control_step import LANES, Observed
 from equipoise.control.policy import LearningPoint
 from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import InputError
-from equipoise.jit import call, compilable, inlined, kernel
+from equipoise.jit import Kernel, call, compilable, inlined, kernel
 from equipoise.learning.choice import compile_functions, load_algorithm
 from equipoise.learning.q_learning import (
     Tables,
@@ -116,8 +115,6 @@ class Totals(Protocol):
     """Episodes begun."""
     ended: int
     """Episodes ended."""
-    running: int
-    """Episodes that run."""
     steps: int
     """Steps of all episodes."""
     ended_steps: int
@@ -159,7 +156,7 @@ def exploration(episode: int, config: TrainingConfig) -> float:
     return config.epsilon_initial * max(0.0, 1.0 - done)
 
 
-@inlined
+@compilable
 def draw_episode(config: TrainingConfig, episode: int) -> Trial:
     """Return the conditions of an episode."""
     seed = config.seed
@@ -185,11 +182,9 @@ def draw_episode(config: TrainingConfig, episode: int) -> Trial:
 
 
 @compilable
-def release_on_plant(
-    plant: LoopParams, config: TrainingConfig, batch: BatchState, episode: int, n: int
-) -> None:
+def release_on_plant(plant: LoopParams, batch: BatchState, trial: Trial, n: int) -> None:
     """Release the pendulum of an episode on the compiled plant, in lane `n`."""
-    call(plant.reset, (plant, batch, draw_episode(config, episode), n))
+    call(plant.reset, (plant, batch, trial, n))
 
 
 @inlined
@@ -200,11 +195,9 @@ def step_on_plant(plant: LoopParams, config: TrainingConfig, running: Episodes, 
     call(plant.step, (plant, running.batch, lanes))
 
 
-def release_in_world(
-    loop: ClosedLoop, config: TrainingConfig, batch: BatchState, episode: int, n: int
-) -> None:
+def release_in_world(loop: ClosedLoop, batch: BatchState, trial: Trial, n: int) -> None:
     """Release the pendulum of an episode in any world."""
-    loop.reset(draw_episode(config, episode))
+    loop.reset(trial)
     seen = batch.controller.observation
     seen.x[n], seen.x_dot[n], seen.phi[n], seen.phi_dot[n] = predicted(loop)
 
@@ -217,12 +210,7 @@ def step_in_world(loop: ClosedLoop, config: TrainingConfig, running: Episodes, l
     seen.x[0], seen.x_dot[0], seen.phi[0], seen.phi_dot[0] = predicted(loop)
 
 
-def episode_loop(
-    update: Callable[..., None],
-    reward: Callable[..., float],
-    release: Callable[..., None],
-    advance: Callable[..., None],
-) -> Callable[..., None]:
+def episode_loop(update: Kernel, reward: Kernel, release: Kernel, advance: Kernel) -> Kernel:
     """Return the episode loop of an algorithm, a reward and a world.
 
     Args:
@@ -250,10 +238,10 @@ def episode_loop(
         batch, before, seen = running.batch, running.before, running.batch.controller.observation
         box, action, tick, u = running.box, running.action, running.tick, batch.controller.u
         episode, epsilon, chance = running.episode, running.epsilon, running.chance
-        seed, lanes = config.seed, totals.running
+        seed, lanes = config.seed, totals.begun - totals.ended
 
         def begin(n: int) -> None:
-            release(world, config, batch, totals.begun, n)
+            release(world, batch, draw_episode(config, totals.begun), n)
             box[n] = box_of(seen, config.boxes, n)
             epsilon[n] = exploration(totals.begun, config)
             episode[n], tick[n] = totals.begun, 0
@@ -295,7 +283,6 @@ def episode_loop(
                 else:
                     lanes -= 1
                     copy_lane(training.rows, lanes, n)
-        totals.running = lanes
 
     return train_episodes
 
@@ -357,7 +344,7 @@ class Training:
 
 
 @functools.cache
-def compiled_loop(update: Any, reward: Any, cached: bool) -> Callable[..., None]:
+def compiled_loop(update: Kernel, reward: Kernel, cached: bool) -> Kernel:
     """Return the compiled episode loop on the plant."""
     loop = episode_loop(update, reward, release_on_plant, step_on_plant)
     return kernel(loop, cached=cached)
