@@ -38,7 +38,7 @@ def expressions(tape, leaves):
 @given(data=st.data())
 def test_what_is_printed_computes_what_was_written(data):
     tape = compiler.Tape()
-    leaves = [(tape.input(name), value) for name, value in INPUTS.items()]
+    leaves = [(tape.symbol(name), value) for name, value in INPUTS.items()]
     symbol, value = data.draw(expressions(tape, leaves))
     record = {}
     entries = {"record['out']": symbol}

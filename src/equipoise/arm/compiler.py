@@ -175,12 +175,8 @@ class Tape:
             self.symbols[key] = Symbol(self, "number", (), key[1])
         return self.symbols[key]
 
-    def input(self, name: str) -> Symbol:
-        """Return a symbol whose value is the variable of a name."""
-        return self.symbol(name)
-
     def symbol(self, operation: str, *operands: Symbol) -> Symbol:
-        """Return the one symbol of this operation on these operands."""
+        """Return the one symbol of this operation on these operands; a variable's is its name."""
         key = (operation, *operands)
         if key not in self.symbols:
             self.symbols[key] = Symbol(self, operation, operands)
@@ -231,8 +227,8 @@ def trace(steps: Sequence[Link]) -> tuple[Tape, Record]:
         The tape, and the symbols of the entries of the record.
     """
     tape, joints = Tape(), range(FREE_JOINTS)
-    pairs = [(tape.input(f"s{i}"), tape.input(f"c{i}")) for i in joints]
-    dq = [tape.input(f"dq{i}") for i in joints]
+    pairs = [(tape.symbol(f"s{i}"), tape.symbol(f"c{i}")) for i in joints]
+    dq = [tape.symbol(f"dq{i}") for i in joints]
 
     def constant(vector: Array) -> Vector:
         return np.array([tape.number(entry) for entry in vector])
