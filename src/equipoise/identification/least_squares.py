@@ -9,9 +9,12 @@ import numpy.typing as npt
 
 from equipoise.arrays import Array
 
+Misfit = Callable[[Array], Array]
+"""Function of the unknowns: predicted minus measured, shape (n,)."""
+
 
 def fit_unknowns(
-    misfit: Callable[[Array], Array],
+    misfit: Misfit,
     start: Array,
     fitted: list[int],
     scales: Array,
@@ -43,9 +46,7 @@ def fit_unknowns(
     return unknowns
 
 
-def sensitivities(
-    misfit: Callable[[Array], Array], unknowns: Array, fitted: list[int], scales: Array
-) -> Array:
+def sensitivities(misfit: Misfit, unknowns: Array, fitted: list[int], scales: Array) -> Array:
     """Return central differences of the misfit by the fitted unknowns over their scales.
 
     Args:
@@ -63,9 +64,7 @@ def sensitivities(
     return np.stack(columns, axis=1)
 
 
-def _scaled(
-    misfit: Callable[[Array], Array], start: Array, fitted: list[int], scales: Array
-) -> Callable[[Array], Array]:
+def _scaled(misfit: Misfit, start: Array, fitted: list[int], scales: Array) -> Misfit:
     """Return the misfit as a function of the fitted unknowns over their scales."""
 
     def of_fitted(x: Array) -> Array:

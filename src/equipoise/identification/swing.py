@@ -41,6 +41,8 @@ from equipoise.identification.recording import Trajectory, read_swing
 from equipoise.model.pendulum import STEPS_PER_PERIOD, Pendulum, PendulumParameters, SwingFit, swing
 from equipoise.settings import Friction, IdentificationSettings
 
+Progress = Callable[[str], None]
+"""Callback; receives the progress in a few words."""
 W2, C, COULOMB, DRAG, THETA, THETA_DOT, OFFSET, SCALE = range(8)
 """Indices of the unknowns: four of the pendulum, its initial state, zero offset (or gyro bias), and
 the true motion as a fraction of the recorded one, which is 1 except in a diagnosis."""
@@ -223,7 +225,7 @@ def identify(
     settings: IdentificationSettings | None = None,
     mass: Estimate | None = None,
     length: Estimate | None = None,
-    show: Callable[[str], None] = lambda _: None,
+    show: Progress = lambda _: None,
 ) -> Pendulum:
     """Identify a pendulum from a recorded free swing.
 
@@ -327,11 +329,7 @@ def identify(
 
 
 def _advice(
-    recording: SwingRecording,
-    unknowns: Array,
-    friction: Friction,
-    start: Array,
-    show: Callable[[str], None],
+    recording: SwingRecording, unknowns: Array, friction: Friction, start: Array, show: Progress
 ) -> tuple[Friction | None, str]:
     """Return the simplest friction that leaves less than half of the misfit, or None, and advice.
 
@@ -385,9 +383,7 @@ def _weighed(pendulum: Pendulum, mass: Estimate, length: Estimate, blocks: int) 
     return pendulum.model_copy(update=known)
 
 
-def fit_swing(
-    recording: SwingRecording, start: Array, friction: Friction, show: Callable[[str], None]
-) -> Array:
+def fit_swing(recording: SwingRecording, start: Array, friction: Friction, show: Progress) -> Array:
     """Fit the recording over a growing horizon; return the unknowns, shape (8,).
 
     A long window that is fitted at once has local minima that are off by a period. A richer
