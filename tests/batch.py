@@ -32,7 +32,7 @@ class Batch:
     def reset(self, pendulum, variation, start, n=0):
         """See `plant.reset`; the true pendulum need not be a variation of the nominal one."""
         _reset(self.plant, self.records, Trial(0, start, variation), n)
-        own = scaled(pendulum, variation.inertia_factor, variation.friction_factor)
+        own = scaled(pendulum, variation)
         pendula = self.state.pendula
         pendula.w2[n], pendula.k[n], pendula.c[n] = own.w2, own.k, own.c
         pendula.coulomb[n], pendula.drag[n] = own.coulomb, own.drag

@@ -144,7 +144,7 @@ def test_a_step_behind_an_actuator_is_that_of_the_slow_loop(actuator, variation,
     x, phi, phi_dot = 0.03, 0.015, 0.1
     lane = 5
     block.reset(pendulum, variation, (x, 0.0, phi, phi_dot), lane)
-    own = scaled(pendulum, variation.inertia_factor, variation.friction_factor)
+    own = scaled(pendulum, variation)
     differs = {"delay": variation.delay, "factor": variation.lag_factor}
     horizon = plant.controller.horizon
     slow = Loop(arm, settings, actuator, pendulum, own, horizon=horizon, **differs)

@@ -92,15 +92,19 @@ def test_selection_target_test_and_evaluation_share_no_trial(seed):
         assert len(np.unique(numbers)) == len(numbers)
 
 
+def varied(pendulum, inertia, friction):
+    return scaled(pendulum, NOMINAL._replace(inertia_factor=inertia, friction_factor=friction))
+
+
 def test_factors_on_inertia_divide_everything_and_factors_on_friction_only_c():
     pendulum = PendulumParameters(70.0, 7.0, 0.2, 0.3, 0.4, True)
-    assert scaled(pendulum, 2.0, 3.0) == pytest.approx((35.0, 3.5, 0.3, 0.15, 0.2, True))
+    assert varied(pendulum, 2.0, 3.0) == pytest.approx((35.0, 3.5, 0.3, 0.15, 0.2, True))
     # b = c I stays when I alone changes; m g l = w2 I always.
-    heavier = scaled(pendulum, 1.25, 1.0)
+    heavier = varied(pendulum, 1.25, 1.0)
     assert heavier.c * 1.25 == pytest.approx(pendulum.c)
     assert heavier.w2 * 1.25 == pytest.approx(pendulum.w2)
     # Noise makes no pendulum without inertia, and none that friction drives.
-    extreme = scaled(pendulum, -0.2, -0.5)
+    extreme = varied(pendulum, -0.2, -0.5)
     assert (extreme.w2, extreme.c) == (pytest.approx(700.0), 0.0)
 
 

@@ -69,11 +69,10 @@ class ExternalLoop(ClosedLoop):
 
     def reset(self, trial: Trial) -> None:
         """Release the pendulum under the conditions of a trial."""
-        own, (x, x_dot, phi, phi_dot) = trial.variation, trial.start
+        x, x_dot, phi, phi_dot = trial.start
         self.trial, self._tick, self.now, self.tracked = trial, 0, 0.0, 0.0
-        nominal = self.simulation.pendulum
-        self.pendulum = scaled(nominal, own.inertia_factor, own.friction_factor)
-        self.zero = own.zero if self.params.has_sensor else None
+        self.pendulum = scaled(self.simulation.pendulum, trial.variation)
+        self.zero = trial.variation.zero if self.params.has_sensor else None
         measured = Observation(x, x_dot, phi + (self.zero or 0.0), phi_dot)
         start(self.params, self._controllers, measured)
         with user_code(f"the world {self.simulation.world}"):

@@ -119,9 +119,9 @@ class PlantLoop(CompiledLoop):
 
     def prepare(self, trial: Trial) -> PlantWorld:
         """Return the world, before the release of a trial."""
-        own, simulation = trial.variation, self.simulation
-        self.pendulum = scaled(simulation.pendulum, own.inertia_factor, own.friction_factor)
-        self.zero = own.zero if self.params.has_sensor else None
+        simulation = self.simulation
+        self.pendulum = scaled(simulation.pendulum, trial.variation)
+        self.zero = trial.variation.zero if self.params.has_sensor else None
         return self._world._replace(seed=simulation.seed, stream=simulation.stream)
 
     def time(self) -> float:

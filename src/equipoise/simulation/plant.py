@@ -215,7 +215,7 @@ def reset(plant: LoopParams, batch: BatchState, trial: Trial, n: int) -> None:
     zero = variation.zero if params.has_sensor else 0.0
     measured = Observation(x, x_dot, phi + zero, phi_dot)
     call(params.code.start_controller, (params, controller, measured, n))
-    own = scaled(params.pendulum, variation.inertia_factor, variation.friction_factor)
+    own = scaled(params.pendulum, variation)
     pendula = batch.pendula
     pendula.w2[n], pendula.k[n], pendula.c[n] = own.w2, own.k, own.c
     pendula.coulomb[n], pendula.drag[n] = own.coulomb, own.drag
@@ -481,15 +481,13 @@ def box_of(seen: Observed, boxes: Grid, n: int) -> int:
 
 
 @compilable
-def scaled(
-    pendulum: PendulumParameters, inertia_factor: float, friction_factor: float
-) -> PendulumParameters:
+def scaled(pendulum: PendulumParameters, variation: DomainRandomization) -> PendulumParameters:
     """Return the pendulum with I and b multiplied: I divides everything, b scales c alone.
 
     Factors come from normal distributions: I keeps at least a tenth of itself, b is not negative.
     """
-    inertia_factor = max(inertia_factor, 0.1)
-    friction_factor = max(friction_factor, 0.0)
+    inertia_factor = max(variation.inertia_factor, 0.1)
+    friction_factor = max(variation.friction_factor, 0.0)
     return PendulumParameters(
         pendulum.w2 / inertia_factor,
         pendulum.k / inertia_factor,

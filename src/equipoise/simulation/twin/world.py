@@ -191,8 +191,8 @@ class TwinLoop(CompiledLoop):
 
     def prepare(self, trial: Trial) -> TwinWorld:
         """Return the world with the pendulum of a trial, before its release."""
-        simulation, own = self.simulation, trial.variation
-        varied = scaled(simulation.pendulum, own.inertia_factor, own.friction_factor)
+        simulation = self.simulation
+        varied = scaled(simulation.pendulum, trial.variation)
         self.pendulum = pendulum_on(simulation.setup.pendulum, self._numbers, varied)
         self._twin.set_trial(self.pendulum, simulation.seed, trial.number)
         self.zero = float(self._twin.state.zero)
