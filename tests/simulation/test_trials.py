@@ -8,7 +8,7 @@ from scipy import stats
 
 from equipoise import paper
 from equipoise.arm.iiwa import iiwa
-from equipoise.control.policy import RANDOM, PolicyKernel
+from equipoise.control.policy import RANDOM, Observation, PolicyKernel
 from equipoise.model.actuator import Actuator
 from equipoise.model.grid import ANGLE, TRACK, TRUNCATED
 from equipoise.model.pendulum import PendulumParameters
@@ -164,10 +164,11 @@ def test_a_limit_is_a_failure_and_what_is_just_within_is_not(plant, sign):
     for max_speed, expected in ((x_dot, Outcome.SPEED), (nextafter(x_dot, inf), "survived")):
         strict = plant._replace(max_speed=max_speed)
         assert placed(strict, x=sign * 0.1, x_dot=sign * 0.2)[2] == expected
-    assert failure(sign * 0.22, 0.0, 0.0, False, inf, True) == TRACK
-    assert failure(nextafter(sign * 0.22, 0.0), 0.0, 0.0, False, inf, True) == TRUNCATED
-    assert failure(0.0, 0.0, eleven, False, inf, True) == ANGLE
-    assert failure(0.0, 0.0, sign * 3.0, False, inf, False) == TRUNCATED
+    end, upright = sign * 0.22, Observation(0.0, 0.0, 0.0, 0.0)
+    assert failure(upright._replace(x=end), False, inf, True) == TRACK
+    assert failure(upright._replace(x=nextafter(end, 0.0)), False, inf, True) == TRUNCATED
+    assert failure(upright._replace(phi=eleven), False, inf, True) == ANGLE
+    assert failure(upright._replace(phi=sign * 3.0), False, inf, False) == TRUNCATED
 
 
 def test_an_angle_is_told_before_the_track_the_track_before_a_joint_and_that_before_a_speed(plant):

@@ -96,10 +96,9 @@ class ExternalLoop(ClosedLoop):
             self._observe()
         if self.params.has_sensor:
             observe_tick(self.params, self._controllers, 0.0, 0.0)
-        x, x_dot, phi, _ = self._state.tolist()
-        self.tracked = (x_dot - before) / self.params.h
-        exceeded = bool(controller.limit_exceeded[0])
-        return failure(x, x_dot, phi, exceeded, simulation.max_speed, self.balancing)
+        state, exceeded = Observation(*self._state.tolist()), bool(controller.limit_exceeded[0])
+        self.tracked = (state.x_dot - before) / self.params.h
+        return failure(state, exceeded, simulation.max_speed, self.balancing)
 
     def _observe(self) -> None:
         """Read the state and the measurements; without an encoder the state is the observation."""

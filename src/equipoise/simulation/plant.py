@@ -285,9 +285,7 @@ def step(plant: LoopParams, batch: BatchState, lanes: int) -> None:
         exceeded = controller.limit_exceeded[n] != 0
         state.phi[n] = wrapped(state.phi[n])
         balancing = controller.balancing[n] != 0
-        cause[n] = failure(
-            state.x[n], state.x_dot[n], state.phi[n], exceeded, plant.max_speed, balancing
-        )
+        cause[n] = failure(observed(state, n), exceeded, plant.max_speed, balancing)
     if params.has_sensor:
         measure(params, batch)
         call(params.code.observe, (params, controller, 0.0, 0.0, lanes))
@@ -299,24 +297,20 @@ def step(plant: LoopParams, batch: BatchState, lanes: int) -> None:
 
 
 @inlined
-def failure(
-    x: float, x_dot: float, phi: float, limit_exceeded: bool, max_speed: float, balancing: bool
-) -> int:
+def failure(state: Observation, limit_exceeded: bool, max_speed: float, balancing: bool) -> int:
     """Return the cause of the failure of a state, `TRUNCATED` without one; NaN is a failure.
 
     Args:
-        x: Displacement of the flange [m].
-        x_dot: Its velocity [m/s].
-        phi: Angle of the pendulum from upright [rad].
+        state: The true state.
         limit_exceeded: Whether the last command exceeded a limit of a joint.
         max_speed: Limit of the flange's speed [m/s].
         balancing: Whether the failure angle applies; not in a swing-up.
     """
     phi_limit = paper.PHI_LIMIT if balancing else inf
-    within = TRUNCATED if abs(x_dot) < max_speed else SPEED_LIMIT_CAUSE
+    within = TRUNCATED if abs(state.x_dot) < max_speed else SPEED_LIMIT_CAUSE
     within = JOINT_LIMIT if limit_exceeded else within
-    on_track = within if abs(x) < paper.X_LIMIT else TRACK
-    return on_track if abs(phi) < phi_limit else ANGLE
+    on_track = within if abs(state.x) < paper.X_LIMIT else TRACK
+    return on_track if abs(state.phi) < phi_limit else ANGLE
 
 
 @inlined

@@ -35,7 +35,7 @@ from equipoise.safety.trial import (
     trial_violation,
 )
 from equipoise.simulation.interface import CompiledLoop, Measurement, Setup, Simulation, kernels_of
-from equipoise.simulation.plant import BatchState, Trial, failure, scaled
+from equipoise.simulation.plant import BatchState, Trial, failure, observed, scaled
 from equipoise.simulation.twin.physics import TICK
 from equipoise.simulation.twin.twin import Twin, advance, encoder, reply, reset, send_free, truth
 
@@ -131,9 +131,8 @@ def step(world: TwinWorld, seed: IntArray, tick: IntArray, number: IntArray, lan
     ages = now * TICK - counted, now * TICK - measured
     call(params.code.observe, (params, controller, ages[0], ages[1], 1))
     _read_truth(world)
-    real, exceeded = batch.state, controller.limit_exceeded[0] != 0
-    balancing = controller.balancing[0] != 0
-    cause = failure(real.x[0], real.x_dot[0], real.phi[0], exceeded, inf, balancing)
+    exceeded, balancing = controller.limit_exceeded[0] != 0, controller.balancing[0] != 0
+    cause = failure(observed(batch.state, 0), exceeded, inf, balancing)
     if cause == TRUNCATED and monitor.active:
         broken = trial_violation(monitor, params, controller, q, measured)
         if broken != NO_VIOLATION:
