@@ -39,7 +39,7 @@ def test_counts_that_come_late_count_as_if_they_had_come_in_time(late):
     """Those of five ticks: all at once, or the first ones a few ticks after their own."""
     in_time, behind = controller(), controller()
     for tick, u in enumerate(PUSHES):
-        in_time.observe(*counted(tick), ARM.home, 0.004)
+        in_time.observe(counted(tick), (ARM.home, 0.004))
         stalls = 4 <= tick <= 8
         newest = (tick - late if late else 3) if stalls else tick
 
@@ -47,8 +47,7 @@ def test_counts_that_come_late_count_as_if_they_had_come_in_time(late):
             then = tick - round(back / H)
             return counted(then) if then <= newest else None
 
-        counts, age = (None, 0.0) if stalls else counted(tick)
-        behind.observe(counts, age, ARM.home, 0.004, before)
+        behind.observe(None if stalls else counted(tick), (ARM.home, 0.004), before)
         assert (behind.estimate == in_time.estimate) is not stalls
         in_time.command(u)
         behind.command(u)
@@ -62,7 +61,7 @@ def test_in_a_pause_the_model_comes_to_rest_with_the_twins_arm(unsent):
     rig.body.servo(True)
     own, delay = controller(), POLICY.actuator.delay.value
     for tick in range(20):
-        own.observe(*counted(tick), ARM.home, 0.004)
+        own.observe(counted(tick), (ARM.home, 0.004))
         first, second = own.command(1.0)
         last = first if unsent and tick == 19 else second
         for setpoint in (first, last):
@@ -71,7 +70,7 @@ def test_in_a_pause_the_model_comes_to_rest_with_the_twins_arm(unsent):
     assert rig.twin.truth().x_dot > 0.1
     own.rest(last, 4, unsent)
     rig.advance(rig.now + 4 * H)
-    own.observe(*counted(24), ARM.home, 0.004)
+    own.observe(counted(24), (ARM.home, 0.004))
     assert own.x_dot == 0.0
     assert own.x == pytest.approx(rig.twin.truth().x, abs=2e-3)
     # The estimate of the observer is that of the arm now, a delay behind the command.

@@ -27,6 +27,9 @@ from equipoise.model.actuator import ROWS
 from equipoise.model.grid import box_index, make_grid
 from equipoise.settings import BoxSettings
 
+Counted = tuple[float, float]
+"""Encoder counts from hanging, growing with theta, and their age [s]."""
+
 
 class StateEstimate(NamedTuple):
     """Estimate of the observer at the tick."""
@@ -87,11 +90,9 @@ class Controller:
     def __init__(self, arm: Arm, controller: ControllerParams, boxes: BoxSettings) -> None:
         """Begin at home, at rest."""
         self._arm, self._params = arm, controller
-        self._states, self._boxes = (
-            new_records(ControllerState),
-            make_grid(boxes, controller.pendulum.k),
-        )
+        self._states = new_records(ControllerState)
         self._state = fields(self._states, ControllerState)
+        self._boxes = make_grid(boxes, controller.pendulum.k)
         # Without counts or measured joints nothing is corrected.
         self._blind_params = controller._replace(gains=(0.0, 0.0, 0.0))
         self._free = list(arm.free)
@@ -110,11 +111,9 @@ class Controller:
 
     def observe(
         self,
-        counts: float | None,
-        encoder_age: float,
-        q: Sequence[float] | None,
-        reply_age: float,
-        before: Callable[[float], tuple[float, float] | None] = lambda _: None,
+        sample: Counted | None,
+        reply: tuple[Sequence[float], float] | None,
+        before: Callable[[float], Counted | None] = lambda _: None,
     ) -> None:
         """Compute the observation from the measurements of a tick.
 
@@ -122,16 +121,14 @@ class Controller:
         observer goes back to the last tick with a count, and observes each tick since again.
 
         Args:
-            counts: Encoder counts from hanging, growing with theta; None without new ones.
-            encoder_age: Age of the counts [s].
-            q: Measured joints, all of them [rad]; None without a new measurement.
-            reply_age: Age of the joints [s].
-            before: Returns the counts of a tick by its time before this one [s], and their age [s];
-                None without counts. Called for the ticks since the last one with counts.
+            sample: Encoder counts and their age; None without new ones.
+            reply: Measured joints, all of them [rad], and their age [s]; None without new ones.
+            before: Returns the sample of a tick by its time before this one [s]; None without one.
+                Called for the ticks since the last one with counts.
         """
         state, newest = self._state, int(self._state.newest[0])
-        if q is not None:
-            state.measured[:, 0] = [q[joint] for joint in self._free]
+        if reply is not None:
+            state.measured[:, 0] = [reply[0][joint] for joint in self._free]
         if 0 < self._blind <= self._kept:
             self._states["estimate"] = self._confirmed
         else:
@@ -141,17 +138,14 @@ class Controller:
             state.newest[:] = (newest - back) % HISTORY_TICKS
             self._observe(back, before(back * self._params.h))
         state.newest[:] = newest
-        sample = None if counts is None else (counts, encoder_age)
-        self._observe(0, sample, None if q is None else reply_age)
+        self._observe(0, sample, None if reply is None else reply[1])
 
-    def _observe(
-        self, back: int, sample: tuple[float, float] | None, reply_age: float | None = None
-    ) -> None:
+    def _observe(self, back: int, sample: Counted | None, reply_age: float | None = None) -> None:
         """Observe the newest tick of the history with the measurements that there are.
 
         Args:
             back: Number of ticks since.
-            sample: Counts and their age [s].
+            sample: Encoder counts and their age.
             reply_age: Age of the measured joints [s].
         """
         params = self._blind_params if sample is None else self._params

@@ -415,7 +415,7 @@ def warm_up(request: RunRequest) -> None:
     controller, took = Controller(arm, params, request.policy.settings.boxes), list[float]()
     policy.reset()
     for _ in range(20):
-        controller.observe(0.0, 0.0, arm.home, 0.0)
+        controller.observe((0.0, 0.0), (arm.home, 0.0))
         began = perf_counter()
         u = controller.decide(policy)
         took.append(perf_counter() - began)

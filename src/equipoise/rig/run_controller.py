@@ -274,11 +274,9 @@ class RunController:
         """Pass the measurements of this tick to the observer."""
         encoder, joints, h = self.run.encoder, self.run.joints, self.run.h
         age = now - encoder.samples[-1].time
-        counts = encoder.samples[-1].counts - encoder.zero if age <= h else None
-        q, reply_age = (joints.q if joints.fresh else None), now - joints.time
-        self.run.controller.observe(
-            counts, age, q, reply_age, lambda back: encoder.before(now - back, h)
-        )
+        sample = (encoder.samples[-1].counts - encoder.zero, age) if age <= h else None
+        reply = (joints.q, now - joints.time) if joints.fresh else None
+        self.run.controller.observe(sample, reply, lambda back: encoder.before(now - back, h))
 
     def _warn_once(self, text: str) -> None:
         """Send a warning, the first time only."""
