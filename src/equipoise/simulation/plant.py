@@ -480,13 +480,6 @@ def scaled(pendulum: PendulumParameters, variation: DomainRandomization) -> Pend
 
     Factors come from normal distributions: I keeps at least a tenth of itself, b is not negative.
     """
-    inertia_factor = max(variation.inertia_factor, 0.1)
-    friction_factor = max(variation.friction_factor, 0.0)
-    return PendulumParameters(
-        pendulum.w2 / inertia_factor,
-        pendulum.k / inertia_factor,
-        pendulum.c * friction_factor / inertia_factor,
-        pendulum.coulomb / inertia_factor,
-        pendulum.drag / inertia_factor,
-        pendulum.linearised,
-    )
+    I, b = max(variation.inertia_factor, 0.1), max(variation.friction_factor, 0.0)
+    w2, k, c, coulomb, drag, linearised = pendulum
+    return PendulumParameters(w2 / I, k / I, c * b / I, coulomb / I, drag / I, linearised)
