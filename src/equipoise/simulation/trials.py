@@ -157,12 +157,8 @@ def trial_loop(place: Kernel, advance: Kernel) -> Kernel:
                 if batch.cause[n] == TRUNCATED and steps < max_steps:
                     continue
                 i = row[n]
-                trials.steps[i], trials.cause[i], trials.sum_x2[i] = (
-                    steps,
-                    batch.cause[n],
-                    sum_x2[n],
-                )
-                trials.upright[i] = upright[n]
+                trials.steps[i], trials.upright[i] = steps, upright[n]
+                trials.cause[i], trials.sum_x2[i] = batch.cause[n], sum_x2[n]
                 trials.end[i, 0], trials.end[i, 1] = state.x[n], state.x_dot[n]
                 trials.end[i, 2], trials.end[i, 3] = state.phi[n], state.phi_dot[n]
                 if placed < count:
