@@ -46,6 +46,19 @@ class StateEstimate(NamedTuple):
     """Displacement of the flange from home [m]."""
 
 
+class FlangePose(NamedTuple):
+    """Pose of the flange, from measured joints."""
+
+    x: float
+    """Displacement from home along base x [m]."""
+    drift: float
+    """Distance from the line through home [m]."""
+    tilt: float
+    """Angle from its orientation at home [rad]."""
+    manipulability: float
+    """|det J| [m^3]."""
+
+
 @kernel
 def observe_tick(
     params: ControllerParams, states: Records, encoder_age: float, reply_age: float
@@ -93,6 +106,8 @@ class Controller:
         self._states = new_records(ControllerState)
         self._state = fields(self._states, ControllerState)
         self._boxes = make_grid(boxes, controller.pendulum.k)
+        self._posture, self._still = np.zeros((2, *ROWS))
+        self._frame = np.zeros((FRAME_SIZE, BATCH_SIZE))
         # Without counts or measured joints nothing is corrected.
         self._blind_params = controller._replace(gains=(0.0, 0.0, 0.0))
         self._free = list(arm.free)
@@ -249,6 +264,11 @@ class Controller:
         """Its velocity [m/s]."""
         return float(self._state.frame[TWIST, 0])
 
+    def pose(self, q: Sequence[float]) -> FlangePose:
+        """Return the pose of the flange at measured joints, all of them [rad]."""
+        self._posture[:, 0] = [q[joint] for joint in self._free]
+        return _measured_pose(self._params, self._posture, self._still, self._frame)
+
     def _all_joints(self, held: Sequence[float], free: Array) -> tuple[float, ...]:
         """Return `held` with the free joints of the first lane."""
         joints = np.array(held, np.float64)
@@ -256,45 +276,15 @@ class Controller:
         return tuple(joints.tolist())
 
 
-class FlangePose(NamedTuple):
-    """Pose of the flange, from measured joints."""
-
-    x: float
-    """Displacement from home along base x [m]."""
-    drift: float
-    """Distance from the line through home [m]."""
-    tilt: float
-    """Angle from its orientation at home [rad]."""
-    manipulability: float
-    """|det J| [m^3]."""
-
-
-class FlangeKinematics:
-    """Forward kinematics of measured joints, for the safety rules."""
-
-    def __init__(self, arm: Arm, controller: ControllerParams) -> None:
-        """Allocate the blocks of a pose."""
-        self._free, self._params = list(arm.free), controller
-        self._q, self._dq = np.zeros((2, *ROWS))
-        self._frame = np.zeros((FRAME_SIZE, BATCH_SIZE))
-
-    def pose(self, q: Sequence[float]) -> FlangePose:
-        """Return the pose of the flange at measured joints, all of them [rad]."""
-        self._q[:, 0] = [q[joint] for joint in self._free]
-        return FlangePose(*_measured_pose(self._params, self._q, self._dq, self._frame))
-
-
 @kernel
-def _measured_pose(
-    params: ControllerParams, q: Array, dq: Array, frame: Array
-) -> tuple[float, float, float, float]:
+def _measured_pose(params: ControllerParams, q: Array, dq: Array, frame: Array) -> FlangePose:
     kinematics(params.code.kinematics, q, dq, frame, 1)
     return flange_pose(frame, params.home_reference)
 
 
 @compilable
-def flange_pose(frame: Array, home: Sequence[float]) -> tuple[float, float, float, float]:
-    """Return the entries of `FlangePose`, for the record of the first lane.
+def flange_pose(frame: Array, home: Sequence[float]) -> FlangePose:
+    """Return the pose of the flange in the first lane.
 
     Args:
         frame: Record of the kinematics at the measured joints.
@@ -308,4 +298,5 @@ def flange_pose(frame: Array, home: Sequence[float]) -> tuple[float, float, floa
         trace += frame[ROTATION + i, 0] * home[ROTATION + i]
     # 1 - cos of the angle, from the trace of the rotation between them.
     away = min(max(0.5 * (3.0 - trace), 0.0), 2.0)
-    return x, sqrt(y * y + z * z), 2.0 * asin(sqrt(0.5 * away)), abs(manipulability(frame, 0))
+    drift, tilt = sqrt(y * y + z * z), 2.0 * asin(sqrt(0.5 * away))
+    return FlangePose(x, drift, tilt, abs(manipulability(frame, 0)))

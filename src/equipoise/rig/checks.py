@@ -16,7 +16,7 @@ import numpy as np
 
 from equipoise.arm.arm import Arm
 from equipoise.arrays import Array
-from equipoise.control.controller import Controller, FlangeKinematics
+from equipoise.control.controller import Controller
 from equipoise.control.policy import TaskPolicy, tick_policy
 from equipoise.control.swing_up import SwingUpPolicy, make_swing_up
 from equipoise.errors import EquipoiseError, InputError, LinkError
@@ -423,7 +423,7 @@ def warm_up(request: RunRequest) -> None:
         controller.command(u)
     controller.hold()  # a tick that was missed
     driven_swing(0.0, 0.0, np.zeros(1), MODEL_STEP, PendulumParameters(1.0, 1.0, 0.0))
-    FlangeKinematics(arm, params).pose(arm.home)
+    controller.pose(arm.home)
     if request.start == HANGING and (kernel := request.policy.kernel) is not None:
         SwingUpPolicy(kernel, make_swing_up(params, inf)).act(np.zeros(4))
     typical, limit = median(took), POLICY_TIME_FRACTION * request.policy.h

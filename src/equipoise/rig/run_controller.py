@@ -256,7 +256,7 @@ class RunController:
             **run.encoder.take_checks(now),
         )
         if joints.fresh:
-            self._pose = run.flange.pose(joints.q)
+            self._pose = controller.pose(joints.q)
             since = joints.time - run.safety.reaction
             expected = setpoint_in_force(self._sent, since)
             inputs = inputs._replace(measured=joints.q, expected=expected)
@@ -266,7 +266,7 @@ class RunController:
             if run.phase is Phase.STOPPING and run.ticks > 0:
                 # The controller does not know the way to rest, which has begun.
                 before = [q - run.h * dq for q, dq in zip(run.q, run.dq, strict=True)]
-                x_dot = (run.flange.pose(run.q).x - run.flange.pose(before).x) / run.h
+                x_dot = (controller.pose(run.q).x - controller.pose(before).x) / run.h
             inputs = inputs._replace(on_track=True, x_dot=x_dot, **self._pose._asdict())
         return inputs
 

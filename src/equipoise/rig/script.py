@@ -17,7 +17,7 @@ import numpy as np
 
 from equipoise.arm.arm import FREE_JOINTS
 from equipoise.arrays import Array
-from equipoise.control.controller import Controller, FlangeKinematics
+from equipoise.control.controller import Controller
 from equipoise.control.minimum_jerk import MinimumJerk
 from equipoise.control.policy import Policy, TaskPolicy, tick_policy
 from equipoise.control.swing_up import SwingUpPolicy, amplitude, make_swing_up, time_limit
@@ -131,7 +131,7 @@ class Run:
         self.request, self.arm = request, request.settings.described_arm
         self._counts_per_rev, self._max_speed = counts_per_rev, max_speed
         self.assume(request.actuator)
-        self.h, self.flange = self.params.h, FlangeKinematics(self.arm, self.params)
+        self.h = self.params.h
         self.encoder = EncoderReadings(self.params.resolution)
         self.joints = ArmReadings(q, self.safety.limits)
         if (reference := request.reference) is not None:
@@ -404,7 +404,7 @@ def _swing_out(run: Run, direction: float) -> Steps[SelfTest]:
 
     def record(tick: Tick) -> None:
         encoder.extend((sample.time, sample.counts) for sample in tick.samples)
-        pivot.extend((time, run.flange.pose(q).x) for time, q in tick.joints)
+        pivot.extend((time, run.controller.pose(q).x) for time, q in tick.joints)
 
     record((yield run.still()))
     while (t := run.time - begin) < MOVE_TIME + SWING_TIME:
