@@ -12,7 +12,7 @@ from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import SettingsError
 from equipoise.jit import call, inlined
 from equipoise.model.worlds import IDEAL, MODEL, World
-from equipoise.simulation.interface import CompiledLoop, Setup, Simulation, kernels_of
+from equipoise.simulation.interface import CompiledLoop, Setup, Simulation
 from equipoise.simulation.plant import (
     BatchState,
     LoopParams,
@@ -23,6 +23,7 @@ from equipoise.simulation.plant import (
     scaled,
     to_normal,
 )
+from equipoise.simulation.trials import kernels_of
 
 
 class PlantWorld(NamedTuple):

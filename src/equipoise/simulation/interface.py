@@ -25,14 +25,13 @@ from equipoise.control.policy import KernelPolicy, Policy, PolicyKernel, TaskPol
 from equipoise.control.swing_up import SwingUpPolicy, compiled_for, make_swing_up, time_limit
 from equipoise.errors import InputError, SettingsError
 from equipoise.executors import completed
-from equipoise.jit import Kernel, kernel
 from equipoise.model.actuator import Actuator
 from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.settings import HANGING, Settings
 from equipoise.simulation.plant import BatchState, Trial, observed
-from equipoise.simulation.trials import Trials, draw_trials, trial_loop
+from equipoise.simulation.trials import Trials, WorldKernels, draw_trials
 
 Done = Callable[[float], None]
 """Callback; receives the number of trials that have just finished; from Python, parts of one."""
@@ -104,27 +103,6 @@ class ClosedLoop(ABC):
             return None
         q = self.controller.measured[:, 0].copy()
         return Measurement(float(self.controller.counts[0]), self.now, q, self.now)
-
-
-class WorldKernels(NamedTuple):
-    """Functions of a world; see `trial_loop`."""
-
-    place: Kernel
-    """Places a lane at the start of a trial, from a kernel."""
-    advance: Kernel
-    """Advances the first lanes by a step, from a kernel."""
-    place_alone: Kernel
-    """The same, compiled, from Python."""
-    advance_alone: Kernel
-    """The same, compiled, from Python."""
-    run_trials: Kernel
-    """Runs trials side by side."""
-
-
-def kernels_of(place: Kernel, advance: Kernel) -> WorldKernels:
-    """Return the functions of a world from two of its own; see `trial_loop`."""
-    run_trials = kernel(trial_loop(place, advance))
-    return WorldKernels(place, advance, kernel(place), kernel(advance), run_trials)
 
 
 class CompiledLoop(ClosedLoop):

@@ -87,7 +87,7 @@ def compiled_lanes(
     """Return the compiled release and step of lanes; see `Lanes`.
 
     Args:
-        place: Places a lane of a world, as for `trial_loop`.
+        place: Places a lane of a world, see `WorldKernels`.
         advance: Advances the first lanes of a world, likewise.
         reward: The reward, callable in kernels.
         cached: Whether its code is cached on disk.

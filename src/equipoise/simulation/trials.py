@@ -13,7 +13,7 @@ from scipy.special import ndtri
 from equipoise.arrays import Array, IntArray
 from equipoise.control.policy import RANDOM, PolicyKernel, act
 from equipoise.control.swing_up import begin_swing_up, time_limit
-from equipoise.jit import Kernel, call
+from equipoise.jit import Kernel, call, kernel
 from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED
 from equipoise.model.random import philox, uniform
 from equipoise.settings import HANGING, Settings
@@ -89,14 +89,24 @@ def draw_trials(count: int, settings: Settings, seed: int, stream: int, first: i
     )
 
 
-def trial_loop(place: Kernel, advance: Kernel) -> Kernel:
-    """Return the loop that runs compiled trials in a world.
+class WorldKernels(NamedTuple):
+    """Functions of a world of compiled trials."""
 
-    Args:
-        place: Places a lane at the start of a trial: `place(world, trial, n)`.
-        advance: Advances the first lanes by a step: `advance(world, seed, tick, number, lanes)`,
-            all but the world and the number of lanes as arrays.
-    """
+    place: Kernel
+    """Places a lane at the start of a trial, from a kernel: `place(world, trial, n)`."""
+    advance: Kernel
+    """Advances the first lanes by a step, likewise: `advance(world, seed, tick, number, lanes)`,
+    all but the world and the number of lanes as arrays."""
+    place_alone: Kernel
+    """The same, compiled, from Python."""
+    advance_alone: Kernel
+    """The same, compiled, from Python."""
+    run_trials: Kernel
+    """Runs trials side by side: `run_trials(world, policy, trials, max_steps)`."""
+
+
+def kernels_of(place: Kernel, advance: Kernel) -> WorldKernels:
+    """Return the kernels of a world from two of its functions; see `WorldKernels`."""
 
     def run_trials(world: Any, policy: PolicyKernel, trials: Trials, max_steps: int) -> None:
         """Run trials side by side, and write their results.
@@ -170,4 +180,4 @@ def trial_loop(place: Kernel, advance: Kernel) -> Kernel:
                 row[n], number[n] = row[lanes], number[lanes]
                 tick[n], upright[n], sum_x2[n] = tick[lanes], upright[lanes], sum_x2[lanes]
 
-    return run_trials
+    return WorldKernels(place, advance, kernel(place), kernel(advance), kernel(run_trials))

@@ -34,8 +34,9 @@ from equipoise.safety.trial import (
     trial_safety,
     trial_violation,
 )
-from equipoise.simulation.interface import CompiledLoop, Measurement, Setup, Simulation, kernels_of
+from equipoise.simulation.interface import CompiledLoop, Measurement, Setup, Simulation
 from equipoise.simulation.plant import BatchState, Trial, failure, observed, scaled
+from equipoise.simulation.trials import kernels_of
 from equipoise.simulation.twin.physics import TICK
 from equipoise.simulation.twin.twin import Twin, advance, encoder, reply, reset, send_free, truth
 
