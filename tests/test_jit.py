@@ -31,7 +31,7 @@ from equipoise import jit
 from tried import double, triple
 
 out = np.zeros(1)
-address = jit.pointer(triple, numba.float64, numba.float64[::1])
+address = jit.pointer(triple, 0.0, np.zeros(1))
 
 @jit.kernel
 def through(address, x, out):

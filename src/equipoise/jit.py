@@ -31,9 +31,10 @@ import numpy as np
 import numpy.typing as npt
 import platformdirs
 from llvmlite import binding, ir
-from numba import types
+from numba import typeof, types
 from numba.extending import intrinsic, lower_builtin, overload, register_jitable, type_callable
 
+from equipoise.arrays import record_type
 from equipoise.printable import printable
 
 logger = logging.getLogger(__name__)
@@ -202,21 +203,30 @@ _compiled: list[Any] = []
 """Their machine code, which lives as long as the process."""
 
 
-@functools.cache
-def pointer(function: Callable[..., None], *arguments: Any) -> int:
+def pointer(function: Kernel, *examples: Any) -> int:
     """Compile a function once, for kernels that `call` it by its address.
 
     Args:
         function: A function without a result.
-        arguments: Numba's types of its arguments.
+        examples: For each argument a value of its type; for a record the class that declares it.
 
     Returns:
         The address.
     """
+    kinds = (
+        _numba.from_dtype(record_type(example)) if isinstance(example, type) else typeof(example)
+        for example in examples
+    )
+    return _compiled_pointer(function, *kinds)
+
+
+@functools.cache
+def _compiled_pointer(function: Kernel, *kinds: Any) -> int:
+    """Return the address of a function for arguments of Numba's types."""
     address: int = len(_functions) + 1
     if not DISABLED:
         options: dict[str, Any] = {"cache": CACHED, "error_model": "numpy"}
-        code: Any = _numba.cfunc(types.void(*arguments), **options)(function)
+        code: Any = _numba.cfunc(types.void(*kinds), **options)(function)
         _compiled.append(code)
         address = code.address
     _functions[address] = function

@@ -12,7 +12,6 @@ from math import hypot, isclose
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self, TypeVar
 
 import numpy as np
-from numba import types
 from pydantic import Field, ValidationError, model_validator
 
 from equipoise.arm.chain import FREE_JOINTS, links, wrist_centre
@@ -305,5 +304,5 @@ def _address(function: KinematicsFunction) -> int:
     def kinematics(q: Array, dq: Array, frame: Array, lanes: int) -> None:
         compiled(q, dq, frame, lanes)
 
-    block = types.float64[::1]
-    return pointer(kinematics, block, block, block, types.int64)
+    block = np.zeros(1)
+    return pointer(kinematics, block, block, block, 0)

@@ -28,9 +28,7 @@ from collections.abc import Sequence
 from math import cos, floor, pi
 from typing import Annotated, Final, NamedTuple, Protocol
 
-import numba
 import numpy as np
-from numba import types
 
 from equipoise.arm.arm import FREE_JOINTS, Arm
 from equipoise.arm.clik import (
@@ -43,7 +41,7 @@ from equipoise.arm.clik import (
     solve,
 )
 from equipoise.arm.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST
-from equipoise.arrays import Array, IntArray, record_type
+from equipoise.arrays import Array, IntArray
 from equipoise.control.linear import Gains, observer_gains
 from equipoise.control.policy import Observation
 from equipoise.elementary import BATCH_SIZE
@@ -297,16 +295,13 @@ def make_controller_params(
 
 
 def _compiled(params: ControllerParams) -> ControllerCode:
-    number, whole = types.float64, types.int64
-    measured = numba.typeof(Observation(0.0, 0.0, 0.0, 0.0))
-    kinds = numba.typeof(params), numba.from_dtype(record_type(ControllerState))
-    arm = numba.from_dtype(record_type(Servos)), numba.typeof(params.actuator)
+    state, measured = ControllerState, Observation(0.0, 0.0, 0.0, 0.0)
     return params.code._replace(
-        follow_setpoint=pointer(follow_setpoint, *arm, whole, types.boolean, whole),
-        start_controller=pointer(start_controller, *kinds, measured, whole),
-        observe=pointer(observe, *kinds, number, number, whole),
-        command=pointer(command, *kinds, whole),
-        advance_arm_model=pointer(advance_arm_model, *kinds, whole),
+        follow_setpoint=pointer(follow_setpoint, Servos, params.actuator, 0, False, 0),
+        start_controller=pointer(start_controller, params, state, measured, 0),
+        observe=pointer(observe, params, state, 0.0, 0.0, 0),
+        command=pointer(command, params, state, 0),
+        advance_arm_model=pointer(advance_arm_model, params, state, 0),
     )
 
 

@@ -23,11 +23,8 @@ Turned round, with an acceleration that falls with the rate, it lets the pendulu
 from math import acos, copysign, cos, pi, radians, sqrt
 from typing import Annotated, Final, NamedTuple, Protocol
 
-import numba
-from numba import types
-
 from equipoise import paper
-from equipoise.arrays import Array, IntArray, Records, fields, new_records, record_type
+from equipoise.arrays import Array, IntArray, Records, fields, new_records
 from equipoise.control.control_step import LANES, ControllerParams, wrapped
 from equipoise.control.policy import KernelPolicy, Observation, PolicyKernel, act, nearest_action
 from equipoise.jit import call, compilable, inlined, kernel, pointer
@@ -120,10 +117,8 @@ def time_limit(pendulum: PendulumParameters) -> float:
 
 def compiled_for(law: SwingUp, policy: PolicyKernel) -> SwingUp:
     """Return the constants of a swing-up that ends with a policy, compiled once."""
-    state = numba.from_dtype(record_type(SwingUpState))
-    observation = numba.typeof(Observation(0.0, 0.0, 0.0, 0.0))
-    kinds = numba.typeof(law), state, numba.typeof(policy), observation, types.int64
-    return law._replace(swing_up=pointer(swing_up, *kinds))
+    arguments = law, SwingUpState, policy, Observation(0.0, 0.0, 0.0, 0.0), 0
+    return law._replace(swing_up=pointer(swing_up, *arguments))
 
 
 class SwingUpState(Protocol):

@@ -19,14 +19,11 @@ from collections.abc import Sequence
 from math import floor, inf, pi
 from typing import Annotated, Final, NamedTuple, Protocol
 
-import numba
-from numba import types
-
 from equipoise import paper
 from equipoise.arm.arm import FREE_JOINTS, Arm
 from equipoise.arm.clik import pose_error
 from equipoise.arm.compiler import FRAME_SIZE, POSITION, TWIST
-from equipoise.arrays import Array, IntArray, record_type
+from equipoise.arrays import Array, IntArray
 from equipoise.control.control_step import (
     LANES,
     SETPOINTS_PER_TICK,
@@ -194,10 +191,9 @@ def make_loop_params(
         position_noise=settings.plant.position_error_sigma,
         orientation_noise=settings.plant.orientation_error_sigma,
     )
-    kinds = numba.typeof(plant), numba.from_dtype(record_type(BatchState))
-    trial, lane = numba.typeof(trial_of(0, (0.0,) * 4, (1.0, 1.0, 0.0, 1.0, 0.0))), types.int64
+    trial = trial_of(0, (0.0,) * 4, (1.0, 1.0, 0.0, 1.0, 0.0))
     return plant._replace(
-        reset=pointer(reset, *kinds, trial, lane), step=pointer(step, *kinds, lane)
+        reset=pointer(reset, plant, BatchState, trial, 0), step=pointer(step, plant, BatchState, 0)
     )
 
 
