@@ -121,16 +121,14 @@ def inlined(function: F) -> F:
 
     Formulas inside loops over lanes need it: a processor vectorises a loop only without calls.
     """
-    return register_jitable(
-        error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True
-    )(function)
+    return compilable(function, inline=True)
 
 
-def compilable(function: F) -> F:
+def compilable(function: F, *, inline: bool = False) -> F:
     """Let kernels call a function, which stays a function of Python."""
-    return register_jitable(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(
-        function
-    )
+    return register_jitable(
+        error_model="numpy", forceinline=inline, no_cpython_wrapper=True, no_cfunc_wrapper=True
+    )(function)
 
 
 @contextmanager
