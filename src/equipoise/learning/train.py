@@ -113,13 +113,9 @@ def train(
         if selection.every and point.episodes > (1.0 - selection.late) * episodes:
             candidates.append((point.episodes, average.copy()))
         show("train", point.episodes / episodes, f"mean episode: {point.duration:.1f} s")
-    results = score_tables(
-        setup,
-        [(n, greedy_accelerations(table)) for n, table in candidates],
-        seed=seed,
-        workers=workers,
-        done=counted("select", selection.trials * len(candidates), show),
-    )
+    policies = [(n, greedy_accelerations(table)) for n, table in candidates]
+    done = counted("select", selection.trials * len(policies), show)
+    results = score_tables(setup, policies, seed=seed, workers=workers, done=done)
     order = sorted(range(len(results)), key=lambda i: -results[i].score)
     chosen = candidates[order[0]][1] if order else Q
     return TabularPolicy(
@@ -267,19 +263,11 @@ def train_to_target(
             "lower --target, or raise selection.test_trials"
         )
     check_task(pendulum, settings, actuator, world=world, target=target)
+    train_task = partial(train, pendulum, arm, settings, actuator=actuator, world=world)
     tested: list[TabularPolicy] = []
     for attempt in range(attempts):
         show_attempt = _number_stages(show, attempt)
-        policy = train(
-            pendulum,
-            arm,
-            settings,
-            actuator=actuator,
-            world=world,
-            seed=seed + attempt,
-            workers=workers,
-            show=show_attempt,
-        )
+        policy = train_task(seed=seed + attempt, workers=workers, show=show_attempt)
         done = counted("test", trials, show_attempt)
         test = measure_survival(
             policy, target=target, confidence=confidence, workers=workers, done=done
