@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self, TypeV
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from equipoise.arm.chain import FREE_JOINTS, links, wrist_centre
+from equipoise.arm.chain import FREE_JOINTS, Triple, links, wrist_centre
 from equipoise.arm.compiler import FRAME_SIZE, PARTS, KinematicsFunction, load
 from equipoise.arrays import Array
 from equipoise.elementary import BATCH_SIZE
@@ -145,9 +145,8 @@ class ArmKernel(NamedTuple):
     `FRAME_SIZE` rows."""
     motion: int
     """That of the same without J and J_dot dq."""
-    wrist: Array
-    """Point in which the last three axes meet, in the flange frame [m], shape (3,); NaN without
-    one."""
+    wrist: Triple
+    """Point in which the last three axes meet, in the flange frame [m]; NaN without one."""
 
 
 class Arm(_Described):
@@ -294,7 +293,8 @@ def check_free(names: Sequence[str], held: int | None) -> None:
 @functools.cache
 def _compiled(arm: Arm) -> ArmKernel:
     kinematics, motion = map(_address, load(arm))
-    return ArmKernel(kinematics, motion, wrist_centre(links(arm)))
+    x, y, z = wrist_centre(links(arm)).tolist()
+    return ArmKernel(kinematics, motion, (x, y, z))
 
 
 def _address(function: KinematicsFunction) -> int:

@@ -266,16 +266,13 @@ def make_controller_params(
             f"the actuator's delay is {1e3 * actuator.delay.value:.0f} ms, expected at most "
             f"{1e3 * max_delay:.0f} ms, the controller's history; shorten the delay of the link"
         )
-    wrist_x, wrist_y, wrist_z = (float(value) for value in compiled.wrist)
     limits = ((j.lower, j.upper, j.velocity, j.acceleration) for j in arm.free_joints)
     own, clik = settings.controller, settings.clik
     counts_per_rev = counts_per_rev or settings.plant.counts_per_rev
     params = ControllerParams(
         code=ControllerCode(compiled.kinematics, compiled.motion),
         # The inverse is damped below a twentieth of the manipulability at home.
-        clik=ClikParameters(
-            clik.K_p, clik.K_d, 0.05 * w, lambda_0=0.05, wrist=(wrist_x, wrist_y, wrist_z)
-        ),
+        clik=ClikParameters(clik.K_p, clik.K_d, 0.05 * w, lambda_0=0.05, wrist=compiled.wrist),
         limits=tuple(zip(*limits, strict=True)),
         home=tuple(arm.home_free.tolist()),
         home_reference=tuple(frame[:REFERENCE_SIZE, 0].tolist()),
