@@ -82,7 +82,7 @@ def test_the_arms_windows_give_the_reference(
     assert overlaps(pendulum.c, c, c_error)
     assert pendulum.coulomb.low <= f <= pendulum.coulomb.high
     # The fit leaves out a part of a swing at both ends.
-    assert 0.7 * rms < pendulum.fit.rms_deg <= rms
+    assert 0.7 * rms < np.rad2deg(pendulum.fit.rms) <= rms
 
 
 def test_dry_friction_that_would_be_negative_is_kept_at_zero(recordings):

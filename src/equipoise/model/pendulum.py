@@ -235,11 +235,6 @@ class SwingFit(Value):
     """Simplest friction model that explains a poorly fitted swing; None without one. Not stored."""
 
     @property
-    def rms_deg(self) -> float:
-        """Root mean square of recording minus fit [deg], or [deg/s] for a rate."""
-        return float(np.rad2deg(self.rms))
-
-    @property
     def amplitude(self) -> float:
         """Value at the first turning point, where the window begins [rad], or rate [rad/s]."""
         return abs(self.theta if self.quantity == "angle" else self.theta_dot)

@@ -73,7 +73,7 @@ def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
             panel.axvspan(low, max(low, high), color=style.PALE, linewidth=0.0, zorder=0.5)
     top.set_title("grey: not fitted")
     top.set_ylabel(f"{name} [{unit}]")
-    bottom.set_title(f"{fit.rms_deg:.2g} {unit} RMS".replace(" °", "°"))
+    bottom.set_title(f"{np.rad2deg(fit.rms):.2g} {unit} RMS".replace(" °", "°"))
     bottom.set_ylabel(f"residual [{unit}]")
     bottom.set_xlabel("time [s]")
     figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=2)
