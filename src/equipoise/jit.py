@@ -28,13 +28,12 @@ from typing import Any, Final, TypeVar
 
 import numba
 import numpy as np
-import numpy.typing as npt
 import platformdirs
 from llvmlite import binding, ir
 from numba import typeof, types
 from numba.extending import intrinsic, lower_builtin, overload, register_jitable, type_callable
 
-from equipoise.arrays import record_type
+from equipoise.arrays import Array, record_type
 from equipoise.printable import printable
 
 logger = logging.getLogger(__name__)
@@ -172,7 +171,7 @@ def _code_of_fma(_context: Any, builder: Any, _signature: Any, values: Any) -> A
     return builder.fma(*values)
 
 
-def flat(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def flat(values: Array) -> Array:
     """Return contiguous numbers as an array of one axis; in kernels `ravel` calls into a library.
 
     In a kernel the result does not own its memory: it has to be the argument of a call alone.

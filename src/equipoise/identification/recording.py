@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Annotated, Final
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from equipoise.arguments import Duration, checked
@@ -287,7 +286,7 @@ def simulate_swing(
     # Eight times as many steps as in a fit, so that a test of one does not share its error.
     h = 2.0 * pi / np.sqrt(parameters.w2) / 1024
     theta, _ = swing(time, theta0, 0.0, float(h), parameters)
-    reading: npt.NDArray[np.float64] = theta + zero_offset + noise * rng.standard_normal(time.size)
+    reading = theta + zero_offset + noise * rng.standard_normal(time.size)
     counts = counts_from_theta(reading, counts_per_rev, 1)
     return Trajectory(
         time=time,

@@ -8,12 +8,11 @@ An `Algorithm` says how a table learns from one step: the episode loop
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from equipoise.arrays import Array
+from equipoise.arrays import Array, IntArray
 from equipoise.jit import inlined
 from equipoise.model.grid import ACTIONS, mirrored_box
 
@@ -23,7 +22,7 @@ class Tables(NamedTuple):
 
     Q: Array
     """State-action values of the policy, shape (boxes, 8)."""
-    visits: npt.NDArray[np.int64]
+    visits: IntArray
     """Number of updates of each value, shape (boxes, 8)."""
     own: Array
     """Tables of the algorithm's own, shape (`Algorithm.tables`, boxes, 8); zeros at the start."""
@@ -101,7 +100,7 @@ def best_action(Q: Array, box: int, choice: float) -> int:
 
 
 @inlined
-def write_mirrored(table: npt.NDArray[Any], box: int, action: int) -> None:
+def write_mirrored(table: Array | IntArray, box: int, action: int) -> None:
     """Copy an entry of a table to its mirror image."""
     table[mirrored_box(box, table.shape[0]), ACTIONS - 1 - action] = table[box, action]
 

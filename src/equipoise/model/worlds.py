@@ -27,9 +27,7 @@ from equipoise.files import Value, first_fault, quoted
 from equipoise.settings import MAX_COUNTS_PER_REV, QUARTER_TURN, read_toml
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
+    from equipoise.arrays import Array
     from equipoise.model.pendulum import Pendulum, PendulumParameters
 
 IDEAL: Final = "ideal"
@@ -133,7 +131,7 @@ def pendulum_on(
     return swings if settings.drag is None else swings._replace(drag=settings.drag)
 
 
-def rotor_inertias(settings: TwinSettings, n: int) -> "npt.NDArray[np.float64]":
+def rotor_inertias(settings: TwinSettings, n: int) -> "Array":
     """Return the rotor inertia of each joint [kg m^2], shape (n,).
 
     Args:
