@@ -215,8 +215,7 @@ class Simulation(ABC):
             loop: Any = self._idle.pop()  # of a thread that has finished
         except IndexError:
             loop = self.loop()
-        for first in range(0, len(trials.number), self.PIECE):
-            part = Trials._make(column[first : first + self.PIECE] for column in trials)
+        for part in trials.parts(self.PIECE):
             world = loop.prepare(part.trial(0))
             if self._hanging:
                 world = world._replace(swing_up=compiled_for(world.swing_up, policy))
@@ -267,11 +266,10 @@ class Simulation(ABC):
             size = min(self.PIECE, max(fraction, 1))
         else:  # at most 1000 tasks: each costs some milliseconds and a step of the progress
             size = max(self.PIECE, -(-count // (self.BATCH * 1000)) * self.BATCH)
-        pieces = [slice(first, first + size) for first in range(0, count, size)]
-        parts = [Trials._make(column[piece] for column in trials) for piece in pieces]
+        parts = trials.parts(size)
         for i, ended in completed(partial(self.run_piece, kernel, duration), parts, workers):
-            for column, result in zip(trials, ended, strict=True):
-                column[pieces[i]] = result
+            for column, result in zip(parts[i], ended, strict=True):
+                column[:] = result
             done(len(ended.number))
 
     def acting(self, policy: TaskPolicy | KernelPolicy, loop: ClosedLoop) -> Policy:

@@ -40,6 +40,11 @@ class Trials(NamedTuple):
     end: Array
     """Result: true x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the end, shape (n, 4)."""
 
+    def parts(self, size: int) -> list["Trials"]:
+        """Return parts of `size` trials, whose arrays are views."""
+        firsts = range(0, len(self.number), size)
+        return [Trials._make(column[i : i + size] for column in self) for i in firsts]
+
     def trial(self, row: int) -> Trial:
         """Return the conditions in one row."""
         number, start, variation, *_ = (column[row].tolist() for column in self)
