@@ -136,11 +136,8 @@ def _solve_at_wrist(frame: Array, rhs: Array, wrist: Point, y: Array, n: int) ->
         dot((frame[r + 6, n], frame[r + 7, n], frame[r + 8, n]), wrist),
     )
     # B: axes of the first three joints, by columns; A: velocities that they give the wrist centre.
-    b0, b1, b2 = (
-        _axis(frame, ANGULAR, n),
-        _axis(frame, ANGULAR + 1, n),
-        _axis(frame, ANGULAR + 2, n),
-    )
+    b0, b1 = _axis(frame, ANGULAR, n), _axis(frame, ANGULAR + 1, n)
+    b2 = _axis(frame, ANGULAR + 2, n)
     a0 = _velocity_at(p, _axis(frame, JACOBIAN, n), b0)
     a1 = _velocity_at(p, _axis(frame, JACOBIAN + 1, n), b1)
     a2 = _velocity_at(p, _axis(frame, JACOBIAN + 2, n), b2)

@@ -267,12 +267,8 @@ def truth(twin: np.record, data: np.record) -> Observation:
     dx, dy, dz = xmat[ROD, 2], xmat[ROD, 5], xmat[ROD, 8]
     wx, wy, wz = cvel[ROD, 0], cvel[ROD, 1], cvel[ROD, 2]
     change_x, change_z = wy * dz - wz * dy, wx * dy - wy * dx
-    return Observation(
-        xpos[FLANGE, 0] - twin.home_x,
-        x_dot,
-        atan2(dx, dz),
-        (change_x * dz - change_z * dx) / (dx * dx + dz * dz),
-    )
+    phi_dot = (change_x * dz - change_z * dx) / (dx * dx + dz * dz)
+    return Observation(xpos[FLANGE, 0] - twin.home_x, x_dot, atan2(dx, dz), phi_dot)
 
 
 @kernel
