@@ -82,16 +82,9 @@ def draw_trials(count: int, settings: Settings, seed: int, stream: int, first: i
         1.0 + plant.lag_spread * rig[:, 1],
         plant.zero_error * rig[:, 2],
     ]
-    return Trials(
-        number=np.arange(first, first + count),
-        start=start,
-        variation=np.column_stack(variation),
-        steps=np.zeros(count, np.int64),
-        cause=np.zeros(count, np.int64),
-        sum_x2=np.zeros(count),
-        upright=np.zeros(count, np.int64),
-        end=np.zeros((count, 4)),
-    )
+    conditions = np.arange(first, first + count), start, np.column_stack(variation)
+    steps, cause, upright = np.zeros((3, count), np.int64)
+    return Trials(*conditions, steps, cause, np.zeros(count), upright, np.zeros((count, 4)))
 
 
 class WorldKernels(NamedTuple):
