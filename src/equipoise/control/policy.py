@@ -222,8 +222,6 @@ class TabularPolicy(Artefact):
     FORMAT: ClassVar[str] = "equipoise-policy"
     name: ClassVar[str] = "policy"
     """Name in results."""
-    u_max: ClassVar[float] = paper.U_MAX
-    """Largest acceleration [m/s^2]."""
 
     actions: Annotated[tuple[Number, ...], Field(max_length=len(paper.ACTIONS))]
     """Accelerations [m/s^2]."""
@@ -314,7 +312,10 @@ class TabularPolicy(Artefact):
 
 @dataclass(frozen=True, eq=False)
 class BoundPolicy:
-    """A policy with its task. Its u is checked, and clipped to the largest acceleration."""
+    """A policy with its task. Its u is checked.
+
+    It is clipped to the largest of the paper's actions, which the safety limits assume.
+    """
 
     policy: Policy
     """The policy."""
@@ -334,9 +335,6 @@ class BoundPolicy:
     """Settings of plant, controller and evaluation."""
     h: ClassVar[float] = paper.STEP
     """Time step [s]."""
-    u_max: ClassVar[float] = paper.U_MAX
-    """Largest acceleration [m/s^2], that of the paper's actions: safety limits assume it, and a
-    larger u is clipped."""
     shortfall: ClassVar[str] = ""
     """Empty: no training that could miss a target."""
 
@@ -350,7 +348,7 @@ class BoundPolicy:
             self.policy.reset()
 
     def act(self, observation: Array) -> float:
-        """Return u [m/s^2], within `u_max`, for the observation (x, x_dot, phi, phi_dot).
+        """Return u [m/s^2], clipped, for the observation (x, x_dot, phi, phi_dot).
 
         Raises:
             InputError: The policy raised an exception, or returned no finite number.
@@ -365,7 +363,7 @@ class BoundPolicy:
                     f"{self.name} returned {u!r:.60} in the state {_format_state(state)}, expected "
                     "a finite number: the acceleration u in m/s^2; correct it"
                 )
-        return min(max(value, -self.u_max), self.u_max)
+        return min(max(value, -paper.U_MAX), paper.U_MAX)
 
 
 TaskPolicy = TabularPolicy | BoundPolicy

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from equipoise import paper
 from equipoise.arrays import Array
 from equipoise.control.control_step import ControllerParams, horizon, make_controller_params
 from equipoise.control.policy import TaskPolicy
@@ -83,7 +84,7 @@ class RunRequest:
         safety = make_safety_params(
             arm,
             reaction=horizon(arm, actuator, 0.0),
-            u_max=policy.u_max,
+            u_max=paper.U_MAX,
             h=policy.h,
             counts_per_rev=counts_per_rev,
             speed=max_speed,
@@ -144,7 +145,7 @@ class RunRequest:
             identifies=self.identify is not None,
             counts_per_rev=self.settings.counts_per_rev,
             settings=changed(policy.settings, {"evaluation.start": self.start}),
-            u_max=policy.u_max,
+            u_max=paper.U_MAX,
             rig=self.settings.model_dump(mode="json"),
             encoder=self.encoder,
             max_speed=self.max_speed,
