@@ -24,7 +24,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from equipoise.arrays import Array
-from equipoise.control.minimum_jerk import MinimumJerk
 from equipoise.identification.least_squares import (
     fit_unknowns,
     half_width,
@@ -61,16 +60,6 @@ GAIN, W2, TAU, ZERO, C, COULOMB, THETA, THETA_DOT = range(8)
 """Indices of the unknowns."""
 SCALES: Final = np.array([1.0, 70.0, 0.1, 0.1, 1.0, 1.0, 0.1, 1.0])
 """Typical size of each unknown, in its unit."""
-
-
-def flange_move(x: float, direction: float = 1.0) -> MinimumJerk:
-    """Return the path of the flange in the self-test, from x to 40 mm further [m].
-
-    Args:
-        x: Start of the path [m].
-        direction: 1 or -1.
-    """
-    return MinimumJerk((x,), (x + direction * MOVE_DISTANCE,), MOVE_TIME)
 
 
 class SelfTestVerdict(Enum):

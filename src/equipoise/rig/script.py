@@ -24,11 +24,11 @@ from equipoise.control.swing_up import SwingUpPolicy, amplitude, make_swing_up, 
 from equipoise.control.ticks import OK, Job, OperatorMessage, Sample, TickRecord
 from equipoise.errors import InputError
 from equipoise.identification.driven_swing import (
+    MOVE_DISTANCE,
     MOVE_TIME,
     SWING_TIME,
     SelfTest,
     SelfTestVerdict,
-    flange_move,
     self_test,
 )
 from equipoise.log.conditions import Reference
@@ -399,7 +399,8 @@ def swing_test(run: Run) -> Steps[SelfTest]:
 
 def _swing_out(run: Run, direction: float) -> Steps[SelfTest]:
     """Move the flange, record the pendulum's answer, and judge it."""
-    path, begin = flange_move(run.controller.x, direction), run.time + REST_BEFORE
+    x, begin = run.controller.x, run.time + REST_BEFORE
+    path = MinimumJerk((x,), (x + direction * MOVE_DISTANCE,), MOVE_TIME)
     encoder, pivot = list[tuple[float, float]](), list[tuple[float, float]]()
 
     def record(tick: Tick) -> None:
