@@ -288,18 +288,15 @@ def make_controller_params(
         resolution=2.0 * pi / counts_per_rev,
         correction=CORRECTION,
     )
-    return params._replace(code=_compiled(params))
-
-
-def _compiled(params: ControllerParams) -> ControllerCode:
     state, measured = ControllerState, Observation(0.0, 0.0, 0.0, 0.0)
-    return params.code._replace(
+    code = params.code._replace(
         follow_setpoint=pointer(follow_setpoint, Servos, params.actuator, 0, False, 0),
         start_controller=pointer(start_controller, params, state, measured, 0),
         observe=pointer(observe, params, state, 0.0, 0.0, 0),
         command=pointer(command, params, state, 0),
         advance_arm_model=pointer(advance_arm_model, params, state, 0),
     )
+    return params._replace(code=code)
 
 
 def horizon(arm: Arm, actuator: Actuator, margin: float) -> float:
