@@ -61,10 +61,6 @@ SETPOINTS_IN_FLIGHT: Final = 32
 """Number of setpoints that may be in flight to the arm."""
 
 
-SPEED_LIMIT_CAUSE: Final = SAFETY_STOP + SPEED_CODE
-"""Cause of failure where the task limits the flange's speed: that of the guard of a rig."""
-
-
 class LoopParams(NamedTuple):
     """Constants of the closed loop during an episode."""
 
@@ -303,7 +299,8 @@ def failure(state: Observation, limit_exceeded: bool, max_speed: float, balancin
         balancing: Whether the failure angle applies; not in a swing-up.
     """
     phi_limit = paper.PHI_LIMIT if balancing else inf
-    within = TRUNCATED if abs(state.x_dot) < max_speed else SPEED_LIMIT_CAUSE
+    # The cause of a speed is that of the guard of a rig.
+    within = TRUNCATED if abs(state.x_dot) < max_speed else SAFETY_STOP + SPEED_CODE
     within = JOINT_LIMIT if limit_exceeded else within
     on_track = within if abs(state.x) < paper.X_LIMIT else TRACK
     return on_track if abs(state.phi) < phi_limit else ANGLE
