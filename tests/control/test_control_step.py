@@ -94,7 +94,7 @@ def swinging(age, revolutions, counts=FINE, ticks=300):
         command_tick(controller, records)
         theta = pi - swing(time - age)[0] + 2.0 * pi * revolutions
         memory.counts[0] = np.floor(theta * counts / (2.0 * pi) + 0.5)
-        observe_tick(controller, records, age, 0.0)
+        observe_tick(controller, records, (age, 0.0))
         estimates.append(estimate_of(memory)[:3])
     return np.array(estimates), swing(times[1:]).T
 
@@ -131,7 +131,7 @@ def offsets_of(reply_age, actuator, believed_age):
             arm.millisecond([q for time, q in sent if time + transport <= ms][-1])
             went.append(arm.q.copy())
         memory.measured[:, 0] = went[-1 - round(1e3 * reply_age)]
-        observe_tick(controller, records, 0.0, believed_age)
+        observe_tick(controller, records, (0.0, believed_age))
         offsets.append(memory.offset[:, 0].copy())
     return np.array(offsets)
 

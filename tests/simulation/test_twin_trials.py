@@ -132,7 +132,8 @@ def test_a_recorded_trial_is_the_loop_as_python_writes_it():
         assert rows.tracked[row] == pytest.approx((twin.truth().x_dot - x_dot) / 0.01)
         memory.counts[0], counted = twin.encoder()
         memory.measured[:, 0], measured_at = twin.measured()
-        controller.observe_tick(params, records, twin.now - counted, twin.now - measured_at)
+        ages = twin.now - counted, twin.now - measured_at
+        controller.observe_tick(params, records, ages)
         sum_x2 += twin.truth().x ** 2
     assert outcome[2] == pytest.approx(sum_x2, rel=1e-9)
 

@@ -292,7 +292,7 @@ def make_controller_params(
     code = params.code._replace(
         follow_setpoint=pointer(follow_setpoint, Servos, params.actuator, 0, False, 0),
         start_controller=pointer(start_controller, params, state, measured, 0),
-        observe=pointer(observe, params, state, 0.0, 0.0, 0),
+        observe=pointer(observe, params, state, (0.0, 0.0), 0),
         command=pointer(command, params, state, 0),
         advance_arm_model=pointer(advance_arm_model, params, state, 0),
     )
@@ -429,11 +429,7 @@ def wrapped(angle: float) -> float:
 
 
 def observe(
-    controller: ControllerParams,
-    state: ControllerState,
-    encoder_age: float,
-    reply_age: float,
-    lanes: int,
+    controller: ControllerParams, state: ControllerState, ages: tuple[float, float], lanes: int
 ) -> None:
     """Compute the observations from the measurements in `state`, in the first lanes.
 
@@ -442,10 +438,10 @@ def observe(
     Args:
         controller: Constants.
         state: Reads `counts` and `measured`; changed in place.
-        encoder_age: Age of the counts [s].
-        reply_age: Age of the measured joints [s].
+        ages: Ages of the counts and of the measured joints [s].
         lanes: Number of lanes.
     """
+    encoder_age, reply_age = ages
     estimate, observation, offset = state.estimate, state.observation, state.offset
     measured, counts, shown, frame = state.measured, state.counts, state.shown, state.frame
     h, delay, pendulum, v = controller.h, controller.delay, controller.pendulum, state.pivot_v

@@ -60,11 +60,9 @@ class FlangePose(NamedTuple):
 
 
 @kernel
-def observe_tick(
-    params: ControllerParams, states: Records, encoder_age: float, reply_age: float
-) -> None:
+def observe_tick(params: ControllerParams, states: Records, ages: tuple[float, float]) -> None:
     """Compute the observation; see `control_step.observe`."""
-    call(params.code.observe, (params, states[0], encoder_age, reply_age, 1))
+    call(params.code.observe, (params, states[0], ages, 1))
 
 
 @kernel
@@ -168,7 +166,7 @@ class Controller:
         if reply_age is None:
             params = params._replace(correction=0.0)
         self._state.counts[0] = counts
-        observe_tick(params, self._states, age, reply_age or 0.0)
+        observe_tick(params, self._states, (age, reply_age or 0.0))
         if sample is not None:
             self._confirmed[:], self._blind = self._states["estimate"], back
 

@@ -95,7 +95,7 @@ class ExternalLoop(ClosedLoop):
             self.now = self._tick * self.params.h
             self._observe()
         if self.params.has_sensor:
-            observe_tick(self.params, self._controllers, 0.0, 0.0)
+            observe_tick(self.params, self._controllers, (0.0, 0.0))
         state, exceeded = Observation(*self._state.tolist()), bool(controller.limit_exceeded[0])
         self.tracked = (state.x_dot - before) / self.params.h
         return failure(state, exceeded, simulation.max_speed, self.balancing)

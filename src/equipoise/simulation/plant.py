@@ -280,7 +280,7 @@ def step(plant: LoopParams, batch: BatchState, lanes: int) -> None:
         cause[n] = failure(observed(state, n), exceeded, plant.max_speed, balancing)
     if params.has_sensor:
         measure(params, batch)
-        call(params.code.observe, (params, controller, 0.0, 0.0, lanes))
+        call(params.code.observe, (params, controller, (0.0, 0.0), lanes))
     else:
         seen = controller.observation
         for n in range(BATCH_SIZE):

@@ -130,7 +130,7 @@ def step(world: TwinWorld, seed: IntArray, tick: IntArray, number: IntArray, lan
     for i in range(FREE_JOINTS):
         controller.measured[i, 0] = q[i]
     ages = now * TICK - counted, now * TICK - measured
-    call(params.code.observe, (params, controller, ages[0], ages[1], 1))
+    call(params.code.observe, (params, controller, ages, 1))
     _read_truth(world)
     exceeded, balancing = controller.limit_exceeded[0] != 0, controller.balancing[0] != 0
     cause = failure(observed(batch.state, 0), exceeded, inf, balancing)
