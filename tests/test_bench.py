@@ -9,6 +9,7 @@ from benchmarks.bench import PinocchioLoop
 
 from equipoise import paper
 from equipoise.arm.iiwa import iiwa
+from equipoise.model.actuator import IDEAL_ACTUATOR
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import resolve
 from equipoise.simulation.plant import make_loop_params
@@ -26,7 +27,7 @@ def test_the_loop_through_pinocchio_moves_the_arm_as_ours_does(size):
     pytest.importorskip("pinocchio")
     arm = iiwa(size)
     peer = PinocchioLoop(arm, QUIET, paper.STEP)
-    ours = Batch(make_loop_params(arm, QUIET, paper.STEP, PENDULUM))
+    ours = Batch(make_loop_params(arm, QUIET, paper.STEP, PENDULUM, IDEAL_ACTUATOR))
     ours.reset(PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0))
     rng = np.random.default_rng(5)
     x, x_dot, reached = 0.0, 0.0, 0.0

@@ -11,7 +11,7 @@ from equipoise.control.policy import KernelPolicy, shipped_policy, table_kernel
 from equipoise.errors import ArmError
 from equipoise.files import Estimate
 from equipoise.model import grid
-from equipoise.model.actuator import Actuator
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.grid import JOINT_LIMIT, TRUNCATED
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.pendulum import step as pendulum_step
@@ -43,7 +43,7 @@ def leaning_table():
 def test_reset_places_the_flange_on_its_track(size, x, x_dot):
     arm, lane = iiwa(size), 3
     start = (x, x_dot, 0.01, 0.02)
-    block = Batch(make_loop_params(arm, QUIET, 0.01, PENDULUM))
+    block = Batch(make_loop_params(arm, QUIET, 0.01, PENDULUM, IDEAL_ACTUATOR))
     block.reset(PENDULUM, NOMINAL, start, lane)
     controller, home = block.controller, arm.kinematics(arm.home_free)
     now = arm.kinematics(controller.q[:, lane], controller.dq[:, lane])
@@ -57,7 +57,7 @@ def test_reset_places_the_flange_on_its_track(size, x, x_dot):
 def test_a_run_obeys_kinematics_and_the_pendulum_equation(size):
     """Every step again: joints by hand, flange by the arm's Python kinematics, phi by SciPy."""
     arm = iiwa(size)
-    plant = make_loop_params(arm, SETTINGS, 0.01, PENDULUM)
+    plant = make_loop_params(arm, SETTINGS, 0.01, PENDULUM, IDEAL_ACTUATOR)
     simulation = on_the_plant(plant, arm, PENDULUM, STILL, seed=1)
     trial = simulation.draw(1).trial(0)._replace(start=(0.01, -0.05, 0.02, 0.1))
     _, run = record(simulation, leaning_table(), trial, 0.6)
@@ -86,7 +86,7 @@ def test_a_run_obeys_kinematics_and_the_pendulum_equation(size):
 
 @pytest.mark.parametrize("row", range(4))
 def test_a_joint_beyond_any_of_its_limits_is_reported(row):
-    plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM)
+    plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM, IDEAL_ACTUATOR)
     block = Batch(plant)
     block.reset(PENDULUM, NOMINAL, (0.0, 0.5, 0.0, 0.0))
     limits = list(plant.controller.limits)
@@ -101,8 +101,9 @@ def test_a_singular_home_is_refused():
     arm = iiwa(7)
     home = list(arm.home)
     home[5] = 0.0
+    away = arm.model_copy(update={"home": tuple(home)})
     with pytest.raises(ArmError, match="singular"):
-        make_loop_params(arm.model_copy(update={"home": tuple(home)}), SETTINGS, 0.01, PENDULUM)
+        make_loop_params(away, SETTINGS, 0.01, PENDULUM, IDEAL_ACTUATOR)
 
 
 # Behind an actuator

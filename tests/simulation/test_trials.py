@@ -9,7 +9,7 @@ from scipy import stats
 from equipoise import paper
 from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import RANDOM, Observation, PolicyKernel
-from equipoise.model.actuator import Actuator
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.grid import ANGLE, TRACK, TRUNCATED
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
@@ -29,7 +29,7 @@ STREAMS = (SELECTION, TARGET_TEST, TEST)
 
 @pytest.fixture(scope="module")
 def plant():
-    return make_loop_params(ARM, SETTINGS, paper.STEP, PENDULUM)
+    return make_loop_params(ARM, SETTINGS, paper.STEP, PENDULUM, IDEAL_ACTUATOR)
 
 
 def drawn(count=100, seed=0, stream=TEST, settings=SETTINGS):

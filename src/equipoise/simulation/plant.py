@@ -41,7 +41,6 @@ from equipoise.elementary import BATCH_SIZE, sincos
 from equipoise.jit import call, compilable, inlined, pointer
 from equipoise.model.actuator import (
     CYCLE,
-    IDEAL_ACTUATOR,
     ROWS,
     Actuator,
     Servos,
@@ -160,11 +159,7 @@ class BatchState(Protocol):
 
 
 def make_loop_params(
-    arm: Arm,
-    settings: Settings,
-    h: float,
-    pendulum: PendulumParameters,
-    actuator: Actuator = IDEAL_ACTUATOR,
+    arm: Arm, settings: Settings, h: float, pendulum: PendulumParameters, actuator: Actuator
 ) -> LoopParams:
     """Return the constants of a plant for compiled loops.
 
