@@ -70,11 +70,8 @@ class TrainingConfig(NamedTuple):
     """Constants of an update."""
     start: tuple[float, float, float, float]
     """Half widths of the ranges of x, x_dot, phi, phi_dot at the start, SI units."""
-    inertia_sigma: float
-    friction_sigma: float
-    delay_spread: float
-    lag_spread: float
-    zero_error: float
+    spread: DomainRandomization
+    """Standard deviations of the factors on I and b, half widths of the ranges of the others."""
     actions: Array
     """Accelerations [m/s^2], shape (8,)."""
     boxes: Grid
@@ -159,16 +156,16 @@ def exploration(episode: int, config: TrainingConfig) -> float:
 @compilable
 def draw_episode(config: TrainingConfig, episode: int) -> Trial:
     """Return the conditions of an episode."""
-    seed = config.seed
+    seed, spread = config.seed, config.spread
     w0, w1, w2, w3 = philox(seed, 0, episode, 0, TRAINING_EPISODE)
     inertia_noise, friction_noise = normal_pair(w0, w1)
     w0, w1, w2, w3 = philox(seed, 0, episode, 0, TRAINING_ACTUATOR)
     variation = DomainRandomization(
-        1.0 + config.inertia_sigma * inertia_noise,
-        1.0 + config.friction_sigma * friction_noise,
-        uniform(w0, -config.delay_spread, config.delay_spread),
-        uniform(w1, 1.0 - config.lag_spread, 1.0 + config.lag_spread),
-        uniform(w2, -config.zero_error, config.zero_error),
+        1.0 + spread.inertia_factor * inertia_noise,
+        1.0 + spread.friction_factor * friction_noise,
+        uniform(w0, -spread.delay, spread.delay),
+        uniform(w1, 1.0 - spread.lag_factor, 1.0 + spread.lag_factor),
+        uniform(w2, -spread.zero, spread.zero),
     )
     w0, w1, w2, w3 = philox(seed, 0, episode, 0, TRAINING_START)
     x, x_dot, phi, phi_dot = config.start
@@ -366,11 +363,13 @@ def training_config(settings: Settings, k: float, seed: int) -> TrainingConfig:
         epsilon_until=learning.epsilon_until,
         update_params=UpdateParams(**learning.model_dump(include=set(UpdateParams._fields))),
         start=(learning.start_x, learning.start_x_dot, learning.start_phi, learning.start_phi_dot),
-        inertia_sigma=plant.inertia_sigma,
-        friction_sigma=plant.friction_sigma,
-        delay_spread=plant.delay_spread,
-        lag_spread=plant.lag_spread,
-        zero_error=plant.zero_error,
+        spread=DomainRandomization(
+            plant.inertia_sigma,
+            plant.friction_sigma,
+            plant.delay_spread,
+            plant.lag_spread,
+            plant.zero_error,
+        ),
         actions=np.array(paper.ACTIONS),
         boxes=make_grid(settings.boxes, k),
         seed=seed,
