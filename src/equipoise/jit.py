@@ -194,10 +194,9 @@ def _compiled_flat(values: Any) -> Any:
     return lambda values: _numba.carray(_place(values.ctypes.data), (values.size,), np.float64)
 
 
-_functions: dict[int, Callable[..., None]] = {}
-"""Functions behind the addresses that `pointer` returned."""
-_compiled: list[Any] = []
-"""Their machine code, which lives as long as the process."""
+_functions: dict[int, tuple[Kernel, Any]] = {}
+"""Functions behind the addresses that `pointer` returned, and their machine code, which lives as
+long as the process; None without compilation."""
 
 
 def pointer(function: Kernel, *examples: Any) -> int:
@@ -220,13 +219,12 @@ def pointer(function: Kernel, *examples: Any) -> int:
 @functools.cache
 def _compiled_pointer(function: Kernel, *kinds: Any) -> int:
     """Return the address of a function for arguments of Numba's types."""
-    address: int = len(_functions) + 1
+    code: Any = None
     if not DISABLED:
         options: dict[str, Any] = {"cache": CACHED, "error_model": "numpy"}
-        code: Any = _numba.cfunc(types.void(*kinds), **options)(function)
-        _compiled.append(code)
-        address = code.address
-    _functions[address] = function
+        code = _numba.cfunc(types.void(*kinds), **options)(function)
+    address: int = len(_functions) + 1 if DISABLED else code.address
+    _functions[address] = function, code
     return address
 
 
@@ -237,7 +235,7 @@ def call(function: int, arguments: tuple[Any, ...]) -> None:
         function: Address, from `pointer`.
         arguments: Arguments of exactly the types that it was compiled for.
     """
-    _functions[function](*arguments)
+    _functions[function][0](*arguments)
 
 
 def _typed_call(_: Any, function: Any, arguments: Any) -> Any:
