@@ -17,7 +17,6 @@ class Follower:
     """The simplest arm: each joint closes in on the target within LAG."""
 
     arm = iiwa7()
-    stopped = ""
 
     def __init__(self):
         self.q, self.goal = list(HOME), list(HOME)
@@ -29,7 +28,8 @@ class Follower:
         return tuple(self.q)
 
     def torques(self, external):
-        return self.external if external else (0.0, -12.5, 0.0, 8.25, 0.0, 0.5, 0.0)
+        assert external
+        return self.external
 
     def servo(self, running):
         self.running = running

@@ -1,25 +1,22 @@
-"""Emulator of a cabinet with its KST server: joint servo and motions, with the server's faults.
+"""Emulator of a cabinet with its KST server: its joint servo, with the server's faults.
 
 The server is bytes and times (`KstServer`), in memory or on a TCP port (`KstHardware`). As in the
 real one, two threads share one string. The *reader* receives each line, and handles targets,
 `getJointsPositions`, stop and end itself. Any other line waits in that string for the *main*
-thread, which ignores it while a servo or a motion runs. Hence:
+thread, which ignores it while a servo runs. Hence:
 
 - A servo is acknowledged before it exists; its target is then overwritten with the measured joints.
-- A point-to-point motion is acknowledged twice, at its start and at its end. It keeps its own goal:
-  targets in between are acknowledged, and nothing stops it.
 - A command for the main thread that arrives while a servo runs is not answered, and the next line
-  erases it; so does the end of a motion. An unknown command is never answered.
-- A motion that the controller cannot plan is acknowledged, then refused: `nak`.
+  erases it. An unknown command is never answered.
 - A number that Java cannot parse (`nan`; but `NaN` becomes the target) kills the reader: all later
   lines are ignored, stop and end included, and the servo continues.
 - Fewer than seven joints change the first ones only; further ones are ignored.
 - The client is not supervised: if it vanishes, the servo continues, and no other client is ever
   served.
 
-Not modelled, and not answered: everything but joints and their torques (poses, forces, tools, pins,
-Cartesian, impedance and velocity servos), and motions that end at a torque (`doPTP!`). The server
-does not end when no client connects for 60 s.
+Not modelled, and not answered: everything but the joint servo with its joints and external torques
+(motions, poses, forces, tools, pins, Cartesian, impedance and velocity servos). The server does not
+end when no client connects for 60 s.
 """
 
 import socket
@@ -27,7 +24,6 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Final
 
-from equipoise.control.minimum_jerk import path_within
 from equipoise.errors import InputError, LinkError, OutsideError
 from equipoise.rig.simulated_rig import Bodies, SimulatedRig
 from equipoise.rig.transports import SocketTransport
@@ -47,32 +43,8 @@ HOST: Final = "127.0.0.1"
 """Address of the emulated cabinet: this machine."""
 DONE: Final = b"done\n"
 """Acknowledgement of the server."""
-NAK: Final = b"nak\n"
-"""Reply of the server after an error in its main thread."""
-PLANNING_TIME: Final = 0.1
-"""Time from the acknowledgement of a motion until it starts or is refused [s]. Assumed. A client
-that receives both replies in one segment waits for the second without end."""
-SETTLING_TIME: Final = 0.35
-"""Time from the end of a motion's path until its second acknowledgement [s]: the emulated arm
-follows by the law of the servo, which takes this for the last milliradian."""
-READER: Final = (
-    *("jp_", "jpJP_", "jpExT_", "jpMT_"),  # targets
-    *(GET_JOINTS, STOP_SERVO, "blueOn", "blueOff"),
-)
+READER: Final = ("jp_", "jpJP_", "jpExT_", GET_JOINTS, STOP_SERVO, "blueOn", "blueOff")
 """Starts of the lines that the reader answers."""
-MAIN: Final = ("Torques_ext_J", "Torques_m_J")
-"""Starts of the lines that the main thread answers from the arm."""
-
-
-def answer(command: str, arm: SimulatedArm) -> bytes:
-    """Return the reply to a line of `READER` or `MAIN`."""
-    if command.startswith(("jpJP_", GET_JOINTS)):
-        return numbers_reply(arm.measured())
-    if command.startswith(("jpExT_", "Torques_ext_J")):
-        return numbers_reply(arm.torques(external=True))
-    if command.startswith(("jpMT_", "Torques_m_J")):
-        return numbers_reply(arm.torques(external=False))
-    return DONE
 
 
 class KstServer:
@@ -95,13 +67,11 @@ class KstServer:
         """Whether the server's program has ended; the connection is closed then."""
         self.deserted = False
         """Whether the client left without an `end`; no other is ever served."""
-        self.busy = False
-        """Whether a servo or a motion runs or is starting."""
         self._body, self._target = body, [0.0] * len(body.arm.joints)
         self._measure = body.measured  # of the servo, which no fault of a reply reaches
         self._rest, self._reads = b"", True
         self._segments: list[bytes] = []
-        self._now = self._speed = 0.0
+        self._now = 0.0
         self._waiting = ""
         self._requested = self._runs = False  # the servo
         self._main = self._run_main()
@@ -166,9 +136,16 @@ class KstServer:
                 self._read_target(command)
             elif command.startswith(STOP_SERVO):
                 self._requested = False
-            self._segments.append(answer(command, self._body))
+            self._segments.append(self._answer(command))
         else:
             self._waiting = command
+
+    def _answer(self, command: str) -> bytes:
+        if command.startswith(("jpJP_", GET_JOINTS)):
+            return numbers_reply(self._body.measured())
+        if command.startswith("jpExT_"):
+            return numbers_reply(self._body.torques(external=True))
+        return DONE
 
     def _read_target(self, command: str) -> None:
         try:
@@ -183,20 +160,8 @@ class KstServer:
     def _run_main(self) -> Iterator[None]:
         while not self.ended:
             command, self._waiting = self._waiting, ""
-            self.busy = command.startswith((START_SERVO, "doPTPinJS"))
-            try:
-                if command.startswith(MAIN):
-                    self._segments.append(answer(command, self._body))
-                elif command.startswith(START_SERVO):
-                    yield from self._serve()
-                elif command.startswith("doPTPinJS"):
-                    yield from self._move()
-                elif command.startswith("jRelVel"):  # fraction of the speed limits, for motions
-                    self._speed = java_double("".join(tokens(command)[1:2]))
-                    self._segments.append(DONE)
-            except InputError:
-                self._segments.append(NAK)
-            self.busy = False
+            if command.startswith(START_SERVO):
+                yield from self._serve()
             yield
 
     def _sleep(self, duration: float) -> Iterator[None]:
@@ -218,25 +183,6 @@ class KstServer:
         yield from self._sleep(3e-3)
         self._body.servo(False)
         self._runs = False
-
-    def _move(self) -> Iterator[None]:
-        """Move to the target along a minimum-jerk path, at the set speed."""
-        body, joints, goal = self._body, self._body.arm.joints, tuple(self._target)
-        self._segments.append(DONE)
-        yield from self._sleep(PLANNING_TIME)
-        within = all(a.lower <= q <= a.upper for a, q in zip(joints, goal, strict=True))
-        if body.stopped or not within or not 0.0 < self._speed <= 1.0:
-            raise InputError("the controller cannot plan this motion")
-        speeds = [self._speed * joint.velocity for joint in joints]
-        path = path_within(body.measured(), goal, speeds, [joint.acceleration for joint in joints])
-        start = self._now
-        body.servo(True)
-        while self._now < start + path.duration + SETTLING_TIME:
-            body.target(path.at(self._now - start).q)
-            yield
-        body.servo(False)
-        self._segments.append(NAK if body.stopped else DONE)
-        self._waiting = ""
 
 
 class KstHardware:
@@ -301,9 +247,7 @@ class KstHardware:
             server.vanished(now)
             self._say("the client has vanished; a running servo continues until start")
         if server.closed:
-            self._hang_up()
-            if not server.busy:
-                self._restart()
+            self._restart()
 
     def close(self) -> None:
         """Switch the cabinet off."""
