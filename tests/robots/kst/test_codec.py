@@ -32,7 +32,7 @@ JAVA = {
 
 def test_setpoint_is_the_line_of_the_captured_session():
     assert setpoint(np.array(Q)) == b"jpJP_0.0013_0.4364_0_-1.3962_0_1.309_0_\n"
-    assert setpoint(Q, "external").startswith(b"jpExT_")
+    assert setpoint(Q, torque=True).startswith(b"jpExT_")
     assert codec.PORT == 30001
 
 

@@ -20,7 +20,7 @@ import math
 import re
 from collections.abc import Sequence
 from decimal import Decimal
-from typing import Final, Literal
+from typing import Final
 
 from equipoise.arrays import Array
 from equipoise.errors import InputError, LinkError
@@ -35,12 +35,6 @@ DIGITS: Final = 9
 official clients cause steps of 1 rad/s^2 in the second difference."""
 MAX_LINE: Final = 1024
 """Maximum accepted line length [bytes]; seven Java numbers take less than 190."""
-
-ReplyKind = Literal["joints", "external"]
-"""Reply that a setpoint requests: measured joints [rad], or external torques [N m]."""
-
-SETPOINTS: Final[dict[ReplyKind, str]] = {"joints": "jpJP", "external": "jpExT"}
-"""Commands that set the target of the joint servo, by requested reply."""
 
 GET_JOINTS: Final = "getJointsPositions"
 """Request for the measured joints, at any time."""
@@ -74,21 +68,19 @@ def split_lines(data: bytes) -> tuple[list[bytes], bytes]:
     return [line for line in (line.removesuffix(b"\r") for line in lines) if line], rest
 
 
-def setpoint(
-    q: Sequence[float] | Array, reply: ReplyKind = "joints", *, joints: int = JOINTS
-) -> bytes:
+def setpoint(q: Sequence[float] | Array, *, torque: bool = False, joints: int = JOINTS) -> bytes:
     """Return the line that sets the target of the joint servo.
 
     Args:
         q: All joints [rad], shape (joints,).
-        reply: Requested reply.
+        torque: Whether to request external torques [N m] as the reply, or measured joints [rad].
         joints: Number of joints.
 
     Raises:
         InputError: `q` is not one finite number for each joint.
     """
     fields = "".join(f"{value:.{DIGITS}g}_" for value in checked_setpoint(q, joints).tolist())
-    return f"{SETPOINTS[reply]}_{fields}\n".encode()
+    return f"{'jpExT' if torque else 'jpJP'}_{fields}\n".encode()
 
 
 def expect_done(line: bytes, command: str) -> None:

@@ -165,7 +165,7 @@ class KstRobot:
             InputError: The setpoint is not seven finite numbers; nothing was sent.
         """
         torque = (self._sent + 1) % TORQUE_EVERY == 0
-        line = codec.setpoint(q, "external" if torque else "joints", joints=self.joints)
+        line = codec.setpoint(q, torque=torque, joints=self.joints)
         transport = self._link()
         if not self._streams:
             raise LinkError("the servo does not run, so that no setpoint is obeyed; start it first")
