@@ -142,20 +142,13 @@ def java_number(value: float) -> str:
         return "NaN"
     if math.isinf(value):
         return "Infinity" if value > 0.0 else "-Infinity"
-    sign, digits, exponent = Decimal(repr(float(value))).normalize().as_tuple()
+    if value == 0.0 or 1e-3 <= abs(value) < 1e7:
+        return repr(float(value))
+    text = f"{Decimal(repr(float(value))).normalize():E}"
     # Java writes at least two digits: where one is enough, the nearest two.
-    if len(digits) == 1:
-        sign, digits, exponent = Decimal(f"{value:.1e}").as_tuple()
-    text, minus = "".join(map(str, digits)), "-" * sign
-    point = len(text) + int(exponent)
-    if value == 0.0:
-        return f"{minus}0.0"
-    if not 1e-3 <= abs(value) < 1e7:
-        return f"{minus}{text[0]}.{text[1:]}E{point - 1}"
-    text, point = "0" * (1 - point) + text, max(point, 1)
-    text = text.ljust(point, "0")
-    fraction = text[point:].rstrip("0")
-    return f"{minus}{text[:point]}.{fraction or '0'}"
+    text = text if "." in text else f"{value:.1E}"
+    mantissa, _, exponent = text.partition("E")
+    return f"{mantissa}E{int(exponent)}"
 
 
 def numbers_reply(values: Sequence[float]) -> bytes:
