@@ -5,7 +5,6 @@ The log holds all inputs of a tick: counts, replies, typed lines, failures, late
 """
 
 from dataclasses import replace
-from math import inf
 
 import numpy as np
 
@@ -46,12 +45,12 @@ def replay(run, policy):
         policy, policy.actuator, RigSettings.model_validate(conditions.rig),
         conditions.world, conditions.encoder, conditions.duration,
         identify=identify_actuator if conditions.identifies else None,
+        max_speed=run.end and run.end.max_speed,
         start=conditions.settings.evaluation.start, reference=conditions.reference,
     )  # fmt: skip
     at_start = reply[np.isnan(reply["sent"])]["q"][0].tolist()
-    limit = inf if run.end is None or run.end.max_speed is None else run.end.max_speed
-    counts, clock = conditions.counts_per_rev, PolicyClock()
-    state = Run(request, at_start, counts_per_rev=counts, max_speed=limit, clock=clock)
+    clock = PolicyClock()
+    state = Run(request, at_start, clock)
     return compared(run, RunController(state, script(state)), clock)
 
 

@@ -65,7 +65,7 @@ class Course:
 
     def __init__(self, q=ARM.home, identify=None, request=REQUEST):
         request = replace(request, identify=identify)
-        run = Run(request, q, counts_per_rev=COUNTS)
+        run = Run(request, q)
         self.pilot = RunController(run, script.script(run))
         self.guard = self.pilot.run.safety
         self.tick_number, self.now = 0, 0.0

@@ -56,15 +56,8 @@ class RunRequest:
     reference: Reference | None = None
     """Reference from the first run of a series; None where the operator references the pendulum."""
 
-    def parameters(
-        self, actuator: Actuator, counts_per_rev: int, max_speed: float = inf
-    ) -> tuple[ControllerParams, SafetyParams]:
+    def parameters(self, actuator: Actuator) -> tuple[ControllerParams, SafetyParams]:
         """Return the constants of the control step with an actuator, and the safety limits.
-
-        Args:
-            actuator: The actuator.
-            counts_per_rev: Counts per revolution that the rig's encoder reports.
-            max_speed: Flange speed limit from the pre-flight [m/s].
 
         Raises:
             ArmError: Home is a singular posture.
@@ -78,15 +71,15 @@ class RunRequest:
             actuator,
             policy.pendulum.parameters(linearised=plant.linearised),
             h=policy.h,
-            counts_per_rev=counts_per_rev,
+            counts_per_rev=rig.counts_per_rev,
         )
         safety = make_safety_params(
             arm,
             reaction=horizon(arm, actuator, 0.0),
             u_max=policy.u_max,
             h=policy.h,
-            counts_per_rev=counts_per_rev,
-            speed=max_speed,
+            counts_per_rev=rig.counts_per_rev,
+            speed=self.max_speed or inf,
             margin=radians(rig.position_margin_deg),
             speed_fraction=rig.speed_fraction,
             torque_fraction=rig.torque_fraction,

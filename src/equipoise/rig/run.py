@@ -7,8 +7,9 @@ one in virtual time; arguments carry the differences.
 import gc
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from dataclasses import replace
 from itertools import count
-from math import inf, isnan
+from math import isnan
 from pathlib import Path
 from typing import Any, Final
 
@@ -131,7 +132,7 @@ def run_on_rig(
         InputError: The policy does not fit the rig.
         OutsideError: A device fails.
     """
-    _, safety = request.parameters(request.actuator, request.settings.counts_per_rev)
+    _, safety = request.parameters(request.actuator)
     robot = GuardedRobot(rig.robot, safety.limits, request.policy.h / 2.0)
 
     def check_links() -> None:
@@ -153,7 +154,7 @@ def run_on_rig(
             tell(OperatorMessage(f"finding {result.status}", printable(result.sentence)))
         require(fit)
         require(results, OutsideError)
-        if max_speed < inf:
+        if max_speed is not None:
             text = f"The run stops when the flange reaches {max_speed:.3g} m/s."
             tell(OperatorMessage("notice", text))
         tell(OperatorMessage("notice", rig.plugin.failure))
@@ -179,8 +180,9 @@ def run_on_rig(
             if request.runs > 1:
                 so_far = f"{survived} of {number - 1} survived" if number > 1 else "the first"
                 tell(OperatorMessage("run", f"Run {number} of {request.runs}; {so_far}."))
+            limited = replace(request, max_speed=max_speed)
             end, reference = _run_once(
-                request, rig, robot, operator, recorder, max_speed, submit=submit, idle=idle
+                limited, rig, robot, operator, recorder, submit=submit, idle=idle
             )
             if reference is None or number == request.runs:
                 return end
@@ -203,7 +205,6 @@ def _run_once(
     robot: GuardedRobot,
     operator: Operator,
     recorder: Recorder,
-    max_speed: float,
     *,
     submit: Callable[[Job], "Future[Any]"],
     idle: Callable[[], None],
@@ -217,14 +218,7 @@ def _run_once(
     robot.start()
     started = rig.clock.now()
     recorder.reply.push(time=started, q=robot.started_at, taken=started)
-    counts = rig.sensor.counts_per_rev
-    run = Run(
-        request,
-        robot.started_at,
-        counts_per_rev=counts,
-        max_speed=max_speed,
-        clock=rig.clock.now,
-    )
+    run = Run(request, robot.started_at, rig.clock.now)
     controller = RunController(run, script(run))
     ending = run_loop(
         robot,
@@ -255,7 +249,7 @@ def _run_once(
         zero_change=test and test.zero,
         w2=test and test.w2,
         delay=test and test.delay,
-        max_speed=max_speed if max_speed < inf else None,
+        max_speed=request.max_speed,
         identified=run.identified,
         missed=ending.missed,
     )

@@ -10,7 +10,7 @@ or from a safety rule, no phase is resumed: `come_to_rest` takes the place of th
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from math import degrees, inf, isfinite, nan, pi, radians, sqrt
+from math import degrees, isfinite, nan, pi, radians, sqrt
 from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
@@ -107,18 +107,13 @@ class Run:
         self,
         request: RunRequest,
         q: Sequence[float],
-        *,
-        counts_per_rev: int,
-        max_speed: float = inf,
         clock: Callable[[], float] = lambda: 0.0,
     ) -> None:
         """Begin with an arm that rests at the measured joints.
 
         Args:
-            request: The run.
+            request: The run, with the flange speed limit from the pre-flight.
             q: Measured joints, all of them [rad].
-            counts_per_rev: Counts per revolution that the rig's encoder reports.
-            max_speed: Flange speed limit from the pre-flight [m/s].
             clock: Clock for the computing time of a policy in Python [s]; the default gives zero.
 
         Raises:
@@ -129,7 +124,6 @@ class Run:
         self.clock = clock if request.policy.kernel is None else lambda: 0.0
         """Clock for the computing time of the policy [s]."""
         self.request, self.arm = request, request.settings.described_arm
-        self._counts_per_rev, self._max_speed = counts_per_rev, max_speed
         self.assume(request.actuator)
         self.h, self.flange = self.params.h, FlangeKinematics(self.arm, self.params)
         self.encoder = EncoderReadings(self.params.resolution)
@@ -184,9 +178,9 @@ class Run:
             ArmError: Home is a singular posture.
             SettingsError: The delay exceeds the controller's history.
         """
-        request, speed = self.request, self._max_speed
-        self.params, self.safety = request.parameters(actuator, self._counts_per_rev, speed)
-        self.controller = Controller(self.arm, self.params, request.policy.settings.boxes)
+        self.params, self.safety = self.request.parameters(actuator)
+        boxes = self.request.policy.settings.boxes
+        self.controller = Controller(self.arm, self.params, boxes)
 
     def enter(self, phase: Phase, name: str, text: str, answers: tuple[str, ...] = ()) -> None:
         """Begin a phase with a message, see `notify`."""
@@ -414,7 +408,7 @@ def _swing_out(run: Run, direction: float) -> Steps[SelfTest]:
         *np.array(encoder).reshape(-1, 2).T.copy(),
         *np.array(pivot).reshape(-1, 2).T.copy(),
         pendulum=run.params.pendulum,
-        counts_per_rev=round(2.0 * pi / run.params.resolution),
+        counts_per_rev=run.request.settings.counts_per_rev,
         resting=run.encoder.hanging(),
         delay=0.0,
     )
