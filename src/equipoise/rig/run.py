@@ -13,7 +13,7 @@ from math import isnan
 from pathlib import Path
 from typing import Any, Final
 
-from equipoise.control.ticks import Job, OperatorMessage
+from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import EquipoiseError, LinkError, OutsideError
 from equipoise.log.conditions import Reference, RunEnd
 from equipoise.log.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
@@ -24,10 +24,10 @@ from equipoise.rig.clocks import DrainingClock, ended_stalls
 from equipoise.rig.connection import Rig, connect
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import Clock, Operator
-from equipoise.rig.loop import run_inline, run_loop
+from equipoise.rig.loop import run_loop
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
-from equipoise.rig.script import Run, script
+from equipoise.rig.script import Job, Run, run_inline, script
 from equipoise.rig.series import LEADS_ON, RunLogs
 from equipoise.settings import HANGING
 
@@ -218,18 +218,9 @@ def _run_once(
     robot.start()
     started = rig.clock.now()
     recorder.reply.push(time=started, q=robot.started_at, taken=started)
-    run = Run(request, robot.started_at, rig.clock.now)
+    run = Run(request, robot.started_at, rig.clock.now, submit)
     controller = RunController(run, script(run))
-    ending = run_loop(
-        robot,
-        rig.sensor,
-        rig.clock,
-        controller,
-        recorder,
-        operator,
-        submit=submit,
-        idle=idle,
-    )
+    ending = run_loop(robot, rig.sensor, rig.clock, controller, recorder, operator, idle=idle)
     if ending.stoppable:
         try:
             rig.robot.stop()

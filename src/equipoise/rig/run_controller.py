@@ -4,8 +4,8 @@ In each tick it takes samples, replies and typed lines, checks the safety rules,
 of the run (`equipoise.rig.script`) make the setpoints. Any failure latches a stop, whose ramp
 begins in the tick that detects it: the script is closed, and `come_to_rest` takes its place.
 
-The controller uses no clock, link or file. Equal inputs give equal outputs: the replay of a log
-gives the same setpoints.
+The controller uses no link or file. Equal inputs, and equal results of the script's long jobs, give
+equal outputs: the replay of a log gives the same setpoints.
 
 The two setpoints of a tick are the arm's targets half a tick later and a whole one, as in the
 training (`equipoise.control.control_step`).
@@ -95,7 +95,6 @@ class RunController:
         run, h = self.run, self.h
         missed = missed_ticks(inputs.lateness, h)
         late = max(inputs.lateness - missed * h, 0.0)
-        run.job = None
         if paused := inputs.paused(h):
             self._rest(missed, inputs.unsent, "The control loop")
         self._take_measurements(inputs)
@@ -130,7 +129,6 @@ class RunController:
             PHASES.index(run.phase),
             run.record,
             messages,
-            run.job,
             to_rest=run.phase is Phase.STOPPING,
             done=run.done,
         )
@@ -158,8 +156,6 @@ class RunController:
         for reply in inputs.replies:
             if run.joints.add(reply, rests_at_home):
                 self._tick.joints.append((run.joints.time, run.joints.q))
-        if inputs.result is not None:
-            self._tick.result = inputs.result
 
     def _take_lines(self, lines: Sequence[str]) -> None:
         """Accept an expected answer; other input stops, except Enter while nothing moves."""

@@ -8,6 +8,7 @@ or from a safety rule, no phase is resumed: `come_to_rest` takes the place of th
 """
 
 from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
 from math import degrees, isfinite, nan, pi, radians, sqrt
@@ -21,7 +22,7 @@ from equipoise.control.controller import Controller, FlangeKinematics
 from equipoise.control.minimum_jerk import MinimumJerk
 from equipoise.control.policy import Policy, TaskPolicy, tick_policy
 from equipoise.control.swing_up import SwingUpPolicy, amplitude, make_swing_up, time_limit
-from equipoise.control.ticks import OK, Job, OperatorMessage, Sample, TickRecord
+from equipoise.control.ticks import OK, OperatorMessage, Sample, TickRecord
 from equipoise.errors import InputError
 from equipoise.identification.driven_swing import (
     MOVE_TIME,
@@ -43,6 +44,8 @@ from equipoise.safety.stop import Ramp, ramp, slow_path, stoppable_speeds, way_b
 from equipoise.settings import HANGING
 
 T = TypeVar("T")
+Job: TypeAlias = Callable[[], Any]
+"""Work for another process: a `functools.partial` of a function and its values."""
 Setpoints: TypeAlias = tuple[tuple[float, ...], ...]
 """Setpoints of a tick [rad]: now, and h / 2 later; empty while nothing is to be sent."""
 
@@ -77,8 +80,6 @@ class Tick:
     """Setpoints of the tick before, with the times at which they were due."""
     joints: list[TimedJoints] = field(default_factory=list[TimedJoints])
     """Measured joints, with the times of their measurement."""
-    result: Any = None
-    """Result of the job, once; an exception where it failed."""
     stalled: bool = False
     """Whether the arm has come to rest at the last setpoint, because loop or link stood still."""
     away: bool = False
@@ -100,6 +101,16 @@ class PhaseError(Exception):
         self.end = End(outcome, evidence)
 
 
+def run_inline(job: Job) -> "Future[Any]":
+    """Run a job at once: in virtual time it takes no time."""
+    future: Future[Any] = Future()
+    try:
+        future.set_result(job())
+    except Exception as error:  # the run stops on it
+        future.set_exception(error)
+    return future
+
+
 class Run:
     """State of a run that its phases use: measurements, motion, messages."""
 
@@ -108,6 +119,7 @@ class Run:
         request: RunRequest,
         q: Sequence[float],
         clock: Callable[[], float] = lambda: 0.0,
+        submit: Callable[[Job], "Future[Any]"] = run_inline,
     ) -> None:
         """Begin with an arm that rests at the measured joints.
 
@@ -115,6 +127,7 @@ class Run:
             request: The run, with the flange speed limit from the pre-flight.
             q: Measured joints, all of them [rad].
             clock: Clock for the computing time of a policy in Python [s]; the default gives zero.
+            submit: Starts a job that takes longer than a tick (default: inline).
 
         Raises:
             ArmError: Home is a singular posture.
@@ -123,6 +136,8 @@ class Run:
         # A kernel takes the computer's time, which virtual time does not show.
         self.clock = clock if request.policy.kernel is None else lambda: 0.0
         """Clock for the computing time of the policy [s]."""
+        self.submit = submit
+        """Starts a job that takes longer than a tick."""
         self.request, self.arm = request, request.settings.described_arm
         self.assume(request.actuator)
         self.h, self.flange = self.params.h, FlangeKinematics(self.arm, self.params)
@@ -148,8 +163,6 @@ class Run:
         """Messages of this tick to the operator and to the log."""
         self.record = TickRecord()
         """Record of this tick for the log."""
-        self.job: Job | None = None
-        """Job that begins with this tick."""
         self.identified: Actuator | None = None
         """Actuator that the excitation has identified."""
         self.tested: SelfTest | None = None
@@ -247,12 +260,11 @@ class Run:
 
     def work(self, job: Job, hold: Callable[[], Setpoints]) -> Steps[Any]:
         """Hold the arm while a job runs; return its result, or raise its exception."""
-        self.job, result = job, None
-        while result is None:
-            result = (yield hold()).result
-        if isinstance(result, Exception):
-            raise result
-        return result
+        future = self.submit(job)
+        yield hold()
+        while not future.done():
+            yield hold()
+        return future.result()
 
 
 def script(run: Run) -> Steps[End]:
