@@ -7,7 +7,6 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from equipoise.arrays import Array
 from equipoise.control.ticks import Reply, Sample
 from equipoise.safety import rules
 from equipoise.safety.monitors import JointPlausibility, RepeatMonitor
@@ -145,10 +144,10 @@ class ArmReadings:
         """Whether joints were measured, and whether a reply was late, since the tick before."""
         self.plausibility = JointPlausibility(limits)
         """Monitor of the joints' plausibility."""
-        self.torque_at_home: Array | None = None
+        self.torque_at_home: tuple[float, ...] | None = None
         """External torques at home [N m]; None before the reference."""
-        self._torque: Array | None = None
-        self._torque_at_start: Array | None = None
+        self._torque: tuple[float, ...] | None = None
+        self._torque_at_start: tuple[float, ...] | None = None
         self._torque_sum, self._torques = np.zeros(len(q)), 0
 
     def begin_tick(self) -> None:
@@ -165,7 +164,7 @@ class ArmReadings:
             self.time = self.known_since = 0.5 * (reply.sent + reply.received)
             self.plausibility.add(reply.sent, reply.received, reply.q)
         if reply.torque is not None:
-            self._torque = np.array(reply.torque)
+            self._torque = tuple(reply.torque)
             if self._torque_at_start is None:  # the way home has hardly begun
                 self._torque_at_start = self._torque
             if self.torque_at_home is None and rests_at_home:
@@ -176,11 +175,11 @@ class ArmReadings:
     def reference_torques(self) -> None:
         """Take the mean torques at home as those at rest."""
         if self._torques:
-            self.torque_at_home = self._torque_sum / self._torques
+            self.torque_at_home = tuple((self._torque_sum / self._torques).tolist())
 
     def new_torque(self) -> tuple[float, ...] | None:
         """Return new external torques less those at rest [N m]; None without new ones."""
         at_rest = self._torque_at_start if self.torque_at_home is None else self.torque_at_home
         if at_rest is None or self._torque is None:
             return None
-        return tuple((self._torque - at_rest).tolist())
+        return tuple(np.subtract(self._torque, at_rest).tolist())

@@ -233,7 +233,7 @@ def _run_once(
     end = RunEnd(
         outcome=cause.outcome,
         evidence=dict(cause.evidence),
-        survival=controller.survival,
+        survival=run.balanced * run.h,
         stoppable=ending.stoppable,
         upright=run.upright,
         zero=None if isnan(zero) else zero,
@@ -245,7 +245,9 @@ def _run_once(
         missed=ending.missed,
     )
     leads_on = cause.outcome in LEADS_ON and not controller.key_after_stop
-    return end, run.reference if leads_on and ending.stoppable else None
+    if not (leads_on and ending.stoppable):
+        return end, None
+    return end, Reference(zero=zero, torque=run.joints.torque_at_home)
 
 
 def _unmoved(outcome: Outcome, **evidence: float | str) -> RunEnd:

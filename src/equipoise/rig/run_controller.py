@@ -80,11 +80,6 @@ class RunController:
         self._stalls, self._overdue, self._link_stalled = RepeatMonitor(), 0.0, False
         self._warnings = set[str]()
 
-    @property
-    def survival(self) -> float:
-        """Time for which the policy has acted [s]."""
-        return self.run.balanced * self.h
-
     def tick(self, now: float, inputs: TickInputs) -> TickOutput:
         """Process the inputs since the last tick, and return the setpoints of this one.
 

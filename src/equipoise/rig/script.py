@@ -32,7 +32,6 @@ from equipoise.identification.driven_swing import (
     flange_move,
     self_test,
 )
-from equipoise.log.conditions import Reference
 from equipoise.model.actuator import Actuator
 from equipoise.outcomes import End, Outcome, Phase
 from equipoise.printable import printable
@@ -144,9 +143,7 @@ class Run:
         self.encoder = EncoderReadings(self.params.resolution)
         self.joints = ArmReadings(q, self.safety.limits)
         if (reference := request.reference) is not None:
-            self.encoder.zero = reference.zero
-            if reference.torque is not None:
-                self.joints.torque_at_home = np.array(reference.torque)
+            self.encoder.zero, self.joints.torque_at_home = reference.zero, reference.torque
         self.phase = Phase.HOMING
         """The phase."""
         self.ticks = 0
@@ -171,13 +168,6 @@ class Run:
         """Duration of the swing-up [s]; None before its end."""
         self.done = False
         """Whether the arm rests after a stop, and the run is over."""
-
-    @property
-    def reference(self) -> Reference:
-        """Zero and torques for the next run of a series; the pendulum is referenced."""
-        torque = self.joints.torque_at_home
-        zero = self.encoder.zero
-        return Reference(zero=zero, torque=None if torque is None else tuple(torque.tolist()))
 
     @property
     def time(self) -> float:
