@@ -214,11 +214,11 @@ class RunController:
         self._monitor = rules.update_monitor(params, self._monitor, inputs)
         # The observer receives no forbidden measurement; the rules then check its estimate, too.
         measured = inputs._replace(on_track=False, balancing=False)
-        if run.phase in OBSERVED and rules.check(params, self._monitor, measured) is None:
+        if run.phase in OBSERVED and not rules.violations(params, self._monitor, measured):
             self._observe(now)
             estimate = run.controller.estimate
             inputs = inputs._replace(x_dot=estimate.pivot_v, phi=estimate.phi)
-        broken = list(rules.violations(params, self._monitor, inputs))
+        broken = rules.violations(params, self._monitor, inputs)
         for violation in broken:
             self.stop(violation)
         others = (end for end in broken if end.outcome not in rules.FROM_MEASURED)

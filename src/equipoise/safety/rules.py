@@ -1,16 +1,16 @@
-r"""Safety rules of a run on a rig: pure functions that return the first broken rule.
+r"""Safety rules of a run on a rig: pure functions that return the broken rules.
 
 Two checks, both without a clock and without I/O:
 
 `check_setpoint`, `check_first`
-    Check of a setpoint, just before it is sent.
-`check`
+    Check of a setpoint, just before it is sent: the first broken rule, or None.
+`violations`
     Check of the run, once per tick, from its current state (`SafetyInputs`) and the state of the
-    checks that span several ticks (`MonitorState`, from `update_monitor`).
+    checks that span several ticks (`MonitorState`, from `update_monitor`): all broken rules.
 
-Each returns the first broken rule, or None. A broken rule leads to a latched stop
-(`equipoise.safety.stop`). The rows of `equipoise.outcomes.Outcome` list the rules in their order,
-with sentence, advice, and the limit where a rule compares one input with a number.
+A broken rule leads to a latched stop (`equipoise.safety.stop`). The rows of
+`equipoise.outcomes.Outcome` list the rules in their order, with sentence, advice, and the limit
+where a rule compares one input with a number.
 
 The deciding functions are `@compilable`: the same ones run in the trials of the digital twin
 (`equipoise.safety.trial`), where a broken rule ends the trial. They return codes and
@@ -127,11 +127,6 @@ class Limits(NamedTuple):
     """Limits of the velocity [rad/s]."""
     acceleration: Numbers
     """Limits of the acceleration [rad/s^2]."""
-
-    @property
-    def joints(self) -> int:
-        """Number of joints."""
-        return len(self.lower)
 
 
 def limits_of(arm: Arm, *, margin: float = POSITION_MARGIN, speed_fraction: float = 1.0) -> Limits:
@@ -260,8 +255,8 @@ def check_first(limits: Limits, q: Sequence[float], measured: Sequence[float]) -
 
 
 def _invalid_numbers(limits: Limits, q: Sequence[float], name: str) -> End | None:
-    if len(q) != limits.joints:
-        return _violation(Outcome.COUNT, len(q), limits.joints, name=name)
+    if len(q) != len(limits.lower):
+        return _violation(Outcome.COUNT, len(q), len(limits.lower), name=name)
     for joint, angle in enumerate(q, start=1):
         if not isfinite(angle):
             evidence = {"name": f"{name}, joint {joint},", "got": str(angle), "joint": joint}
@@ -334,7 +329,7 @@ def update_monitor(
     Args:
         params: Safety limits of the rig.
         before: The state at the tick before.
-        inputs: State of the run now, checked for invalid numbers by `check` in the same tick.
+        inputs: State of the run now, checked for invalid numbers by `violations` in the same tick.
     """
     measured, expected = inputs.measured, inputs.expected
     if measured is None or expected is None:
@@ -352,20 +347,14 @@ def update_monitor(
     return MonitorState(0, error_time, tuple(rest), tuple(then), tuple(motion))
 
 
-def check(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> End | None:
-    """Return the broken rule that stops the run, or None; of several the first.
+def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> list[End]:
+    """Return the broken rules in the order of `SAFETY_RULES`; the first one stops the run.
 
     Args:
         params: Safety limits of the rig.
         monitor: State of the checks that span several ticks, this one included.
         inputs: State of the run now.
     """
-    broken = violations(params, monitor, inputs)
-    return broken[0] if broken else None
-
-
-def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> list[End]:
-    """Return the broken rules in the order of `SAFETY_RULES`; arguments as of `check`."""
     broken = [
         _violation(rule, float(value), bound.limit)
         for rule in SAFETY_RULES
@@ -385,7 +374,7 @@ def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs
         if abs(torque) > limit:
             broken.append(_violation(Outcome.TORQUE, torque, limit, joint=joint))
     duration, measured, expected = monitor.error_time, inputs.measured, inputs.expected
-    if error_time_exceeded(duration) and measured is not None and expected is not None:
+    if duration > FOLLOWING_TIME and measured is not None and expected is not None:
         error, joint = largest_difference(measured, expected)
         evidence = {"joint": joint, "duration": duration}
         broken.append(_violation(Outcome.FOLLOWING, error, FOLLOWING_LIMIT, **evidence))
@@ -413,12 +402,6 @@ def next_error_time(before: float, error: float, h: float) -> float:
         h: Time since then [s].
     """
     return before + h if error > FOLLOWING_LIMIT else 0.0
-
-
-@compilable
-def error_time_exceeded(time: float) -> bool:
-    """Return whether a following error persists for too long [s]."""
-    return time > FOLLOWING_TIME
 
 
 @compilable

@@ -158,7 +158,7 @@ def trial_violation(
     expected = state.setpoints[rules.newest_before(state.sent, state.number, since)]
     error, _ = rules.largest_difference(q, expected)
     state.error_time = rules.next_error_time(state.error_time, error, params.h)
-    if rules.error_time_exceeded(state.error_time):
+    if state.error_time > rules.FOLLOWING_TIME:
         return rules.FOLLOWING_CODE
     kinematics(controller.code.kinematics, measurements.measured, state.still, state.frame, 1)
     x, drift, tilt, w = flange_pose(state.frame, controller.home_reference)
