@@ -17,7 +17,6 @@ from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.errors import EquipoiseError
 from equipoise.identification.actuator import identify_actuator
 from equipoise.log.conditions import RunEnd
-from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig import run
 from equipoise.rig.clocks import DrainingClock
 from equipoise.rig.config import RigSettings
@@ -119,9 +118,8 @@ class FaultHarness:
             seed: Seed of the rig.
         """
         self.scenario = scenario
-        world = read_world(WORLD)
-        pendulum = pendulum_on(scenario.policy.pendulum, world.settings)
-        self.rig = emulated_rig(world, scenario.settings, pendulum, robot="kst", seed=seed)
+        pendulum = scenario.policy.pendulum
+        self.rig = emulated_rig(WORLD, scenario.settings, pendulum, robot="kst", seed=seed)
         self.robot, self.sensor = self.rig.emulated
         self.bench, self.board = self.rig.bench, self.sensor.emulator
         clock = self.rig.clock
