@@ -21,6 +21,7 @@ from equipoise.rig import run
 from equipoise.rig.clocks import DrainingClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig
+from equipoise.rig.plugins import Session
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
 from equipoise.robots.encoder.sensor import LineEncoder
@@ -148,7 +149,7 @@ class FaultHarness:
         counts, sign = settings.counts_per_rev, settings.encoder_sign
         sensor = LineEncoder(self.encoder_tap.open, self.clock, counts_per_rev=counts, sign=sign)
         waiting, joints = DrainingClock(self.clock, sensor), self.rig.robot.joints
-        robot = KstRobot(self.robot_tap.open, waiting, joints=joints)
+        robot = KstRobot(self.robot_tap.open, Session(waiting, self.clock), joints=joints)
         rig = self.rig._replace(robot=robot, sensor=sensor, clock=self.clock)
         rig.operator.ignored = scenario.missed_messages
         links = ("kst://emulated", "serial://emulated")

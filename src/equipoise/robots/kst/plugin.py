@@ -52,8 +52,7 @@ def open_robot(address: str, session: Session) -> KstRobot:
     """Return the driver for an address; nothing is opened before it is connected."""
     if session.load is not None:
         raise InputError("a KST server takes no load_kg; enter it as a tool in Sunrise.Workbench")
-    open_link = partial(dial, *host_and_port(address))
-    return KstRobot(open_link, session.clock, notify=session.notify, attend=session.attend)
+    return KstRobot(partial(dial, *host_and_port(address)), session)
 
 
 def emulate(rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: int) -> Emulated:
@@ -70,7 +69,7 @@ def emulate(rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: i
             with suppress(LinkError):
                 cabinet.write(segment)
 
-    robot = KstRobot(lambda: host, session.clock, joints=rig.joints)
+    robot = KstRobot(lambda: host, session, joints=rig.joints)
     return Emulated(robot, advance, server, cabinet)
 
 
