@@ -1,7 +1,7 @@
 """Emulator of a cabinet with its KST server: its joint servo, with the server's faults.
 
-The server is bytes and times (`KstServer`), in memory or on a TCP port (`KstHardware`). As in the
-real one, two threads share one string. The *reader* receives each line, and handles targets,
+The server (`KstServer`) serves a link in memory or on a TCP port (`KstHardware`). As in the real
+one, two threads share one string. The *reader* receives each line, and handles targets,
 `getJointsPositions`, stop and end itself. Any other line waits in that string for the *main*
 thread, which ignores it while a servo runs. Hence:
 
@@ -25,6 +25,7 @@ from contextlib import suppress
 from typing import Final
 
 from equipoise.errors import InputError, LinkError, OutsideError
+from equipoise.rig.interfaces import Transport
 from equipoise.rig.simulated_rig import Bodies, SimulatedRig
 from equipoise.rig.transports import SocketTransport
 from equipoise.robots.kst.codec import (
@@ -48,26 +49,20 @@ READER: Final = ("jp_", "jpJP_", "jpExT_", GET_JOINTS, STOP_SERVO, "blueOn", "bl
 
 
 class KstServer:
-    """An emulated KST server for one client: bytes and times in, bytes out.
+    """An emulated KST server for one client; advance it once a millisecond, after the arm."""
 
-    Feed received bytes, and advance at least once a millisecond, after the arm::
-
-        server.feed(data, now)
-        for segment in server.advance(now):
-            connection.send(segment)
-    """
-
-    def __init__(self, body: SimulatedArm) -> None:
+    def __init__(self, body: SimulatedArm, link: Transport) -> None:
         """Begin with a connected client, the arm at rest and no servo.
 
         Args:
             body: The arm; lines have a field for each of its joints.
+            link: Link to the client.
         """
         self.ended = False
-        """Whether the server's program has ended; the connection is closed then."""
+        """Whether the server's program has ended; it closes the connection then."""
         self.deserted = False
         """Whether the client left without an `end`; no other is ever served."""
-        self._body, self._target = body, [0.0] * len(body.arm.joints)
+        self._body, self._link, self._target = body, link, [0.0] * len(body.arm.joints)
         self._measure = body.measured  # of the servo, which no fault of a reply reaches
         self._rest, self._reads = b"", True
         self._segments: list[bytes] = []
@@ -76,21 +71,22 @@ class KstServer:
         self._requested = self._runs = False  # the servo
         self._main = self._run_main()
 
-    @property
-    def closed(self) -> bool:
-        """Whether the connection is closed from this side."""
-        return self.ended and not self._segments
-
-    def feed(self, data: bytes, now: float) -> None:
-        """Receive bytes from the client.
-
-        Args:
-            data: Received bytes; may be empty.
-            now: The time [s].
-        """
+    def advance(self, now: float) -> None:
+        """Run the server's threads until a time [s]."""
         self._now = now
-        if self.closed or not self._reads:
-            return
+        try:
+            self._receive(self._link.read())
+        except LinkError:  # the servo continues to its last target
+            self.deserted, self._reads = True, False
+        next(self._main, None)
+        for segment in self._segments:
+            with suppress(LinkError):
+                self._link.write(segment)
+        self._segments.clear()
+
+    # The reader's thread.
+
+    def _receive(self, data: bytes) -> None:
         try:
             lines, self._rest = split_lines(self._rest + data)
             for line in lines:
@@ -98,29 +94,6 @@ class KstServer:
                     self._read(line.decode("latin-1"))
         except (InputError, LinkError):
             self._reads = False
-
-    def advance(self, now: float) -> list[bytes]:
-        """Run the server's threads until a time.
-
-        Args:
-            now: The time [s].
-
-        Returns:
-            Segments sent to the client since the last call, in order.
-        """
-        self._now = now
-        next(self._main, None)
-        segments, self._segments = self._segments, []
-        return [] if self.deserted else segments
-
-    def vanished(self, now: float) -> None:
-        """Record, unlike the real server, that the client left without an `end`.
-
-        The servo continues to its last target. No line is read again.
-        """
-        self._now, self.deserted, self._reads = now, True, False
-
-    # The reader's thread.
 
     def _read(self, command: str) -> None:
         """Obey a line.
@@ -227,27 +200,21 @@ class KstHardware:
         }
         """Actions at the robot, by the word that triggers them."""
         self._client: SocketTransport | None = None
-        self._begin()
+        self._server: KstServer | None = None
 
     def advance(self, now: float) -> None:
         """Advance the arm to a time [s], and serve the client."""
         self.bench.advance(now)
-        server = self._server
-        if self._client is None and not (server.deserted or server.closed):
+        if self._server is None:
             with suppress(BlockingIOError):
                 self._client = SocketTransport(self._listener.accept()[0])
-        try:
-            if self._client is not None:
-                server.feed(self._client.read(), now)
-            for segment in server.advance(now):
-                if self._client is not None:
-                    self._client.write(segment)
-        except LinkError:
-            self._hang_up()
-            server.vanished(now)
-            self._say("the client has vanished; a running servo continues until start")
-        if server.closed:
-            self._restart()
+                self._server = KstServer(self.bench.body, self._client)
+        elif not self._server.deserted:
+            self._server.advance(now)
+            if self._server.deserted:
+                self._say("the client has vanished; a running servo continues until start")
+            if self._server.ended:
+                self._restart()
 
     def close(self) -> None:
         """Switch the cabinet off."""
@@ -259,19 +226,15 @@ class KstHardware:
         self.bench.body.servo(False)
         self._say("the robot's server has ended, and starts again")
         self._hang_up()
-        self._begin()
-
-    def _begin(self) -> None:
-        """Start a server."""
-        self._server = KstServer(self.bench.body)
-        with suppress(BlockingIOError):  # whoever called the server before is not served any more
-            while True:
-                self._listener.accept()[0].close()
 
     def _hang_up(self) -> None:
+        """Close all connections: whoever called the server before is not served any more."""
         if self._client is not None:
             self._client.close()
-        self._client = None
+        self._client = self._server = None
+        with suppress(BlockingIOError):
+            while True:
+                self._listener.accept()[0].close()
 
     def _warm_up(self) -> None:
         """Call each function that a client needs, since compiling it later would be a stall."""
