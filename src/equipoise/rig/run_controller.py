@@ -24,15 +24,7 @@ from equipoise.rig.readings import (
     setpoint_in_force,
     unanswered_time,
 )
-from equipoise.rig.script import (
-    OBSERVED,
-    PhaseError,
-    Run,
-    Setpoints,
-    Steps,
-    Tick,
-    come_to_rest,
-)
+from equipoise.rig.script import OBSERVED, PhaseError, Run, Setpoints, Steps, Tick, come_to_rest
 from equipoise.safety import rules
 from equipoise.safety.monitors import MAX_REPEATS, REPEAT_WINDOW, RepeatMonitor
 from equipoise.safety.rules import SafetyInputs

@@ -95,8 +95,7 @@ NO_VIOLATION: Final = -1
 """Code for no broken rule."""
 # Codes of the rules of a setpoint, of the flange, and of the whole run, as kernels return them.
 POSITION_CODE, JUMP_CODE, VELOCITY_CODE, ACCELERATION_CODE = map(
-    SAFETY_RULES.index,
-    (Outcome.POSITION, Outcome.JUMP, Outcome.VELOCITY, Outcome.ACCELERATION),
+    SAFETY_RULES.index, (Outcome.POSITION, Outcome.JUMP, Outcome.VELOCITY, Outcome.ACCELERATION)
 )
 SINGULAR_CODE, TRACK_CODE, SPEED_CODE, DRIFT_CODE, TILT_CODE = map(
     SAFETY_RULES.index,

@@ -61,11 +61,7 @@ class TrialSafetyMonitor(NamedTuple):
 
 
 def trial_safety(
-    arm: Arm,
-    settings: TwinSettings,
-    actuator: Actuator,
-    h: float,
-    max_speed: float | None = None,
+    arm: Arm, settings: TwinSettings, actuator: Actuator, h: float, max_speed: float | None = None
 ) -> SafetyParams | None:
     """Return the safety limits of a world, those of a rig; None where it has none.
 
