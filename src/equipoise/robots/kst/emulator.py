@@ -28,23 +28,14 @@ from equipoise.errors import InputError, LinkError, OutsideError
 from equipoise.rig.interfaces import Transport
 from equipoise.rig.simulated_rig import Bodies, SimulatedRig
 from equipoise.rig.transports import SocketTransport
-from equipoise.robots.kst.codec import (
-    GET_JOINTS,
-    PORT,
-    START_SERVO,
-    STOP_SERVO,
-    java_double,
-    numbers_reply,
-    split_lines,
-    tokens,
-)
+from equipoise.robots.kst import codec
 from equipoise.simulation.twin.simulated_arm import SimulatedArm
 
 HOST: Final = "127.0.0.1"
 """Address of the emulated cabinet: this machine."""
 DONE: Final = b"done\n"
 """Acknowledgement of the server."""
-READER: Final = ("jp_", "jpJP_", "jpExT_", GET_JOINTS, STOP_SERVO, "blueOn", "blueOff")
+READER: Final = ("jp_", "jpJP_", "jpExT_", codec.GET_JOINTS, codec.STOP_SERVO, "blueOn", "blueOff")
 """Starts of the lines that the reader answers."""
 
 
@@ -88,7 +79,7 @@ class KstServer:
 
     def _receive(self, data: bytes) -> None:
         try:
-            lines, self._rest = split_lines(self._rest + data)
+            lines, self._rest = codec.split_lines(self._rest + data)
             for line in lines:
                 if self._reads:
                     self._read(line.decode("latin-1"))
@@ -107,23 +98,23 @@ class KstServer:
         elif command.startswith(READER):
             if command.startswith("jp"):
                 self._read_target(command)
-            elif command.startswith(STOP_SERVO):
+            elif command.startswith(codec.STOP_SERVO):
                 self._requested = False
             self._segments.append(self._answer(command))
         else:
             self._waiting = command
 
     def _answer(self, command: str) -> bytes:
-        if command.startswith(("jpJP_", GET_JOINTS)):
-            return numbers_reply(self._body.measured())
+        if command.startswith(("jpJP_", codec.GET_JOINTS)):
+            return codec.numbers_reply(self._body.measured())
         if command.startswith("jpExT_"):
-            return numbers_reply(self._body.torques(external=True))
+            return codec.numbers_reply(self._body.torques(external=True))
         return DONE
 
     def _read_target(self, command: str) -> None:
         try:
-            for i, field in enumerate(tokens(command)[1 : len(self._target) + 1]):
-                self._target[i] = java_double(field)
+            for i, field in enumerate(codec.tokens(command)[1 : len(self._target) + 1]):
+                self._target[i] = codec.java_double(field)
         finally:  # the servo follows the numbers read before the reader died
             if self._runs:
                 self._body.target(tuple(self._target))
@@ -133,7 +124,7 @@ class KstServer:
     def _run_main(self) -> Iterator[None]:
         while not self.ended:
             command, self._waiting = self._waiting, ""
-            if command.startswith(START_SERVO):
+            if command.startswith(codec.START_SERVO):
                 yield from self._serve()
             yield
 
@@ -178,7 +169,7 @@ class KstHardware:
             ArmError: The masses of the arm's links are unknown.
             OutsideError: The port is not available.
         """
-        port = PORT if port is None else port
+        port = codec.PORT if port is None else port
         try:
             self._listener = socket.create_server((HOST, port))
         except OSError as error:
