@@ -23,7 +23,7 @@ from equipoise.rig.checks import check_fit, preflight, require
 from equipoise.rig.clocks import DrainingClock, ended_stalls
 from equipoise.rig.connection import Rig, connect
 from equipoise.rig.guarded import GuardedRobot
-from equipoise.rig.interfaces import Clock, Operator
+from equipoise.rig.interfaces import Operator
 from equipoise.rig.loop import run_loop
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
@@ -46,23 +46,16 @@ ALONE: Final = "the operator's process has ended"
 class OperatorChannel:
     """Channel to the operators of a run: messages to all of them, and their typed lines."""
 
-    def __init__(
-        self,
-        operators: Sequence[Operator],
-        recorder: Recorder,
-        clock: Clock,
-        check_links: Callable[[], None],
-    ) -> None:
+    def __init__(self, operators: Sequence[Operator], recorder: Recorder, rig: Rig) -> None:
         """Connect operators to a run.
 
         Args:
             operators: The operators; each may type.
             recorder: Rings for the log.
-            clock: Time of the run before it moves.
-            check_links: Raises `LinkError` if a device has failed; called while a question is open.
+            rig: The rig, whose links are checked while a question is open.
         """
-        self._operators, self._recorder, self._clock = operators, recorder, clock
-        self._check_links = check_links
+        self._operators, self._recorder, self._rig = operators, recorder, rig
+        self._clock = DrainingClock(rig.clock, rig.sensor)
         self._pending: list[str] = []
 
     def notify(self, event: OperatorMessage) -> None:
@@ -92,10 +85,15 @@ class OperatorChannel:
             self.tell(event._replace(text=f"{word!r} is not {expected}. {event.text}"))
         return word
 
+    def check_links(self) -> None:
+        """Request the joints, and drop the encoder's samples; each raises where its link failed."""
+        self._rig.robot.measured()
+        self._rig.sensor.samples()
+
     def _read_word(self) -> str:
         while not (lines := self.read_input()):
             until = self._clock.now() + 0.02
-            self._check_links()
+            self.check_links()
             self._clock.wait_until(until)
         word, *self._pending = lines
         push_event(self._recorder.event, self._clock.now(), OperatorMessage(WORD_TYPED, word))
@@ -134,14 +132,7 @@ def run_on_rig(
     """
     _, safety = request.parameters(request.actuator)
     robot = GuardedRobot(rig.robot, safety.limits, request.policy.h / 2.0)
-
-    def check_links() -> None:
-        """Request the joints, and drop the encoder's samples; each raises where its link failed."""
-        rig.robot.measured()
-        rig.sensor.samples()
-
-    waiting = DrainingClock(rig.clock, rig.sensor)
-    operator = OperatorChannel(operators, recorder, waiting, check_links)
+    operator = OperatorChannel(operators, recorder, rig)
     tell = operator.tell
     try:
         tell(OperatorMessage(CONNECTING, f"Connecting to {request.robot}."))
@@ -170,7 +161,7 @@ def run_on_rig(
             if answer != word:
                 return _unmoved(Outcome.OPERATOR, typed=printable(answer))
         if request.dry_run:
-            check_links()  # the answers may have been typed ahead
+            operator.check_links()  # the answers may have been typed ahead
             return _unmoved(Outcome.DRY_RUN)
         question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
         if (answer := operator.ask(OperatorMessage("move", question, ("y", "n")))) != "y":
