@@ -117,8 +117,7 @@ def open_sensor(
 
 def emulate(rig: SimulatedRig, clock: Clock, counts_per_rev: int, sign: int) -> Emulated:
     """Return the driver in front of an emulated board on a simulated spindle."""
-    counts = rig.settings.counts_per_rev
-    board = Board(lambda: rig.theta, counts_per_rev=counts, sign=sign)
+    board = Board(lambda: rig.theta, counts_per_rev=counts_per_rev, sign=sign)
     reader, wire = memory_pipe(clock, rig.settings.encoder_age)
 
     def advance(now: float) -> None:
