@@ -62,8 +62,8 @@ class TrialSafetyMonitor(NamedTuple):
 
 def trial_safety(
     arm: Arm, settings: TwinSettings, actuator: Actuator, h: float, max_speed: float | None = None
-) -> SafetyParams | None:
-    """Return the safety limits of a world, those of a rig; None where it has none.
+) -> SafetyParams:
+    """Return the safety limits of a world, those of a rig.
 
     Args:
         arm: The arm with its home posture.
@@ -72,8 +72,6 @@ def trial_safety(
         h: Time between ticks [s].
         max_speed: Limit of the task on the flange's speed [m/s]; None without one.
     """
-    if not settings.guards:
-        return None
     return rules.make_safety_params(
         arm,
         reaction=horizon(arm, actuator, 0.0),
@@ -84,14 +82,11 @@ def trial_safety(
     )
 
 
-def new_trial_monitor(arm: Arm, params: SafetyParams | None) -> TrialSafetyMonitor:
-    """Return the monitor of a trial before its start; without `params` no rule applies."""
-    active, none = params is not None, (0.0,) * len(arm.joints)
-    # Where no rule applies, the limits are placeholders.
-    rules = params or SafetyParams(Limits(none, none, none, none), none, 0.0, 0.0, 0.0, 0.0, 0.0)
-    limits = Limits(*(arm.without_held(row) for row in rules.limits))
-    rules = rules._replace(limits=limits, torque=arm.without_held(rules.torque))
-    return TrialSafetyMonitor(active, rules, new_records(MonitorState))
+def new_trial_monitor(arm: Arm, params: SafetyParams, *, active: bool = True) -> TrialSafetyMonitor:
+    """Return the monitor of a trial before its start; where it is not active no rule applies."""
+    limits = Limits(*(arm.without_held(row) for row in params.limits))
+    params = params._replace(limits=limits, torque=arm.without_held(params.torque))
+    return TrialSafetyMonitor(active, params, new_records(MonitorState))
 
 
 @compilable

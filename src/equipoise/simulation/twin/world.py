@@ -228,7 +228,8 @@ class TwinLoop(ClosedLoop):
         states = new_records(BatchState)
         self._state = fields(states, BatchState)
         self.params, self.controller = simulation.params, self._state.controller
-        monitor = new_trial_monitor(arm, simulation.safety)
+        active = simulation.numbers.guards
+        monitor = new_trial_monitor(arm, simulation.safety, active=active)
         self._unused = np.zeros(1, np.int64)
         rows, q = rows_of(states, BATCH_SIZE), np.zeros(FREE_JOINTS)
         law = make_swing_up(self.params, simulation.max_speed)
