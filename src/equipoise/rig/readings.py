@@ -26,13 +26,8 @@ TimedJoints: TypeAlias = tuple[float, tuple[float, ...]]
 """A time [s], and all joints [rad]."""
 
 
-def setpoint_history(q: Sequence[float]) -> deque[TimedJoints]:
-    """Return the last setpoints of an arm that rests at `q` [rad], with the times of sending."""
-    return deque([(-inf, tuple(q))] * HISTORY, HISTORY)
-
-
 def setpoint_in_force(history: deque[TimedJoints], time: float) -> tuple[float, ...]:
-    """Return the setpoint in force at a time [s]: of a history the oldest, if all came later."""
+    """Return the setpoint in force at a time [s]: the oldest of the history, if all came later."""
     return next((q for sent, q in reversed(history) if sent <= time), history[0][1])
 
 

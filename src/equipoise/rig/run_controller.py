@@ -11,6 +11,7 @@ The two setpoints of a tick are the arm's targets half a tick later and a whole 
 training (`equipoise.control.control_step`).
 """
 
+from collections import deque
 from collections.abc import Sequence
 from math import inf
 from typing import Final
@@ -18,12 +19,7 @@ from typing import Final
 from equipoise.control.controller import FlangePose
 from equipoise.control.ticks import OK, TickInputs, TickOutput, TickRecord, missed_ticks
 from equipoise.outcomes import End, Outcome, Phase, describe
-from equipoise.rig.readings import (
-    MAX_ROUND_TRIP,
-    setpoint_history,
-    setpoint_in_force,
-    unanswered_time,
-)
+from equipoise.rig.readings import HISTORY, MAX_ROUND_TRIP, setpoint_in_force, unanswered_time
 from equipoise.rig.script import OBSERVED, PhaseError, Run, Setpoints, Steps, Tick, come_to_rest
 from equipoise.safety import rules
 from equipoise.safety.monitors import MAX_REPEATS, REPEAT_WINDOW, RepeatMonitor
@@ -67,7 +63,8 @@ class RunController:
         self._stopped = Phase.STOPPING  # the phase before the stop
         self.key_after_stop = False
         """Whether the operator has typed anything after the stop."""
-        self._sent, self._monitor = setpoint_history(run.q), rules.MonitorState()
+        self._sent = deque([(-inf, run.q)] * HISTORY, HISTORY)  # with the times of sending [s]
+        self._monitor = rules.MonitorState()
         self._pose: FlangePose | None = None
         self._stalls, self._overdue, self._link_stalled = RepeatMonitor(), 0.0, False
         self._warnings = set[str]()
