@@ -30,7 +30,9 @@ UNCERTAIN_TORQUE_FACTOR: Final = 2.0
 at the start of the servo, where the load on the flange pulls differently."""
 PHASES: Final = tuple(Phase)
 """Phases by the index that logs use."""
-MOVING: Final = {Phase.HOMING, Phase.SELF_TEST, Phase.EXCITING, *OBSERVED}
+CONTROLLED: Final = {Phase.SELF_TEST, *OBSERVED}
+"""Phases in which the controller moves the flange along its track."""
+MOVING: Final = {Phase.HOMING, Phase.EXCITING, *CONTROLLED}
 """Phases in which the arm moves: Enter stops them, too, and a silent link is sent nothing."""
 OFF_TRACK: Final = {Phase.HOMING, Phase.EXCITING}
 """Phases in which the rules of the flange do not apply."""
@@ -173,10 +175,15 @@ class RunController:
             unsent: Whether the second setpoint of the last tick was not sent.
             part: The part that stood still.
         """
-        moved = any(self.run.dq)
+        run, moved = self.run, any(self.run.dq)
         if unsent:
             self._sent.pop()
-        self.run.rest(self._sent[-1][1], missed, unsent)
+        run.q, run.dq = self._sent[-1][1], (0.0,) * len(run.q)
+        if run.phase in CONTROLLED:
+            run.lost_speed += run.controller.x_dot
+            run.controller.rest(run.q, missed, unsent)
+        if run.phase is Phase.BALANCING:
+            run.balanced += missed
         self._tick.stalled = True
         if moved:
             self._warn_once(f"{part} stalled; `equipoise rig doctor` looks for the cause.")
@@ -185,7 +192,7 @@ class RunController:
         """Send nothing while the link stands still; the time of a balance continues."""
         run = self.run
         self._rest(0, False, "The robot's link")
-        if run.phase is Phase.SELF_TEST or run.phase in OBSERVED:
+        if run.phase in CONTROLLED:
             run.controller.hold()
         if run.phase in OBSERVED:
             run.record_decision(0.0)

@@ -2,9 +2,9 @@
 
 A phase yields the setpoints of a tick, and receives what has come until the next one (`Tick`). Its
 first setpoints belong to the tick in which the phase before has ended. Motions continue from rest
-after a stall of the loop or of the robot's link (`Run.rest`); while the link is silent, nothing is
-sent and the script waits. A phase that cannot continue raises `PhaseError`. After a stop, from here
-or from a safety rule, no phase is resumed: `come_to_rest` takes the place of the script.
+after a stall of the loop or of the robot's link (`Tick.stalled`); while the link is silent, nothing
+is sent and the script waits. A phase that cannot continue raises `PhaseError`. After a stop, from
+here or from a safety rule, no phase is resumed: `come_to_rest` takes the place of the script.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -227,21 +227,6 @@ class Run:
         setpoints = self.controller.command(u)
         self.q, self.dq = self.controller.q, self.controller.dq
         return setpoints
-
-    def rest(self, q: tuple[float, ...], missed: int, unsent: bool) -> None:
-        """Begin the motion anew from rest at the last setpoint sent.
-
-        Args:
-            q: That setpoint [rad].
-            missed: Number of missed ticks.
-            unsent: Whether a setpoint of the last tick was not sent.
-        """
-        self.q, self.dq = q, (0.0,) * len(q)
-        if self.phase is Phase.SELF_TEST or self.phase in OBSERVED:
-            self.lost_speed += self.controller.x_dot
-            self.controller.rest(q, missed, unsent)
-        if self.phase is Phase.BALANCING:
-            self.balanced += missed
 
     def record_decision(self, u: float) -> None:
         """Record the observation of a tick, and the policy's u [m/s^2]."""
