@@ -56,7 +56,6 @@ class KstServer:
         self._body, self._link, self._target = body, link, [0.0] * len(body.arm.joints)
         self._measure = body.measured  # of the servo, which no fault of a reply reaches
         self._rest, self._reads = b"", True
-        self._segments: list[bytes] = []
         self._now = 0.0
         self._waiting = ""
         self._requested = self._runs = False  # the servo
@@ -70,10 +69,10 @@ class KstServer:
         except LinkError:  # the servo continues to its last target
             self.deserted, self._reads = True, False
         next(self._main, None)
-        for segment in self._segments:
-            with suppress(LinkError):
-                self._link.write(segment)
-        self._segments.clear()
+
+    def _say(self, segment: bytes) -> None:
+        with suppress(LinkError):
+            self._link.write(segment)
 
     # The reader's thread.
 
@@ -100,7 +99,7 @@ class KstServer:
                 self._read_target(command)
             elif command.startswith(codec.STOP_SERVO):
                 self._requested = False
-            self._segments.append(self._answer(command))
+            self._say(self._answer(command))
         else:
             self._waiting = command
 
@@ -136,7 +135,7 @@ class KstServer:
     def _serve(self) -> Iterator[None]:
         """Run a servo, which begins and ends "a few milliseconds" after its acknowledgements."""
         self._requested = True
-        self._segments.append(DONE)
+        self._say(DONE)
         yield from self._sleep(5e-3)
         self._runs = True
         self._body.servo(True)
