@@ -151,7 +151,8 @@ class FaultHarness:
         waiting, joints = DrainingClock(self.clock, sensor), self.rig.robot.joints
         robot = KstRobot(self.robot_tap.open, Session(waiting, self.clock), joints=joints)
         rig = self.rig._replace(robot=robot, sensor=sensor, clock=self.clock)
-        rig.operator.ignored = scenario.missed_messages
+        notify, missed = rig.operator.notify, scenario.missed_messages
+        rig.operator.notify = lambda event: event.name in missed or notify(event)
         links = ("kst://emulated", "serial://emulated")
         request = RunRequest(
             policy, policy.actuator, settings, *links, scenario.duration, scenario.max_speed,

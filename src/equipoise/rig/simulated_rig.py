@@ -219,8 +219,6 @@ class EmulatedOperator:
         """
         self._clock, self._random = clock, np.random.default_rng(seed)
         self._due: list[tuple[float, str, str]] = []
-        self.ignored: frozenset[str] = frozenset()
-        """Names of messages that the operator misses."""
         self.acts: dict[str, Callable[[], object]] = {
             "hang": bench.steady,
             "reference": lambda: (bench.let_go(), bench.press()),
@@ -233,8 +231,6 @@ class EmulatedOperator:
 
     def notify(self, event: OperatorMessage) -> None:
         """Receive a message, and plan the answer to it."""
-        if event.name in self.ignored:
-            return
         if event.name in self.acts or event.answers:
             moment = self._clock.now() + float(self._random.uniform(0.3, 1.0))  # [s]: assumed
             self._due.append((moment, next(iter(event.answers), ""), event.name))
