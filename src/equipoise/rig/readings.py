@@ -145,27 +145,27 @@ class ArmReadings:
         self._torque_at_start: tuple[float, ...] | None = None
         self._torque_sum, self._torques = np.zeros(len(q)), 0
 
-    def begin_tick(self) -> None:
-        """Forget what is new."""
+    def add(self, replies: Sequence[Reply], rests_at_home: bool) -> list[TimedJoints]:
+        """Add the replies of a tick; return the joints that count as measured."""
         self.fresh, self.late, self._torque = False, False, None
-
-    def add(self, reply: Reply, rests_at_home: bool) -> bool:
-        """Add the newest reply; return whether its joints count as measured."""
-        self.answered = reply.sent
-        late = reply.received - reply.sent > MAX_ROUND_TRIP
-        self.late, counts = self.late or late, reply.q is not None and not late
-        if reply.q is not None and counts:
-            self.q, self.fresh = tuple(reply.q), True
-            self.time = self.known_since = 0.5 * (reply.sent + reply.received)
-            self.plausibility.add(reply.sent, reply.received, reply.q)
-        if reply.torque is not None:
-            self._torque = tuple(reply.torque)
-            if self._torque_at_start is None:  # the way home has hardly begun
-                self._torque_at_start = self._torque
-            if self.torque_at_home is None and rests_at_home:
-                self._torque_sum += reply.torque
-                self._torques += 1
-        return counts
+        measured = list[TimedJoints]()
+        for reply in replies:
+            self.answered = reply.sent
+            late = reply.received - reply.sent > MAX_ROUND_TRIP
+            self.late = self.late or late
+            if reply.q is not None and not late:
+                self.q, self.fresh = tuple(reply.q), True
+                self.time = self.known_since = 0.5 * (reply.sent + reply.received)
+                self.plausibility.add(reply.sent, reply.received, reply.q)
+                measured.append((self.time, self.q))
+            if reply.torque is not None:
+                self._torque = tuple(reply.torque)
+                if self._torque_at_start is None:  # the way home has hardly begun
+                    self._torque_at_start = self._torque
+                if self.torque_at_home is None and rests_at_home:
+                    self._torque_sum += reply.torque
+                    self._torques += 1
+        return measured
 
     def reference_torques(self) -> None:
         """Take the mean torques at home as those at rest."""

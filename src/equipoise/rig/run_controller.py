@@ -137,11 +137,8 @@ class RunController:
         for sample in inputs.samples:
             run.encoder.add(sample)
         self._tick.samples += inputs.samples
-        run.joints.begin_tick()
         rests_at_home = run.phase in (Phase.AT_HOME, Phase.REFERENCING)
-        for reply in inputs.replies:
-            if run.joints.add(reply, rests_at_home):
-                self._tick.joints.append((run.joints.time, run.joints.q))
+        self._tick.joints += run.joints.add(inputs.replies, rests_at_home)
 
     def _take_lines(self, lines: Sequence[str]) -> None:
         """Accept an expected answer; other input stops, except Enter while nothing moves."""
