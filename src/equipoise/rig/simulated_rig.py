@@ -80,7 +80,6 @@ class Bench:
         self._random = np.random.default_rng(bodies.seed)
         self._start, self._ticks = bodies.start, 0
         self._down_until = self._slip = 0.0
-        self._touching = False
 
     @property
     def now(self) -> float:
@@ -162,15 +161,12 @@ class Bench:
         """Apply the force of the hand at the middle of the rod, across it."""
         data, rod = self._data, self._rod
         if self.hand.idle:
-            if self._touching:
-                data.xfrc_applied[rod, :3] = 0.0
-                self._touching = False
+            data.xfrc_applied[rod, :3] = 0.0
             return
         phi_dot = float(data.qvel[self._phi])
         torque = self.hand.torque(self.now, self.phi, phi_dot)
         across = data.xmat[rod, 0::3]
         data.xfrc_applied[rod, :3] = torque / self._reach * across
-        self._touching = True
 
 
 class SimulatedRig(Bench):
