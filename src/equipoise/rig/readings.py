@@ -55,38 +55,37 @@ class EncoderReadings:
         """Count of the hanging pendulum; NaN before the reference."""
         self.dropouts, self.bridged = RepeatMonitor(), False
         """Monitor of lost samples, and whether one was bridged."""
+        self._first_tick = inf
+
+    def add(self, samples: Sequence[Sample], now: float) -> None:
+        """Add the samples of a tick at a time [s], and find their faults."""
+        self._first_tick = min(now, self._first_tick)
         self._missing, self._illegal, self._jump = 0, False, 0.0
-        self._first_check = inf
+        for sample in samples:
+            self.samples.append(sample)
+            if sample.missing and not isnan(self.zero):
+                # Counts are absolute: a single missing one hides a millisecond and nothing else.
+                serious = self.dropouts.add(sample.time) or sample.missing > 1
+                self._missing += sample.missing if serious else 0
+                self.bridged = self.bridged or not serious
+            self._illegal = self._illegal or sample.illegal
+            if len(self.samples) > 2:
+                newest = [self.samples[i] for i in (-3, -2, -1)]
+                times, counts = [last.time for last in newest], [last.counts for last in newest]
+                jump = rules.unexplained_turn(times, counts, self._resolution)
+                self._jump = max(self._jump, jump)
 
-    def add(self, sample: Sample) -> None:
-        """Add the newest sample."""
-        samples = self.samples
-        samples.append(sample)
-        if sample.missing and not isnan(self.zero):
-            # Counts are absolute: a single missing sample hides a millisecond and nothing else.
-            serious = self.dropouts.add(sample.time) or sample.missing > 1
-            self._missing += sample.missing if serious else 0
-            self.bridged = self.bridged or not serious
-        self._illegal = self._illegal or sample.illegal
-        if len(samples) > 2:
-            newest = [samples[i] for i in (-3, -2, -1)]
-            times, counts = [last.time for last in newest], [last.counts for last in newest]
-            jump = rules.unexplained_turn(times, counts, self._resolution)
-            self._jump = max(self._jump, jump)
-
-    def take_checks(self, now: float) -> dict[str, Any]:
-        """Return the encoder's part of the safety inputs, and forget its faults."""
-        checks = {
+    def checks(self, now: float) -> dict[str, Any]:
+        """Return the encoder's part of the safety inputs."""
+        if isnan(self.zero):
+            return {}
+        newest = self.samples[-1].time if self.samples else self._first_tick
+        return {
+            "encoder_age": now - newest,
             "encoder_missing": self._missing,
             "encoder_illegal": self._illegal,
             "encoder_jump": self._jump,
         }
-        self._missing, self._illegal, self._jump = 0, False, 0.0
-        self._first_check = min(now, self._first_check)
-        if isnan(self.zero):
-            return {}
-        newest = self.samples[-1].time if self.samples else self._first_check
-        return {"encoder_age": now - newest, **checks}
 
     def hanging(self) -> float:
         """Return the counts of the hanging pendulum after its whole turns so far."""

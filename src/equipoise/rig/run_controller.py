@@ -83,7 +83,7 @@ class RunController:
         late = max(inputs.lateness - missed * h, 0.0)
         if paused := inputs.paused(h):
             self._rest(missed, inputs.unsent, "The control loop")
-        self._take_measurements(inputs)
+        self._take_measurements(now, inputs)
         self._take_lines(inputs.lines)
         for fault in inputs.faults:
             self.stop(fault)
@@ -132,10 +132,9 @@ class RunController:
 
     # Inputs.
 
-    def _take_measurements(self, inputs: TickInputs) -> None:
+    def _take_measurements(self, now: float, inputs: TickInputs) -> None:
         run = self.run
-        for sample in inputs.samples:
-            run.encoder.add(sample)
+        run.encoder.add(inputs.samples, now)
         self._tick.samples += inputs.samples
         rests_at_home = run.phase in (Phase.AT_HOME, Phase.REFERENCING)
         self._tick.joints += run.joints.add(inputs.replies, rests_at_home)
@@ -237,7 +236,7 @@ class RunController:
             torque=joints.new_torque(),
             balancing=run.phase is Phase.BALANCING,
             phi=controller.estimate.phi if observed else 0.0,
-            **run.encoder.take_checks(now),
+            **run.encoder.checks(now),
         )
         if joints.fresh:
             self._pose = run.flange.pose(joints.q)
