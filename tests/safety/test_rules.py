@@ -18,7 +18,7 @@ LIMITS = rules.limits_of(ARM)
 H = 0.01
 DT = 0.005
 RESOLUTION = 2 * pi / 8192
-GUARD = rules.make_safety_params(ARM, reaction=0.03, u_max=2.0, h=H, counts_per_rev=8192)
+GUARD = rules.make_safety_params(ARM, reaction=0.03, u_max=2.0, h=H)
 SLOW = GUARD._replace(speed=0.23)
 CALM = MonitorState()
 
@@ -45,7 +45,7 @@ def test_a_guard_knows_its_arm():
     w = abs(np.linalg.det(ARM.kinematics(ARM.home_free).jacobian))
     assert GUARD.min_manipulability == pytest.approx(0.1 * w)
     mirrored = ARM.model_copy(update={"home": (*HOME[:5], -HOME[5], *HOME[6:])})
-    guard = rules.make_safety_params(mirrored, reaction=0.0, u_max=1.0, h=H, counts_per_rev=9)
+    guard = rules.make_safety_params(mirrored, reaction=0.0, u_max=1.0, h=H)
     assert guard.min_manipulability == pytest.approx(GUARD.min_manipulability)
 
 

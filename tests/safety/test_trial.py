@@ -42,7 +42,7 @@ def violation(monitor, controller, records, q, measured_at):
 
 
 ARM = iiwa(7)
-GUARD_7 = rules.make_safety_params(ARM, reaction=0.03, u_max=2.0, h=0.01, counts_per_rev=8192)
+GUARD_7 = rules.make_safety_params(ARM, reaction=0.03, u_max=2.0, h=0.01)
 DT = 0.005
 
 

@@ -78,7 +78,6 @@ class RunRequest:
             reaction=horizon(arm, actuator, 0.0),
             u_max=policy.u_max,
             h=policy.h,
-            counts_per_rev=rig.counts_per_rev,
             speed=self.max_speed or inf,
             margin=radians(rig.position_margin_deg),
             speed_fraction=rig.speed_fraction,

@@ -26,7 +26,7 @@ robot without a watchdog then moves on to its last target. The rules keep that t
 
 from collections.abc import Sequence
 from itertools import pairwise
-from math import copysign, inf, isfinite, pi, radians
+from math import copysign, inf, isfinite, radians
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -159,8 +159,6 @@ class SafetyParams(NamedTuple):
     """Minimum |det J| [m^3]."""
     h: float
     """Time between ticks [s]."""
-    resolution: float
-    """Angle of one encoder count [rad]."""
     speed: float = inf
     """Flange speed limit [m/s]; inf for none."""
 
@@ -171,7 +169,6 @@ def make_safety_params(
     reaction: float,
     u_max: float,
     h: float,
-    counts_per_rev: int,
     speed: float = inf,
     margin: float = POSITION_MARGIN,
     speed_fraction: float = 1.0,
@@ -184,7 +181,6 @@ def make_safety_params(
         reaction: Transport delay and response time of the arm [s].
         u_max: Largest acceleration that the policy commands [m/s^2].
         h: Time between ticks [s].
-        counts_per_rev: Encoder counts per revolution, after x4.
         speed: Flange speed limit [m/s]; inf for none.
         margin: Margin of setpoints inside the joints' position limits [rad].
         speed_fraction: Usable fraction of the joints' velocity limits [-].
@@ -199,7 +195,6 @@ def make_safety_params(
         u_max=u_max,
         min_manipulability=SINGULAR_FRACTION * at_home,
         h=h,
-        resolution=2.0 * pi / counts_per_rev,
         speed=speed,
     )
 

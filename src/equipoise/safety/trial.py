@@ -77,7 +77,6 @@ def trial_safety(
         reaction=horizon(arm, actuator, 0.0),
         u_max=paper.U_MAX,
         h=h,
-        counts_per_rev=settings.counts_per_rev,
         speed=min(limit or inf for limit in (settings.max_speed, max_speed)),
     )
 
