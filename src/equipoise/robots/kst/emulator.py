@@ -56,14 +56,12 @@ class KstServer:
         self._body, self._link, self._target = body, link, [0.0] * len(body.arm.joints)
         self._measure = body.measured  # of the servo, which no fault of a reply reaches
         self._rest, self._reads = b"", True
-        self._now = 0.0
         self._waiting = ""
         self._requested = self._runs = False  # the servo
         self._main = self._run_main()
 
-    def advance(self, now: float) -> None:
-        """Run the server's threads until a time [s]."""
-        self._now = now
+    def advance(self, _: float) -> None:
+        """Run the server's threads for a millisecond; the time does not matter."""
         try:
             self._receive(self._link.read())
         except LinkError:  # the servo continues to its last target
@@ -127,23 +125,20 @@ class KstServer:
                 yield from self._serve()
             yield
 
-    def _sleep(self, duration: float) -> Iterator[None]:
-        until = self._now + duration - 1e-9  # [s]: rounding
-        while self._now < until:
-            yield
-
     def _serve(self) -> Iterator[None]:
         """Run a servo, which begins and ends "a few milliseconds" after its acknowledgements."""
         self._requested = True
         self._say(DONE)
-        yield from self._sleep(5e-3)
+        for _ in range(5):  # [ms]
+            yield
         self._runs = True
         self._body.servo(True)
         self._target[:] = self._measure()
         self._body.target(tuple(self._target))
         while self._requested:
             yield
-        yield from self._sleep(3e-3)
+        for _ in range(3):  # [ms]
+            yield
         self._body.servo(False)
         self._runs = False
 
