@@ -112,11 +112,6 @@ def expect_numbers(line: bytes, count: int, command: str) -> tuple[float, ...]:
     raise _out_of_step(line, f"{count} finite numbers that end in _", command)
 
 
-def tokens(line: str) -> list[str]:
-    """Return the non-empty fields of a client's line, split as the server splits it."""
-    return [field for field in line.split("_") if field]
-
-
 def java_double(text: str) -> float:
     """Parse a number as Java's `Double.parseDouble` does, except for hexadecimal numbers.
 

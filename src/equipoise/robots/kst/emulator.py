@@ -109,8 +109,9 @@ class KstServer:
         return DONE
 
     def _read_target(self, command: str) -> None:
+        fields = [field for field in command.split("_") if field]
         try:
-            for i, field in enumerate(codec.tokens(command)[1 : len(self._target) + 1]):
+            for i, field in enumerate(fields[1 : len(self._target) + 1]):
                 self._target[i] = codec.java_double(field)
         finally:  # the servo follows the numbers read before the reader died
             if self._runs:
