@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from math import inf
 from typing import Annotated, Final, NamedTuple, Protocol
 
-from equipoise import paper
 from equipoise.arm.arm import FREE_JOINTS, Arm
 from equipoise.arm.compiler import FRAME_SIZE
 from equipoise.arrays import Array, Records, new_records
@@ -17,14 +16,12 @@ from equipoise.control.control_step import (
     SETPOINTS_PER_TICK,
     ControllerParams,
     ControllerState,
-    horizon,
     kinematics,
 )
 from equipoise.control.controller import flange_pose
 from equipoise.elementary import BATCH_SIZE
 from equipoise.jit import compilable, inlined
-from equipoise.model.actuator import ROWS, Actuator
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.actuator import ROWS
 from equipoise.safety import rules
 from equipoise.safety.rules import NO_VIOLATION, Limits, SafetyParams
 
@@ -58,27 +55,6 @@ class TrialSafetyMonitor(NamedTuple):
     """Safety limits; those of joints and torques for the free joints alone."""
     states: Records
     """`MonitorState`."""
-
-
-def trial_safety(
-    arm: Arm, settings: TwinSettings, actuator: Actuator, h: float, max_speed: float | None = None
-) -> SafetyParams:
-    """Return the safety limits of a world, those of a rig.
-
-    Args:
-        arm: The arm with its home posture.
-        settings: The world's numbers.
-        actuator: Model of the arm's response in the controller.
-        h: Time between ticks [s].
-        max_speed: Limit of the task on the flange's speed [m/s]; None without one.
-    """
-    return rules.make_safety_params(
-        arm,
-        reaction=horizon(arm, actuator, 0.0),
-        u_max=paper.U_MAX,
-        h=h,
-        speed=min(limit or inf for limit in (settings.max_speed, max_speed)),
-    )
 
 
 def new_trial_monitor(arm: Arm, params: SafetyParams, *, active: bool = True) -> TrialSafetyMonitor:

@@ -12,11 +12,13 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from equipoise import paper
 from equipoise.arm.arm import FREE_JOINTS
 from equipoise.arrays import Array, IntArray, Records, fields, new_records, rows_of
 from equipoise.control.control_step import (
     SETPOINTS_PER_TICK,
     ControllerParams,
+    horizon,
     make_controller_params,
     wrapped,
 )
@@ -26,13 +28,12 @@ from equipoise.elementary import BATCH_SIZE
 from equipoise.jit import call, inlined, kernel
 from equipoise.model.grid import SAFETY_STOP, TRUNCATED
 from equipoise.model.worlds import World, pendulum_on, read_world
-from equipoise.safety.rules import NO_VIOLATION
+from equipoise.safety.rules import NO_VIOLATION, make_safety_params
 from equipoise.safety.trial import (
     TrialSafetyMonitor,
     new_trial_monitor,
     reset_trial_monitor,
     setpoint_violation,
-    trial_safety,
     trial_violation,
 )
 from equipoise.simulation.interface import ClosedLoop, Measurement, Setup, SideBySide, Simulation
@@ -169,9 +170,12 @@ class TwinSimulation(Simulation):
             arm, settings, actuator, self.pendulum, h=h, counts_per_rev=numbers.counts_per_rev
         )
         """Constants of the controller."""
-        self.safety = trial_safety(arm, numbers, actuator, h, settings.plant.max_speed)
-        """Safety limits of a trial."""
         self.max_speed = min(self.max_speed, numbers.max_speed or inf)
+        reaction = horizon(arm, actuator, 0.0)
+        self.safety = make_safety_params(
+            arm, reaction=reaction, u_max=paper.U_MAX, h=h, speed=self.max_speed
+        )
+        """Safety limits of a trial: those of a rig."""
         self._idle: list[TwinLoop] = []
 
     def draw(self, count: int, first: int = 0) -> Trials:
