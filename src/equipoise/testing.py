@@ -27,7 +27,6 @@ from equipoise.arrays import Array
 from equipoise.errors import EquipoiseError, InputError, LinkError
 from equipoise.model.grid import ANGLE, TRUNCATED
 from equipoise.model.pendulum import shipped_pendulum
-from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig.clocks import ended_stalls
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig
@@ -90,9 +89,7 @@ def emulated_robot(scheme: str) -> RobotUnderTest:
     Raises:
         InputError: The robot has no emulator.
     """
-    world = read_world("twin:nominal")
-    pendulum = pendulum_on(shipped_pendulum(), world.settings)
-    rig = emulated_rig(world, RigSettings(), pendulum, robot=scheme)
+    rig = emulated_rig("twin:nominal", RigSettings(), shipped_pendulum(), robot=scheme)
     assert rig.emulated is not None
     assert rig.bench is not None
     link, bench = rig.emulated[0].link, rig.bench

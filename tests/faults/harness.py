@@ -17,11 +17,11 @@ from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.errors import EquipoiseError
 from equipoise.identification.actuator import identify_actuator
 from equipoise.log.conditions import RunEnd
-from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig import run
 from equipoise.rig.clocks import DrainingClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig
+from equipoise.rig.plugins import Session
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
 from equipoise.robots.encoder.sensor import LineEncoder
@@ -119,9 +119,8 @@ class FaultHarness:
             seed: Seed of the rig.
         """
         self.scenario = scenario
-        world = read_world(WORLD)
-        pendulum = pendulum_on(scenario.policy.pendulum, world.settings)
-        self.rig = emulated_rig(world, scenario.settings, pendulum, robot="kst", seed=seed)
+        pendulum = scenario.policy.pendulum
+        self.rig = emulated_rig(WORLD, scenario.settings, pendulum, robot="kst", seed=seed)
         self.robot, self.sensor = self.rig.emulated
         self.bench, self.board = self.rig.bench, self.sensor.emulator
         clock = self.rig.clock
@@ -150,9 +149,10 @@ class FaultHarness:
         counts, sign = settings.counts_per_rev, settings.encoder_sign
         sensor = LineEncoder(self.encoder_tap.open, self.clock, counts_per_rev=counts, sign=sign)
         waiting, joints = DrainingClock(self.clock, sensor), self.rig.robot.joints
-        robot = KstRobot(self.robot_tap.open, waiting, joints=joints)
+        robot = KstRobot(self.robot_tap.open, Session(waiting, self.clock), joints=joints)
         rig = self.rig._replace(robot=robot, sensor=sensor, clock=self.clock)
-        rig.operator.ignored = scenario.missed_messages
+        notify, missed = rig.operator.notify, scenario.missed_messages
+        rig.operator.notify = lambda event: event.name in missed or notify(event)
         links = ("kst://emulated", "serial://emulated")
         request = RunRequest(
             policy, policy.actuator, settings, *links, scenario.duration, scenario.max_speed,

@@ -4,8 +4,8 @@ The log holds all inputs of a tick: counts, replies, typed lines, failures, late
 `RunController` receives the same inputs at the same times, from the first setpoint to rest.
 """
 
+from concurrent.futures import Future
 from dataclasses import replace
-from math import inf
 
 import numpy as np
 
@@ -18,10 +18,10 @@ from equipoise.rig.config import RigSettings
 from equipoise.rig.interfaces import Reply, Sample
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
-from equipoise.rig.script import Run, script
+from equipoise.rig.script import Run, run_inline, script
 
 JOBS = {"self-test", "actuator", "identified"}
-"""Names of events in ticks that receive the result of a job."""
+"""Names of events in ticks in which a job has ended."""
 JOBS_FAILED = {Outcome.SELF_TEST, Outcome.UNIDENTIFIED}
 """Ends by a job that failed."""
 
@@ -36,6 +36,25 @@ class PolicyClock:
         return self.now
 
 
+class Jobs:
+    """Helper process of a replay, whose jobs end when they ended in the run."""
+
+    def __init__(self):
+        self.running = []
+
+    def submit(self, job):
+        self.running.append((job, Future()))
+        return self.running[-1][1]
+
+    def end(self):
+        job, future = self.running.pop()
+        done = run_inline(job)
+        if error := done.exception():
+            future.set_exception(error)
+        else:
+            future.set_result(done.result())
+
+
 def replay(run, policy):
     """Return the number of equal ticks, and the names of what differs first; empty for nothing."""
     conditions, reply = run.conditions, run.tables["reply"]
@@ -46,21 +65,20 @@ def replay(run, policy):
         policy, policy.actuator, RigSettings.model_validate(conditions.rig),
         conditions.world, conditions.encoder, conditions.duration,
         identify=identify_actuator if conditions.identifies else None,
+        max_speed=run.end and run.end.max_speed,
         start=conditions.settings.evaluation.start, reference=conditions.reference,
     )  # fmt: skip
     at_start = reply[np.isnan(reply["sent"])]["q"][0].tolist()
-    limit = inf if run.end is None or run.end.max_speed is None else run.end.max_speed
-    counts, clock = conditions.counts_per_rev, PolicyClock()
-    state = Run(request, at_start, counts_per_rev=counts, max_speed=limit, clock=clock)
-    return compared(run, RunController(state, script(state)), clock)
+    clock, jobs = PolicyClock(), Jobs()
+    state = Run(request, at_start, clock, jobs.submit)
+    return compared(run, RunController(state, script(state)), clock, jobs)
 
 
-def compared(run, controller, clock):
+def compared(run, controller, clock, jobs):
     """Give a controller the inputs of each tick, and compare its outputs with the log."""
     tables = ("tick", "stream", "encoder", "reply")
     tick, stream, encoder, reply = (run.tables[name] for name in tables)
     reply = reply[np.isfinite(reply["sent"])]
-    result = job = None
     ends = [*np.searchsorted(stream["time"], tick["time"][1:]).tolist(), len(stream)]
     unsent = False
     for number, (row, end) in enumerate(zip(tick, ends, strict=True)):
@@ -69,12 +87,9 @@ def compared(run, controller, clock):
         names = {event.name for event in events}
         failures = [event.text for event in events if event.name == FAILED]
         ended = run.end if "stopping" in names else None
-        # The tick of a verdict, or of a selected actuator, receives the result of its job.
-        if job is not None and (JOBS & names or (ended and ended.outcome in JOBS_FAILED)):
-            try:
-                result, job = job(), None
-            except Exception as error:  # the run controller stops on it
-                result, job = error, None
+        # In the tick of a verdict, or of a selected actuator, its job has ended.
+        if jobs.running and (JOBS & names or (ended and ended.outcome in JOBS_FAILED)):
+            jobs.end()
         samples = during(encoder, "received", now)[list(Sample._fields)].tolist()
         replies = during(reply, "taken", now)[["sent", "time", "q", "torque"]].tolist()
         inputs = TickInputs(
@@ -83,13 +98,10 @@ def compared(run, controller, clock):
             lines=[event.text for event in events if event.name == WORD_TYPED],
             faults=[End(Outcome.ENCODER_LOST, {"text": text}) for text in failures],
             lateness=float(row["late"]),
-            result=result,
             unsent=unsent,
         )
-        result = None
         clock.late = ended is not None and "took" in ended.evidence
         output = controller.tick(now, inputs)
-        job = output.job or job
         first = int(np.searchsorted(stream["time"], now))
         sent = stream["q"][first:end][: len(output.setpoints)]
         unsent = len(sent) < len(output.setpoints)

@@ -82,7 +82,7 @@ def test_what_a_rig_says_of_its_limits_becomes_its_rules():
 
     def safety(rig):
         request = RunRequest(POLICY, POLICY.actuator, rig, "twin:nominal", None, 1.0)
-        return request.parameters(POLICY.actuator, 8192)[1]
+        return request.parameters(POLICY.actuator)[1]
 
     usual, strict = safety(RigSettings()), safety(read_rig(file))
     assert np.subtract(strict.limits.lower, usual.limits.lower) == pytest.approx(np.radians(7.0))

@@ -24,7 +24,7 @@ class TestKst(RobotConformance):
         def plug(connected):
             bench.client.cut = bench.end.cut = not connected
 
-        robot = KstRobot(lambda: bench.client, bench.clock)
+        robot = KstRobot(lambda: bench.client, plugins.Session(bench.clock, bench.clock))
         true_joints = lambda: np.array(bench.body.q)  # noqa: E731
         return RobotUnderTest(robot, bench.clock, plug, true_joints, misreads(bench.body))
 

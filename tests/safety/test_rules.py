@@ -18,7 +18,7 @@ LIMITS = rules.limits_of(ARM)
 H = 0.01
 DT = 0.005
 RESOLUTION = 2 * pi / 8192
-GUARD = rules.make_safety_params(ARM, reaction=0.03, u_max=2.0, h=H, counts_per_rev=8192)
+GUARD = rules.make_safety_params(ARM, reaction=0.03, u_max=2.0, h=H)
 SLOW = GUARD._replace(speed=0.23)
 CALM = MonitorState()
 
@@ -30,8 +30,8 @@ def moved(q, joint, by):
 
 def broken(view, guard=GUARD, watched=CALM):
     """Return the rule that a view breaks, or none."""
-    violation = rules.check(guard, watched, view)
-    return violation and violation.outcome
+    violations = rules.violations(guard, watched, view)
+    return violations[0].outcome if violations else None
 
 
 def test_limits_are_those_of_the_arm_less_three_degrees():
@@ -45,7 +45,7 @@ def test_a_guard_knows_its_arm():
     w = abs(np.linalg.det(ARM.kinematics(ARM.home_free).jacobian))
     assert GUARD.min_manipulability == pytest.approx(0.1 * w)
     mirrored = ARM.model_copy(update={"home": (*HOME[:5], -HOME[5], *HOME[6:])})
-    guard = rules.make_safety_params(mirrored, reaction=0.0, u_max=1.0, h=H, counts_per_rev=9)
+    guard = rules.make_safety_params(mirrored, reaction=0.0, u_max=1.0, h=H)
     assert guard.min_manipulability == pytest.approx(GUARD.min_manipulability)
 
 
@@ -156,8 +156,8 @@ def test_the_first_setpoint_is_the_measured_posture(joint, side):
 
 
 def test_nothing_wrong_breaks_no_rule():
-    assert rules.check(GUARD, CALM, SafetyInputs()) is None
-    assert rules.check(SLOW, CALM, SafetyInputs(balancing=True, on_track=True)) is None
+    assert rules.violations(GUARD, CALM, SafetyInputs()) == []
+    assert rules.violations(SLOW, CALM, SafetyInputs(balancing=True, on_track=True)) == []
 
 
 LEAST = GUARD.min_manipulability
@@ -188,9 +188,8 @@ BOUNDS = [
 @pytest.mark.parametrize(("rule", "kept", "not_kept"), BOUNDS)
 def test_each_rule_on_either_side_of_its_bound(rule, kept, not_kept):
     usual = {"on_track": True, "balancing": True}
-    assert rules.check(GUARD, CALM, SafetyInputs(**usual | kept)) is None
-    violation = rules.check(GUARD, CALM, SafetyInputs(**usual | not_kept))
-    assert violation is not None
+    assert rules.violations(GUARD, CALM, SafetyInputs(**usual | kept)) == []
+    violation = rules.violations(GUARD, CALM, SafetyInputs(**usual | not_kept))[0]
     assert violation.outcome is rule
     value, limit = violation.evidence["value"], violation.evidence["limit"]
     assert abs(value) >= abs(limit) or rule is Outcome.SINGULAR
@@ -198,7 +197,7 @@ def test_each_rule_on_either_side_of_its_bound(rule, kept, not_kept):
 
 def test_flange_and_angle_count_where_they_mean_something():
     away = SafetyInputs(x=9.0, x_dot=9.0, drift=9.0, tilt=9.0, manipulability=0.0, phi=3.0)
-    assert rules.check(SLOW, CALM, away) is None
+    assert rules.violations(SLOW, CALM, away) == []
     assert broken(away._replace(on_track=True)) is Outcome.SINGULAR
     assert broken(away._replace(balancing=True)) is Outcome.ANGLE
 
@@ -222,7 +221,7 @@ def test_what_is_no_number_stops_the_run_whatever_else_is_wrong(name, number):
         return
     value = number if name in NUMBERS else (0.0, 0.0, 0.0, number, 0.0, 0.0, 0.0)
     view = SafetyInputs(overdue=1.0, on_track=True, balancing=True, x=9.0)._replace(**{name: value})
-    violation = rules.check(GUARD, CALM, view)
+    violation = rules.violations(GUARD, CALM, view)[0]
     assert violation.outcome is Outcome.NUMBER
     assert (violation.evidence["name"], violation.evidence["got"]) == (name, str(number))
 
@@ -235,7 +234,7 @@ def seen(*views):
     watched, first = MonitorState(), None
     for view in views:
         watched = rules.update_monitor(GUARD, watched, view)
-        first = first or rules.check(GUARD, watched, view)
+        first = first or next(iter(rules.violations(GUARD, watched, view)), None)
     return watched, first
 
 
@@ -319,8 +318,8 @@ def test_a_following_error_lasts_through_ticks_without_measured_joints():
 
 def test_a_following_error_needs_measured_joints_to_be_named():
     watched = MonitorState(error_time=1.0)
-    assert rules.check(GUARD, watched, SafetyInputs()) is None
-    assert rules.check(GUARD, watched, SafetyInputs(measured=HOME)) is None
+    assert rules.violations(GUARD, watched, SafetyInputs()) == []
+    assert rules.violations(GUARD, watched, SafetyInputs(measured=HOME)) == []
     assert broken(SafetyInputs(measured=HOME, expected=HOME), watched=watched) is Outcome.FOLLOWING
 
 

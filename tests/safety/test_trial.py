@@ -10,17 +10,19 @@ from hypothesis import strategies as st
 from equipoise.arm.iiwa import iiwa
 from equipoise.arrays import fields, new_records
 from equipoise.control.control_step import ControllerState, make_controller_params
+from equipoise.control.policy import shipped_policy
 from equipoise.jit import kernel
-from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
+from equipoise.model.actuator import IDEAL_ACTUATOR
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import read_world
+from equipoise.model.worlds import World, read_world
 from equipoise.outcomes import SAFETY_RULES, Outcome
 from equipoise.safety import rules
 from equipoise.safety.rules import NO_VIOLATION
-from equipoise.safety.trial import new_trial_monitor, trial_safety, trial_violation
+from equipoise.safety.trial import new_trial_monitor, trial_violation
 from equipoise.safety.trial import reset_trial_monitor as compilable_reset
 from equipoise.safety.trial import setpoint_violation as compilable_setpoint_violation
-from equipoise.settings import Settings
+from equipoise.settings import Settings, changed
+from equipoise.simulation import setup_of, simulate
 
 
 @kernel
@@ -42,7 +44,7 @@ def violation(monitor, controller, records, q, measured_at):
 
 
 ARM = iiwa(7)
-GUARD_7 = rules.make_safety_params(ARM, reaction=0.03, u_max=2.0, h=0.01, counts_per_rev=8192)
+GUARD_7 = rules.make_safety_params(ARM, reaction=0.03, u_max=2.0, h=0.01)
 DT = 0.005
 
 
@@ -94,21 +96,24 @@ def test_a_number_that_is_none_breaks_a_rule():
     assert rules.has_fallen(nan)
 
 
-def test_rules_act_where_a_world_has_them_with_the_numbers_of_a_rig():
-    actuator = shipped_actuator()
-    world = read_world("twin:nominal").settings
-    unguarded = world.model_copy(update={"guards": False})
-    assert trial_safety(ARM, unguarded, actuator, 0.01) is None
-    guard = trial_safety(ARM, world, actuator, 0.01)
-    assert guard is not None
+def test_the_rules_of_a_trial_have_the_numbers_of_a_rig():
+    policy, world = shipped_policy(), read_world("twin:nominal")
+
+    def safety(of_world=None, **of_task):
+        numbers = world.settings.model_copy(update={"max_speed": of_world})
+        settings = changed(policy.settings, of_task)
+        setup = setup_of(policy, World("twin", numbers), settings)
+        return simulate(World("twin", numbers), setup, seed=0, stream=0).safety
+
+    guard = safety()
     assert guard.limits == GUARD_7.limits
     assert guard.u_max == 2.0
-    assert actuator.delay.value < guard.reaction < 0.05
+    assert policy.actuator.delay.value < guard.reaction < 0.05
     assert guard.speed == float("inf")
     # Of two speed limits the lower acts.
-    slow = world.model_copy(update={"max_speed": 0.23})
-    for of_task, speed in ((None, 0.23), (0.3, 0.23), (0.2, 0.2)):
-        assert trial_safety(ARM, slow, actuator, 0.01, of_task) == guard._replace(speed=speed)
+    assert safety(0.23) == guard._replace(speed=0.23)
+    for of_task, speed in ((0.3, 0.23), (0.2, 0.2)):
+        assert safety(0.23, **{"plant.max_speed": of_task}) == guard._replace(speed=speed)
 
 
 def test_what_may_not_be_sent_is_not_remembered_as_sent():

@@ -1,8 +1,8 @@
 """Inputs and outputs of a control tick of a run on a rig (`equipoise.rig.run_controller`)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import ceil
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -40,10 +40,6 @@ class Reply(NamedTuple):
     torque: tuple[float, ...] | None
     """External torques [N m], shape (joints,); None in a reply without them. The safety rules need
     them a few times a second, not in each reply."""
-
-
-Job = Callable[[], Any]
-"""Work for another process: a `functools.partial` of a function and its values."""
 
 
 class OperatorMessage(NamedTuple):
@@ -91,8 +87,6 @@ class TickOutput(NamedTuple):
     """Record for the log."""
     events: Sequence[OperatorMessage]
     """Messages for the operator and the log."""
-    job: Job | None = None
-    """Work that takes longer than a tick, for another process; None without any."""
     to_rest: bool = False
     """Whether the setpoints lead to rest, so that the arm need not be stopped."""
     done: bool = False
@@ -113,8 +107,6 @@ class TickInputs(NamedTuple):
     lateness: float
     """Lateness of the tick [s]. A loop that stood still skips the ticks that it missed, and begins
     again at the time of a later one: the lateness is then whole ticks, to half a tick."""
-    result: Any = None
-    """Result of a job, passed once; an exception where it failed."""
     unsent: bool = False
     """Whether the second setpoint of the tick before was not sent, because the loop stalled."""
 

@@ -273,8 +273,8 @@ def check_swing_up(request: RunRequest) -> Finding:
 
 def max_flange_speed(
     arm: Arm, trips: Array, requested: float | None, rule: Callable[[Arm, float], float] | None
-) -> float:
-    """Return the flange's speed limit [m/s]; inf where nothing limits it.
+) -> float | None:
+    """Return the flange's speed limit [m/s]; None where nothing limits it.
 
     Args:
         arm: The rig's arm, with its home posture.
@@ -282,15 +282,16 @@ def max_flange_speed(
         requested: Limit that the request sets [m/s]; None without one.
         rule: Rule of the robot for a slow link, see `RobotPlugin.flange_speed`.
     """
-    limit, p99 = requested or inf, float(np.percentile(trips, 99.0))
+    p99 = float(np.percentile(trips, 99.0))
     if rule is None or p99 <= GOOD_ROUND_TRIP:
-        return limit
-    return min(floor(1e3 * rule(arm, p99)) / 1e3, limit)  # the log names this very number
+        return requested
+    limit = floor(1e3 * rule(arm, p99)) / 1e3  # the log names this very number
+    return min(limit, requested or inf)
 
 
-def check_speed(policy: TaskPolicy, limit: float) -> list[Finding]:
-    """Judge whether the policy was trained for the flange's speed limit [m/s]; inf for none."""
-    if limit == inf:
+def check_speed(policy: TaskPolicy, limit: float | None) -> list[Finding]:
+    """Judge whether the policy was trained for the flange's speed limit [m/s]; None for none."""
+    if limit is None:
         return []
     trained = policy.settings.plant.max_speed
     evidence = f"stops at {limit:.3g} m/s, trained for {trained or 'any speed'}"
@@ -322,7 +323,7 @@ def _nearest_limit(arm: Arm, q: Sequence[float]) -> tuple[str, float]:
 
 def preflight(
     request: RunRequest, rig: Rig, granted: dict[str, str]
-) -> tuple[list[Finding], float]:
+) -> tuple[list[Finding], float | None]:
     """Check a connected rig, after `check_fit` of its description; nothing moves.
 
     A bad result refuses the run; a warning goes into the log.
@@ -333,7 +334,7 @@ def preflight(
         granted: Real-time settings of the process; empty in virtual time.
 
     Returns:
-        Result of each check, and flange speed at which the run stops [m/s] (default: inf).
+        Result of each check, and flange speed at which the run stops [m/s]; None without a limit.
 
     Raises:
         LinkError: Robot or encoder does not answer.
@@ -411,7 +412,7 @@ def warm_up(request: RunRequest) -> None:
     """
     settings, policy = request.settings, tick_policy(request.policy)
     arm = settings.described_arm
-    params, _ = request.parameters(request.actuator, settings.counts_per_rev)
+    params, _ = request.parameters(request.actuator)
     controller, took = Controller(arm, params, request.policy.settings.boxes), list[float]()
     policy.reset()
     for _ in range(20):

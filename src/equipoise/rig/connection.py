@@ -11,8 +11,8 @@ import numpy as np
 
 from equipoise.arm.arm import FREE_JOINTS
 from equipoise.errors import InputError, SettingsError
-from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import World, pendulum_on, read_world
+from equipoise.model.pendulum import Pendulum
+from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig.clocks import DrainingClock, SystemClock, VirtualClock
 from equipoise.rig.config import RigSettings, world_of
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Operator, Robot
@@ -89,15 +89,9 @@ def connect(
     robot, encoder, settings = request.robot, request.encoder, request.settings
     twin, period = world_of(robot), request.policy.h / 2.0
     if twin is not None and encoder is None:
-        world = read_world(twin)
-        pendulum = pendulum_on(request.policy.pendulum, world.settings)
+        pendulum, scheme = request.policy.pendulum, scheme_of(robot)
         return emulated_rig(
-            world,
-            settings,
-            pendulum,
-            robot=scheme_of(robot),
-            seed=request.seed,
-            period=period,
+            twin, settings, pendulum, robot=scheme, seed=request.seed, period=period
         )
     if twin is not None or encoder is None:
         raise InputError(
@@ -114,9 +108,9 @@ def connect(
 
 
 def emulated_rig(
-    world: World,
+    twin: str,
     settings: RigSettings,
-    pendulum: PendulumParameters,
+    pendulum: Pendulum,
     *,
     robot: str,
     seed: int = 0,
@@ -129,9 +123,9 @@ def emulated_rig(
     and servo, too.
 
     Args:
-        world: The twin.
+        twin: Name of the twin.
         settings: The settings of the rig.
-        pendulum: The pendulum, with the friction that acts in the twin.
+        pendulum: The pendulum.
         robot: Scheme of the robot.
         seed: Seed of all random numbers.
         period: Time between two setpoints [s].
@@ -139,9 +133,9 @@ def emulated_rig(
     Raises:
         ArmError: The masses of the arm's links are unknown.
         InputError: The robot has no emulator.
-        SettingsError: Twin and rig differ in the counts per revolution.
+        SettingsError: The twin is unknown, or twin and rig differ in the counts per revolution.
     """
-    plugin = robot_plugin(robot)
+    world, plugin = read_world(twin), robot_plugin(robot)
     numbers = world.settings.model_copy(update=plugin.servo.model_dump(exclude_unset=True))
     if numbers.counts_per_rev != settings.counts_per_rev:
         raise SettingsError(
@@ -153,7 +147,8 @@ def emulated_rig(
     clock, arm = VirtualClock(), settings.described_arm
     # The joints begin up to 0.1 rad beside home.
     offset = 0.1 * np.random.default_rng(seed).uniform(-1.0, 1.0, FREE_JOINTS)
-    bench = plugin.bench(Bodies(arm, pendulum, numbers, arm.home_free + offset, 0.0, seed))
+    q, swings = arm.home_free + offset, pendulum_on(pendulum, world.settings)
+    bench = plugin.bench(Bodies(arm, swings, numbers, q, 0.0, seed))
     clock.attach(bench.advance)
     sensor = sensor_plugin("serial").emulate(
         bench, clock, settings.counts_per_rev, settings.encoder_sign

@@ -60,11 +60,7 @@ class GuardedRobot:
         self._refuse(check_first(self._limits, self.started_at, before))
 
     def send(
-        self,
-        q: Sequence[float] | Array,
-        *,
-        to_rest: bool = False,
-        from_rest: bool = False,
+        self, q: Sequence[float] | Array, *, to_rest: bool = False, from_rest: bool = False
     ) -> None:
         """Send a setpoint, or the next one of a ramp to rest if the setpoint is invalid.
 

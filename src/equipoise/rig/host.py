@@ -67,11 +67,7 @@ def prepare(core: int = -1, priority: int = 60) -> dict[str, str]:
         if libc.mlockall(current | future):
             raise OSError(os.strerror(ctypes.get_errno()))
 
-    settings: dict[str, Callable[[], None]] = {
-        "memory locked": lock_memory,
-        "real-time priority": go_first,
-        "own core": stay,
-    }
+    settings = {"memory locked": lock_memory, "real-time priority": go_first, "own core": stay}
     granted: dict[str, str] = {}
     for name, apply in settings.items():
         try:

@@ -19,7 +19,6 @@ SETPOINT_PERIOD: Final = 0.005
 """Time between two setpoints [s]: half a tick of 10 ms."""
 
 
-@runtime_checkable
 class Clock(Protocol):
     """Time of a rig."""
 
@@ -158,7 +157,6 @@ class Transport(Protocol):
         """Close; never raises, and may be called again."""
 
 
-@runtime_checkable
 class Operator(Protocol):
     """Person, program or emulation that supervises a run."""
 

@@ -12,12 +12,11 @@ robot is lost, software cannot stop the arm: the loop reports this at once and r
 """
 
 from collections.abc import Callable
-from concurrent.futures import Future
 from contextlib import suppress
 from time import perf_counter
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
-from equipoise.control.ticks import Job, OperatorMessage, TickInputs, missed_ticks
+from equipoise.control.ticks import OperatorMessage, TickInputs, missed_ticks
 from equipoise.errors import LinkError
 from equipoise.log.recorder import Recorder, push_event
 from equipoise.outcomes import End, Outcome, describe
@@ -41,16 +40,6 @@ class LoopResult(NamedTuple):
     """Number of ticks that were skipped."""
 
 
-def run_inline(job: Job) -> "Future[Any]":
-    """Run a job at once: in virtual time it takes no time."""
-    future: Future[Any] = Future()
-    try:
-        future.set_result(job())
-    except Exception as error:  # the run stops on it
-        future.set_exception(error)
-    return future
-
-
 def run_loop(
     robot: GuardedRobot,
     sensor: AngleSensor,
@@ -59,7 +48,6 @@ def run_loop(
     recorder: Recorder,
     operator: Operator,
     *,
-    submit: Callable[[Job], "Future[Any]"] = run_inline,
     idle: Callable[[], None] = lambda: None,
 ) -> LoopResult:
     """Run until the controller is done or the link to the robot is lost. The servo has to run.
@@ -71,12 +59,10 @@ def run_loop(
         controller: Decides on the setpoints.
         recorder: Rings for the log.
         operator: Receives messages and returns input, without blocking.
-        submit: Starts a job that takes longer than a tick (default: inline, between two ticks).
         idle: Called once in a tick after its last setpoint, for example to drain the rings in
             virtual time.
     """
     h = controller.h
-    pending: Future[Any] | None = None
     missed, unsent = 0, False
     faults: list[End] = []
     sensor_lost = refused = still = False
@@ -100,10 +86,7 @@ def run_loop(
                     sensor_lost = True
                     faults.append(End(Outcome.ENCODER_LOST, {"text": str(error)}))
             replies, lines = robot.robot.replies(), operator.read_input()
-            result = None
-            if pending is not None and pending.done():
-                result, pending = pending.exception() or pending.result(), None
-            inputs = TickInputs(samples, replies, lines, faults, now - due, result, unsent)
+            inputs = TickInputs(samples, replies, lines, faults, now - due, unsent)
             output, faults = controller.tick(now, inputs), []
             if output.setpoints:
                 from_rest = still or inputs.paused(h)
@@ -122,8 +105,6 @@ def run_loop(
                 if not unsent:
                     robot.send(output.setpoints[1], to_rest=output.to_rest)
                     recorder.stream.push(time=moment, q=robot.last)
-            if output.job is not None:
-                pending = submit(output.job)
             if robot.held_back is not None and not refused:
                 refused = True
                 faults.append(robot.held_back)

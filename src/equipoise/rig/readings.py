@@ -7,7 +7,6 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from equipoise.arrays import Array
 from equipoise.control.ticks import Reply, Sample
 from equipoise.safety import rules
 from equipoise.safety.monitors import JointPlausibility, RepeatMonitor
@@ -27,13 +26,8 @@ TimedJoints: TypeAlias = tuple[float, tuple[float, ...]]
 """A time [s], and all joints [rad]."""
 
 
-def setpoint_history(q: Sequence[float]) -> deque[TimedJoints]:
-    """Return the last setpoints of an arm that rests at `q` [rad], with the times of sending."""
-    return deque([(-inf, tuple(q))] * HISTORY, HISTORY)
-
-
 def setpoint_in_force(history: deque[TimedJoints], time: float) -> tuple[float, ...]:
-    """Return the setpoint in force at a time [s]: of a history the oldest, if all came later."""
+    """Return the setpoint in force at a time [s]: the oldest of the history, if all came later."""
     return next((q for sent, q in reversed(history) if sent <= time), history[0][1])
 
 
@@ -61,38 +55,37 @@ class EncoderReadings:
         """Count of the hanging pendulum; NaN before the reference."""
         self.dropouts, self.bridged = RepeatMonitor(), False
         """Monitor of lost samples, and whether one was bridged."""
+        self._first_tick = inf
+
+    def add(self, samples: Sequence[Sample], now: float) -> None:
+        """Add the samples of a tick at a time [s], and find their faults."""
+        self._first_tick = min(now, self._first_tick)
         self._missing, self._illegal, self._jump = 0, False, 0.0
-        self._first_check = inf
+        for sample in samples:
+            self.samples.append(sample)
+            if sample.missing and not isnan(self.zero):
+                # Counts are absolute: a single missing one hides a millisecond and nothing else.
+                serious = self.dropouts.add(sample.time) or sample.missing > 1
+                self._missing += sample.missing if serious else 0
+                self.bridged = self.bridged or not serious
+            self._illegal = self._illegal or sample.illegal
+            if len(self.samples) > 2:
+                newest = [self.samples[i] for i in (-3, -2, -1)]
+                times, counts = [last.time for last in newest], [last.counts for last in newest]
+                jump = rules.unexplained_turn(times, counts, self._resolution)
+                self._jump = max(self._jump, jump)
 
-    def add(self, sample: Sample) -> None:
-        """Add the newest sample."""
-        samples = self.samples
-        samples.append(sample)
-        if sample.missing and not isnan(self.zero):
-            # Counts are absolute: a single missing sample hides a millisecond and nothing else.
-            serious = self.dropouts.add(sample.time) or sample.missing > 1
-            self._missing += sample.missing if serious else 0
-            self.bridged = self.bridged or not serious
-        self._illegal = self._illegal or sample.illegal
-        if len(samples) > 2:
-            newest = [samples[i] for i in (-3, -2, -1)]
-            times, counts = [last.time for last in newest], [last.counts for last in newest]
-            jump = rules.unexplained_turn(times, counts, self._resolution)
-            self._jump = max(self._jump, jump)
-
-    def take_checks(self, now: float) -> dict[str, Any]:
-        """Return the encoder's part of the safety inputs, and forget its faults."""
-        checks = {
+    def checks(self, now: float) -> dict[str, Any]:
+        """Return the encoder's part of the safety inputs."""
+        if isnan(self.zero):
+            return {}
+        newest = self.samples[-1].time if self.samples else self._first_tick
+        return {
+            "encoder_age": now - newest,
             "encoder_missing": self._missing,
             "encoder_illegal": self._illegal,
             "encoder_jump": self._jump,
         }
-        self._missing, self._illegal, self._jump = 0, False, 0.0
-        self._first_check = min(now, self._first_check)
-        if isnan(self.zero):
-            return {}
-        newest = self.samples[-1].time if self.samples else self._first_check
-        return {"encoder_age": now - newest, **checks}
 
     def hanging(self) -> float:
         """Return the counts of the hanging pendulum after its whole turns so far."""
@@ -145,42 +138,42 @@ class ArmReadings:
         """Whether joints were measured, and whether a reply was late, since the tick before."""
         self.plausibility = JointPlausibility(limits)
         """Monitor of the joints' plausibility."""
-        self.torque_at_home: Array | None = None
+        self.torque_at_home: tuple[float, ...] | None = None
         """External torques at home [N m]; None before the reference."""
-        self._torque: Array | None = None
-        self._torque_at_start: Array | None = None
+        self._torque: tuple[float, ...] | None = None
+        self._torque_at_start: tuple[float, ...] | None = None
         self._torque_sum, self._torques = np.zeros(len(q)), 0
 
-    def begin_tick(self) -> None:
-        """Forget what is new."""
+    def add(self, replies: Sequence[Reply], rests_at_home: bool) -> list[TimedJoints]:
+        """Add the replies of a tick; return the joints that count as measured."""
         self.fresh, self.late, self._torque = False, False, None
-
-    def add(self, reply: Reply, rests_at_home: bool) -> bool:
-        """Add the newest reply; return whether its joints count as measured."""
-        self.answered = reply.sent
-        late = reply.received - reply.sent > MAX_ROUND_TRIP
-        self.late, counts = self.late or late, reply.q is not None and not late
-        if reply.q is not None and counts:
-            self.q, self.fresh = tuple(reply.q), True
-            self.time = self.known_since = 0.5 * (reply.sent + reply.received)
-            self.plausibility.add(reply.sent, reply.received, reply.q)
-        if reply.torque is not None:
-            self._torque = np.array(reply.torque)
-            if self._torque_at_start is None:  # the way home has hardly begun
-                self._torque_at_start = self._torque
-            if self.torque_at_home is None and rests_at_home:
-                self._torque_sum += reply.torque
-                self._torques += 1
-        return counts
+        measured = list[TimedJoints]()
+        for reply in replies:
+            self.answered = reply.sent
+            late = reply.received - reply.sent > MAX_ROUND_TRIP
+            self.late = self.late or late
+            if reply.q is not None and not late:
+                self.q, self.fresh = tuple(reply.q), True
+                self.time = self.known_since = 0.5 * (reply.sent + reply.received)
+                self.plausibility.add(reply.sent, reply.received, reply.q)
+                measured.append((self.time, self.q))
+            if reply.torque is not None:
+                self._torque = tuple(reply.torque)
+                if self._torque_at_start is None:  # the way home has hardly begun
+                    self._torque_at_start = self._torque
+                if self.torque_at_home is None and rests_at_home:
+                    self._torque_sum += reply.torque
+                    self._torques += 1
+        return measured
 
     def reference_torques(self) -> None:
         """Take the mean torques at home as those at rest."""
         if self._torques:
-            self.torque_at_home = self._torque_sum / self._torques
+            self.torque_at_home = tuple((self._torque_sum / self._torques).tolist())
 
     def new_torque(self) -> tuple[float, ...] | None:
         """Return new external torques less those at rest [N m]; None without new ones."""
         at_rest = self._torque_at_start if self.torque_at_home is None else self.torque_at_home
         if at_rest is None or self._torque is None:
             return None
-        return tuple((self._torque - at_rest).tolist())
+        return tuple(np.subtract(self._torque, at_rest).tolist())

@@ -14,6 +14,7 @@ from equipoise.control.policy import TaskPolicy
 from equipoise.identification.actuator import excitation
 from equipoise.log.conditions import Reference, RunConditions
 from equipoise.model.actuator import Actuator
+from equipoise.model.pendulum import PendulumParameters
 from equipoise.outcomes import Phase
 from equipoise.rig.config import RigSettings
 from equipoise.safety.rules import SafetyParams, make_safety_params
@@ -57,37 +58,29 @@ class RunRequest:
     reference: Reference | None = None
     """Reference from the first run of a series; None where the operator references the pendulum."""
 
-    def parameters(
-        self, actuator: Actuator, counts_per_rev: int, max_speed: float = inf
-    ) -> tuple[ControllerParams, SafetyParams]:
-        """Return the constants of the control step with an actuator, and the safety limits.
+    @property
+    def pendulum(self) -> PendulumParameters:
+        """Parameters of the pendulum that the controller assumes."""
+        return self.policy.pendulum.parameters(linearised=self.policy.settings.plant.linearised)
 
-        Args:
-            actuator: The actuator.
-            counts_per_rev: Counts per revolution that the rig's encoder reports.
-            max_speed: Flange speed limit from the pre-flight [m/s].
+    def parameters(self, actuator: Actuator) -> tuple[ControllerParams, SafetyParams]:
+        """Return the constants of the control step with an actuator, and the safety limits.
 
         Raises:
             ArmError: Home is a singular posture.
             SettingsError: The delay exceeds the controller's history.
         """
-        rig, policy, plant = self.settings, self.policy, self.policy.settings.plant
-        arm = rig.described_arm
+        rig, policy, arm = self.settings, self.policy, self.settings.described_arm
+        h, counts = policy.h, rig.counts_per_rev
         params = make_controller_params(
-            arm,
-            policy.settings,
-            actuator,
-            policy.pendulum.parameters(linearised=plant.linearised),
-            h=policy.h,
-            counts_per_rev=counts_per_rev,
+            arm, policy.settings, actuator, self.pendulum, h=h, counts_per_rev=counts
         )
         safety = make_safety_params(
             arm,
             reaction=horizon(arm, actuator, 0.0),
             u_max=paper.U_MAX,
-            h=policy.h,
-            counts_per_rev=counts_per_rev,
-            speed=max_speed,
+            h=h,
+            speed=self.max_speed or inf,
             margin=radians(rig.position_margin_deg),
             speed_fraction=rig.speed_fraction,
             torque_fraction=rig.torque_fraction,
@@ -130,13 +123,12 @@ class RunRequest:
             SettingsError: The twin is unknown.
         """
         policy = self.policy
-        plant = policy.settings.plant
         return RunConditions(
             policy=policy.digest,
             policy_name=policy.name,
             world=self.robot,
             arm=self.settings.described_arm,
-            pendulum=policy.pendulum.parameters(linearised=plant.linearised),
+            pendulum=self.pendulum,
             pendulum_digest=policy.pendulum.digest,
             h=policy.h,
             duration=self.duration,

@@ -7,12 +7,13 @@ one in virtual time; arguments carry the differences.
 import gc
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from dataclasses import replace
 from itertools import count
-from math import inf, isnan
+from math import isnan
 from pathlib import Path
 from typing import Any, Final
 
-from equipoise.control.ticks import Job, OperatorMessage
+from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import EquipoiseError, LinkError, OutsideError
 from equipoise.log.conditions import Reference, RunEnd
 from equipoise.log.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
@@ -22,11 +23,11 @@ from equipoise.rig.checks import check_fit, preflight, require
 from equipoise.rig.clocks import DrainingClock, ended_stalls
 from equipoise.rig.connection import Rig, connect
 from equipoise.rig.guarded import GuardedRobot
-from equipoise.rig.interfaces import Clock, Operator
-from equipoise.rig.loop import run_inline, run_loop
+from equipoise.rig.interfaces import Operator
+from equipoise.rig.loop import run_loop
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
-from equipoise.rig.script import Run, script
+from equipoise.rig.script import Job, Run, run_inline, script
 from equipoise.rig.series import LEADS_ON, RunLogs
 from equipoise.settings import HANGING
 
@@ -45,23 +46,16 @@ ALONE: Final = "the operator's process has ended"
 class OperatorChannel:
     """Channel to the operators of a run: messages to all of them, and their typed lines."""
 
-    def __init__(
-        self,
-        operators: Sequence[Operator],
-        recorder: Recorder,
-        clock: Clock,
-        check_links: Callable[[], None],
-    ) -> None:
+    def __init__(self, operators: Sequence[Operator], recorder: Recorder, rig: Rig) -> None:
         """Connect operators to a run.
 
         Args:
             operators: The operators; each may type.
             recorder: Rings for the log.
-            clock: Time of the run before it moves.
-            check_links: Raises `LinkError` if a device has failed; called while a question is open.
+            rig: The rig, whose links are checked while a question is open.
         """
-        self._operators, self._recorder, self._clock = operators, recorder, clock
-        self._check_links = check_links
+        self._operators, self._recorder, self._rig = operators, recorder, rig
+        self._clock = DrainingClock(rig.clock, rig.sensor)
         self._pending: list[str] = []
 
     def notify(self, event: OperatorMessage) -> None:
@@ -91,10 +85,15 @@ class OperatorChannel:
             self.tell(event._replace(text=f"{word!r} is not {expected}. {event.text}"))
         return word
 
+    def check_links(self) -> None:
+        """Request the joints, and drop the encoder's samples; each raises where its link failed."""
+        self._rig.robot.measured()
+        self._rig.sensor.samples()
+
     def _read_word(self) -> str:
         while not (lines := self.read_input()):
             until = self._clock.now() + 0.02
-            self._check_links()
+            self.check_links()
             self._clock.wait_until(until)
         word, *self._pending = lines
         push_event(self._recorder.event, self._clock.now(), OperatorMessage(WORD_TYPED, word))
@@ -131,16 +130,9 @@ def run_on_rig(
         InputError: The policy does not fit the rig.
         OutsideError: A device fails.
     """
-    _, safety = request.parameters(request.actuator, request.settings.counts_per_rev)
+    _, safety = request.parameters(request.actuator)
     robot = GuardedRobot(rig.robot, safety.limits, request.policy.h / 2.0)
-
-    def check_links() -> None:
-        """Request the joints, and drop the encoder's samples; each raises where its link failed."""
-        rig.robot.measured()
-        rig.sensor.samples()
-
-    waiting = DrainingClock(rig.clock, rig.sensor)
-    operator = OperatorChannel(operators, recorder, waiting, check_links)
+    operator = OperatorChannel(operators, recorder, rig)
     tell = operator.tell
     try:
         tell(OperatorMessage(CONNECTING, f"Connecting to {request.robot}."))
@@ -153,7 +145,7 @@ def run_on_rig(
             tell(OperatorMessage(f"finding {result.status}", printable(result.sentence)))
         require(fit)
         require(results, OutsideError)
-        if max_speed < inf:
+        if max_speed is not None:
             text = f"The run stops when the flange reaches {max_speed:.3g} m/s."
             tell(OperatorMessage("notice", text))
         tell(OperatorMessage("notice", rig.plugin.failure))
@@ -169,7 +161,7 @@ def run_on_rig(
             if answer != word:
                 return _unmoved(Outcome.OPERATOR, typed=printable(answer))
         if request.dry_run:
-            check_links()  # the answers may have been typed ahead
+            operator.check_links()  # the answers may have been typed ahead
             return _unmoved(Outcome.DRY_RUN)
         question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
         if (answer := operator.ask(OperatorMessage("move", question, ("y", "n")))) != "y":
@@ -179,8 +171,9 @@ def run_on_rig(
             if request.runs > 1:
                 so_far = f"{survived} of {number - 1} survived" if number > 1 else "the first"
                 tell(OperatorMessage("run", f"Run {number} of {request.runs}; {so_far}."))
+            limited = replace(request, max_speed=max_speed)
             end, reference = _run_once(
-                request, rig, robot, operator, recorder, max_speed, submit=submit, idle=idle
+                limited, rig, robot, operator, recorder, submit=submit, idle=idle
             )
             if reference is None or number == request.runs:
                 return end
@@ -203,7 +196,6 @@ def _run_once(
     robot: GuardedRobot,
     operator: Operator,
     recorder: Recorder,
-    max_speed: float,
     *,
     submit: Callable[[Job], "Future[Any]"],
     idle: Callable[[], None],
@@ -217,25 +209,9 @@ def _run_once(
     robot.start()
     started = rig.clock.now()
     recorder.reply.push(time=started, q=robot.started_at, taken=started)
-    counts = rig.sensor.counts_per_rev
-    run = Run(
-        request,
-        robot.started_at,
-        counts_per_rev=counts,
-        max_speed=max_speed,
-        clock=rig.clock.now,
-    )
+    run = Run(request, robot.started_at, rig.clock.now, submit)
     controller = RunController(run, script(run))
-    ending = run_loop(
-        robot,
-        rig.sensor,
-        rig.clock,
-        controller,
-        recorder,
-        operator,
-        submit=submit,
-        idle=idle,
-    )
+    ending = run_loop(robot, rig.sensor, rig.clock, controller, recorder, operator, idle=idle)
     if ending.stoppable:
         try:
             rig.robot.stop()
@@ -248,19 +224,21 @@ def _run_once(
     end = RunEnd(
         outcome=cause.outcome,
         evidence=dict(cause.evidence),
-        survival=controller.survival,
+        survival=run.balanced * run.h,
         stoppable=ending.stoppable,
         upright=run.upright,
         zero=None if isnan(zero) else zero,
         zero_change=test and test.zero,
         w2=test and test.w2,
         delay=test and test.delay,
-        max_speed=max_speed if max_speed < inf else None,
+        max_speed=request.max_speed,
         identified=run.identified,
         missed=ending.missed,
     )
     leads_on = cause.outcome in LEADS_ON and not controller.key_after_stop
-    return end, run.reference if leads_on and ending.stoppable else None
+    if not (leads_on and ending.stoppable):
+        return end, None
+    return end, Reference(zero=zero, torque=run.joints.torque_at_home)
 
 
 def _unmoved(outcome: Outcome, **evidence: float | str) -> RunEnd:

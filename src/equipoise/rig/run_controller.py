@@ -4,13 +4,14 @@ In each tick it takes samples, replies and typed lines, checks the safety rules,
 of the run (`equipoise.rig.script`) make the setpoints. Any failure latches a stop, whose ramp
 begins in the tick that detects it: the script is closed, and `come_to_rest` takes its place.
 
-The controller uses no clock, link or file. Equal inputs give equal outputs: the replay of a log
-gives the same setpoints.
+The controller uses no link or file. Equal inputs, and equal results of the script's long jobs, give
+equal outputs: the replay of a log gives the same setpoints.
 
 The two setpoints of a tick are the arm's targets half a tick later and a whole one, as in the
 training (`equipoise.control.control_step`).
 """
 
+from collections import deque
 from collections.abc import Sequence
 from math import inf
 from typing import Final
@@ -18,21 +19,8 @@ from typing import Final
 from equipoise.control.controller import FlangePose
 from equipoise.control.ticks import OK, TickInputs, TickOutput, TickRecord, missed_ticks
 from equipoise.outcomes import End, Outcome, Phase, describe
-from equipoise.rig.readings import (
-    MAX_ROUND_TRIP,
-    setpoint_history,
-    setpoint_in_force,
-    unanswered_time,
-)
-from equipoise.rig.script import (
-    OBSERVED,
-    PhaseError,
-    Run,
-    Setpoints,
-    Steps,
-    Tick,
-    come_to_rest,
-)
+from equipoise.rig.readings import HISTORY, MAX_ROUND_TRIP, setpoint_in_force, unanswered_time
+from equipoise.rig.script import OBSERVED, PhaseError, Run, Setpoints, Steps, Tick, come_to_rest
 from equipoise.safety import rules
 from equipoise.safety.monitors import MAX_REPEATS, REPEAT_WINDOW, RepeatMonitor
 from equipoise.safety.rules import SafetyInputs
@@ -42,7 +30,9 @@ UNCERTAIN_TORQUE_FACTOR: Final = 2.0
 at the start of the servo, where the load on the flange pulls differently."""
 PHASES: Final = tuple(Phase)
 """Phases by the index that logs use."""
-MOVING: Final = {Phase.HOMING, Phase.SELF_TEST, Phase.EXCITING, *OBSERVED}
+CONTROLLED: Final = {Phase.SELF_TEST, *OBSERVED}
+"""Phases in which the controller moves the flange along its track."""
+MOVING: Final = {Phase.HOMING, Phase.EXCITING, *CONTROLLED}
 """Phases in which the arm moves: Enter stops them, too, and a silent link is sent nothing."""
 OFF_TRACK: Final = {Phase.HOMING, Phase.EXCITING}
 """Phases in which the rules of the flange do not apply."""
@@ -75,15 +65,11 @@ class RunController:
         self._stopped = Phase.STOPPING  # the phase before the stop
         self.key_after_stop = False
         """Whether the operator has typed anything after the stop."""
-        self._sent, self._monitor = setpoint_history(run.q), rules.MonitorState()
+        self._sent = deque([(-inf, run.q)] * HISTORY, HISTORY)  # with the times of sending [s]
+        self._monitor = rules.MonitorState()
         self._pose: FlangePose | None = None
         self._stalls, self._overdue, self._link_stalled = RepeatMonitor(), 0.0, False
         self._warnings = set[str]()
-
-    @property
-    def survival(self) -> float:
-        """Time for which the policy has acted [s]."""
-        return self.run.balanced * self.h
 
     def tick(self, now: float, inputs: TickInputs) -> TickOutput:
         """Process the inputs since the last tick, and return the setpoints of this one.
@@ -95,10 +81,9 @@ class RunController:
         run, h = self.run, self.h
         missed = missed_ticks(inputs.lateness, h)
         late = max(inputs.lateness - missed * h, 0.0)
-        run.job = None
         if paused := inputs.paused(h):
             self._rest(missed, inputs.unsent, "The control loop")
-        self._take_measurements(inputs)
+        self._take_measurements(now, inputs)
         self._take_lines(inputs.lines)
         for fault in inputs.faults:
             self.stop(fault)
@@ -130,7 +115,6 @@ class RunController:
             PHASES.index(run.phase),
             run.record,
             messages,
-            run.job,
             to_rest=run.phase is Phase.STOPPING,
             done=run.done,
         )
@@ -148,18 +132,12 @@ class RunController:
 
     # Inputs.
 
-    def _take_measurements(self, inputs: TickInputs) -> None:
+    def _take_measurements(self, now: float, inputs: TickInputs) -> None:
         run = self.run
-        for sample in inputs.samples:
-            run.encoder.add(sample)
+        run.encoder.add(inputs.samples, now)
         self._tick.samples += inputs.samples
-        run.joints.begin_tick()
         rests_at_home = run.phase in (Phase.AT_HOME, Phase.REFERENCING)
-        for reply in inputs.replies:
-            if run.joints.add(reply, rests_at_home):
-                self._tick.joints.append((run.joints.time, run.joints.q))
-        if inputs.result is not None:
-            self._tick.result = inputs.result
+        self._tick.joints += run.joints.add(inputs.replies, rests_at_home)
 
     def _take_lines(self, lines: Sequence[str]) -> None:
         """Accept an expected answer; other input stops, except Enter while nothing moves."""
@@ -193,10 +171,15 @@ class RunController:
             unsent: Whether the second setpoint of the last tick was not sent.
             part: The part that stood still.
         """
-        moved = any(self.run.dq)
+        run, moved = self.run, any(self.run.dq)
         if unsent:
             self._sent.pop()
-        self.run.rest(self._sent[-1][1], missed, unsent)
+        run.q, run.dq = self._sent[-1][1], (0.0,) * len(run.q)
+        if run.phase in CONTROLLED:
+            run.lost_speed += run.controller.x_dot
+            run.controller.rest(run.q, missed, unsent)
+        if run.phase is Phase.BALANCING:
+            run.balanced += missed
         self._tick.stalled = True
         if moved:
             self._warn_once(f"{part} stalled; `equipoise rig doctor` looks for the cause.")
@@ -205,7 +188,7 @@ class RunController:
         """Send nothing while the link stands still; the time of a balance continues."""
         run = self.run
         self._rest(0, False, "The robot's link")
-        if run.phase is Phase.SELF_TEST or run.phase in OBSERVED:
+        if run.phase in CONTROLLED:
             run.controller.hold()
         if run.phase in OBSERVED:
             run.record_decision(0.0)
@@ -223,11 +206,11 @@ class RunController:
         self._monitor = rules.update_monitor(params, self._monitor, inputs)
         # The observer receives no forbidden measurement; the rules then check its estimate, too.
         measured = inputs._replace(on_track=False, balancing=False)
-        if run.phase in OBSERVED and rules.check(params, self._monitor, measured) is None:
+        if run.phase in OBSERVED and not rules.violations(params, self._monitor, measured):
             self._observe(now)
             estimate = run.controller.estimate
             inputs = inputs._replace(x_dot=estimate.pivot_v, phi=estimate.phi)
-        broken = list(rules.violations(params, self._monitor, inputs))
+        broken = rules.violations(params, self._monitor, inputs)
         for violation in broken:
             self.stop(violation)
         others = (end for end in broken if end.outcome not in rules.FROM_MEASURED)
@@ -253,7 +236,7 @@ class RunController:
             torque=joints.new_torque(),
             balancing=run.phase is Phase.BALANCING,
             phi=controller.estimate.phi if observed else 0.0,
-            **run.encoder.take_checks(now),
+            **run.encoder.checks(now),
         )
         if joints.fresh:
             self._pose = controller.pose(joints.q)

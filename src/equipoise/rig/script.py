@@ -2,15 +2,16 @@
 
 A phase yields the setpoints of a tick, and receives what has come until the next one (`Tick`). Its
 first setpoints belong to the tick in which the phase before has ended. Motions continue from rest
-after a stall of the loop or of the robot's link (`Run.rest`); while the link is silent, nothing is
-sent and the script waits. A phase that cannot continue raises `PhaseError`. After a stop, from here
-or from a safety rule, no phase is resumed: `come_to_rest` takes the place of the script.
+after a stall of the loop or of the robot's link (`Tick.stalled`); while the link is silent, nothing
+is sent and the script waits. A phase that cannot continue raises `PhaseError`. After a stop, from
+here or from a safety rule, no phase is resumed: `come_to_rest` takes the place of the script.
 """
 
 from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
-from math import degrees, inf, isfinite, nan, pi, radians, sqrt
+from math import degrees, isfinite, nan, pi, radians, sqrt
 from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
@@ -21,7 +22,7 @@ from equipoise.control.controller import Controller
 from equipoise.control.minimum_jerk import MinimumJerk
 from equipoise.control.policy import Policy, TaskPolicy, tick_policy
 from equipoise.control.swing_up import SwingUpPolicy, amplitude, make_swing_up, time_limit
-from equipoise.control.ticks import OK, Job, OperatorMessage, Sample, TickRecord
+from equipoise.control.ticks import OK, OperatorMessage, Sample, TickRecord
 from equipoise.errors import InputError
 from equipoise.identification.driven_swing import (
     MOVE_DISTANCE,
@@ -31,7 +32,6 @@ from equipoise.identification.driven_swing import (
     SelfTestVerdict,
     self_test,
 )
-from equipoise.log.conditions import Reference
 from equipoise.model.actuator import Actuator
 from equipoise.outcomes import End, Outcome, Phase
 from equipoise.printable import printable
@@ -43,6 +43,8 @@ from equipoise.safety.stop import Ramp, ramp, slow_path, stoppable_speeds, way_b
 from equipoise.settings import HANGING
 
 T = TypeVar("T")
+Job: TypeAlias = Callable[[], Any]
+"""Work for another process: a `functools.partial` of a function and its values."""
 Setpoints: TypeAlias = tuple[tuple[float, ...], ...]
 """Setpoints of a tick [rad]: now, and h / 2 later; empty while nothing is to be sent."""
 
@@ -77,8 +79,6 @@ class Tick:
     """Setpoints of the tick before, with the times at which they were due."""
     joints: list[TimedJoints] = field(default_factory=list[TimedJoints])
     """Measured joints, with the times of their measurement."""
-    result: Any = None
-    """Result of the job, once; an exception where it failed."""
     stalled: bool = False
     """Whether the arm has come to rest at the last setpoint, because loop or link stood still."""
     away: bool = False
@@ -100,6 +100,16 @@ class PhaseError(Exception):
         self.end = End(outcome, evidence)
 
 
+def run_inline(job: Job) -> "Future[Any]":
+    """Run a job at once: in virtual time it takes no time."""
+    future: Future[Any] = Future()
+    try:
+        future.set_result(job())
+    except Exception as error:  # the run stops on it
+        future.set_exception(error)
+    return future
+
+
 class Run:
     """State of a run that its phases use: measurements, motion, messages."""
 
@@ -107,19 +117,16 @@ class Run:
         self,
         request: RunRequest,
         q: Sequence[float],
-        *,
-        counts_per_rev: int,
-        max_speed: float = inf,
         clock: Callable[[], float] = lambda: 0.0,
+        submit: Callable[[Job], "Future[Any]"] = run_inline,
     ) -> None:
         """Begin with an arm that rests at the measured joints.
 
         Args:
-            request: The run.
+            request: The run, with the flange speed limit from the pre-flight.
             q: Measured joints, all of them [rad].
-            counts_per_rev: Counts per revolution that the rig's encoder reports.
-            max_speed: Flange speed limit from the pre-flight [m/s].
             clock: Clock for the computing time of a policy in Python [s]; the default gives zero.
+            submit: Starts a job that takes longer than a tick (default: inline).
 
         Raises:
             ArmError: Home is a singular posture.
@@ -128,16 +135,15 @@ class Run:
         # A kernel takes the computer's time, which virtual time does not show.
         self.clock = clock if request.policy.kernel is None else lambda: 0.0
         """Clock for the computing time of the policy [s]."""
+        self.submit = submit
+        """Starts a job that takes longer than a tick."""
         self.request, self.arm = request, request.settings.described_arm
-        self._counts_per_rev, self._max_speed = counts_per_rev, max_speed
         self.assume(request.actuator)
         self.h = self.params.h
         self.encoder = EncoderReadings(self.params.resolution)
         self.joints = ArmReadings(q, self.safety.limits)
         if (reference := request.reference) is not None:
-            self.encoder.zero = reference.zero
-            if reference.torque is not None:
-                self.joints.torque_at_home = np.array(reference.torque)
+            self.encoder.zero, self.joints.torque_at_home = reference.zero, reference.torque
         self.phase = Phase.HOMING
         """The phase."""
         self.ticks = 0
@@ -154,8 +160,6 @@ class Run:
         """Messages of this tick to the operator and to the log."""
         self.record = TickRecord()
         """Record of this tick for the log."""
-        self.job: Job | None = None
-        """Job that begins with this tick."""
         self.identified: Actuator | None = None
         """Actuator that the excitation has identified."""
         self.tested: SelfTest | None = None
@@ -164,13 +168,6 @@ class Run:
         """Duration of the swing-up [s]; None before its end."""
         self.done = False
         """Whether the arm rests after a stop, and the run is over."""
-
-    @property
-    def reference(self) -> Reference:
-        """Zero and torques for the next run of a series; the pendulum is referenced."""
-        torque = self.joints.torque_at_home
-        zero = self.encoder.zero
-        return Reference(zero=zero, torque=None if torque is None else tuple(torque.tolist()))
 
     @property
     def time(self) -> float:
@@ -184,9 +181,9 @@ class Run:
             ArmError: Home is a singular posture.
             SettingsError: The delay exceeds the controller's history.
         """
-        request, speed = self.request, self._max_speed
-        self.params, self.safety = request.parameters(actuator, self._counts_per_rev, speed)
-        self.controller = Controller(self.arm, self.params, request.policy.settings.boxes)
+        self.params, self.safety = self.request.parameters(actuator)
+        boxes = self.request.policy.settings.boxes
+        self.controller = Controller(self.arm, self.params, boxes)
 
     def enter(self, phase: Phase, name: str, text: str, answers: tuple[str, ...] = ()) -> None:
         """Begin a phase with a message, see `notify`."""
@@ -231,21 +228,6 @@ class Run:
         self.q, self.dq = self.controller.q, self.controller.dq
         return setpoints
 
-    def rest(self, q: tuple[float, ...], missed: int, unsent: bool) -> None:
-        """Begin the motion anew from rest at the last setpoint sent.
-
-        Args:
-            q: That setpoint [rad].
-            missed: Number of missed ticks.
-            unsent: Whether a setpoint of the last tick was not sent.
-        """
-        self.q, self.dq = q, (0.0,) * len(q)
-        if self.phase is Phase.SELF_TEST or self.phase in OBSERVED:
-            self.lost_speed += self.controller.x_dot
-            self.controller.rest(q, missed, unsent)
-        if self.phase is Phase.BALANCING:
-            self.balanced += missed
-
     def record_decision(self, u: float) -> None:
         """Record the observation of a tick, and the policy's u [m/s^2]."""
         observed, estimate = self.controller.observation, self.controller.estimate
@@ -253,12 +235,11 @@ class Run:
 
     def work(self, job: Job, hold: Callable[[], Setpoints]) -> Steps[Any]:
         """Hold the arm while a job runs; return its result, or raise its exception."""
-        self.job, result = job, None
-        while result is None:
-            result = (yield hold()).result
-        if isinstance(result, Exception):
-            raise result
-        return result
+        future = self.submit(job)
+        yield hold()
+        while not future.done():
+            yield hold()
+        return future.result()
 
 
 def script(run: Run) -> Steps[End]:

@@ -28,14 +28,7 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED, box_indices, make_grid
 from equipoise.model.pendulum import Pendulum, read_pendulum
 from equipoise.model.random import DEPLOYMENT
-from equipoise.model.worlds import (
-    IDEAL,
-    MODEL,
-    TwinSettings,
-    World,
-    pendulum_on,
-    read_world,
-)
+from equipoise.model.worlds import IDEAL, MODEL, TwinSettings, World, pendulum_on, read_world
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import Settings
 from equipoise.simulation import TrialRecorder, run_trial, setup_of, simulate

@@ -80,7 +80,6 @@ class Bench:
         self._random = np.random.default_rng(bodies.seed)
         self._start, self._ticks = bodies.start, 0
         self._down_until = self._slip = 0.0
-        self._touching = False
 
     @property
     def now(self) -> float:
@@ -162,15 +161,12 @@ class Bench:
         """Apply the force of the hand at the middle of the rod, across it."""
         data, rod = self._data, self._rod
         if self.hand.idle:
-            if self._touching:
-                data.xfrc_applied[rod, :3] = 0.0
-                self._touching = False
+            data.xfrc_applied[rod, :3] = 0.0
             return
         phi_dot = float(data.qvel[self._phi])
         torque = self.hand.torque(self.now, self.phi, phi_dot)
         across = data.xmat[rod, 0::3]
         data.xfrc_applied[rod, :3] = torque / self._reach * across
-        self._touching = True
 
 
 class SimulatedRig(Bench):
@@ -219,8 +215,6 @@ class EmulatedOperator:
         """
         self._clock, self._random = clock, np.random.default_rng(seed)
         self._due: list[tuple[float, str, str]] = []
-        self.ignored: frozenset[str] = frozenset()
-        """Names of messages that the operator misses."""
         self.acts: dict[str, Callable[[], object]] = {
             "hang": bench.steady,
             "reference": lambda: (bench.let_go(), bench.press()),
@@ -233,8 +227,6 @@ class EmulatedOperator:
 
     def notify(self, event: OperatorMessage) -> None:
         """Receive a message, and plan the answer to it."""
-        if event.name in self.ignored:
-            return
         if event.name in self.acts or event.answers:
             moment = self._clock.now() + float(self._random.uniform(0.3, 1.0))  # [s]: assumed
             self._due.append((moment, next(iter(event.answers), ""), event.name))

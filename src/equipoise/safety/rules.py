@@ -1,16 +1,16 @@
-r"""Safety rules of a run on a rig: pure functions that return the first broken rule.
+r"""Safety rules of a run on a rig: pure functions that return the broken rules.
 
 Two checks, both without a clock and without I/O:
 
 `check_setpoint`, `check_first`
-    Check of a setpoint, just before it is sent.
-`check`
+    Check of a setpoint, just before it is sent: the first broken rule, or None.
+`violations`
     Check of the run, once per tick, from its current state (`SafetyInputs`) and the state of the
-    checks that span several ticks (`MonitorState`, from `update_monitor`).
+    checks that span several ticks (`MonitorState`, from `update_monitor`): all broken rules.
 
-Each returns the first broken rule, or None. A broken rule leads to a latched stop
-(`equipoise.safety.stop`). The rows of `equipoise.outcomes.Outcome` list the rules in their order,
-with sentence, advice, and the limit where a rule compares one input with a number.
+A broken rule leads to a latched stop (`equipoise.safety.stop`). The rows of
+`equipoise.outcomes.Outcome` list the rules in their order, with sentence, advice, and the limit
+where a rule compares one input with a number.
 
 The deciding functions are `@compilable`: the same ones run in the trials of the digital twin
 (`equipoise.safety.trial`), where a broken rule ends the trial. They return codes and
@@ -26,7 +26,7 @@ robot without a watchdog then moves on to its last target. The rules keep that t
 
 from collections.abc import Sequence
 from itertools import pairwise
-from math import copysign, inf, isfinite, pi, radians
+from math import copysign, inf, isfinite, radians
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -95,8 +95,7 @@ NO_VIOLATION: Final = -1
 """Code for no broken rule."""
 # Codes of the rules of a setpoint, of the flange, and of the whole run, as kernels return them.
 POSITION_CODE, JUMP_CODE, VELOCITY_CODE, ACCELERATION_CODE = map(
-    SAFETY_RULES.index,
-    (Outcome.POSITION, Outcome.JUMP, Outcome.VELOCITY, Outcome.ACCELERATION),
+    SAFETY_RULES.index, (Outcome.POSITION, Outcome.JUMP, Outcome.VELOCITY, Outcome.ACCELERATION)
 )
 SINGULAR_CODE, TRACK_CODE, SPEED_CODE, DRIFT_CODE, TILT_CODE = map(
     SAFETY_RULES.index,
@@ -127,11 +126,6 @@ class Limits(NamedTuple):
     """Limits of the velocity [rad/s]."""
     acceleration: Numbers
     """Limits of the acceleration [rad/s^2]."""
-
-    @property
-    def joints(self) -> int:
-        """Number of joints."""
-        return len(self.lower)
 
 
 def limits_of(arm: Arm, *, margin: float = POSITION_MARGIN, speed_fraction: float = 1.0) -> Limits:
@@ -165,8 +159,6 @@ class SafetyParams(NamedTuple):
     """Minimum |det J| [m^3]."""
     h: float
     """Time between ticks [s]."""
-    resolution: float
-    """Angle of one encoder count [rad]."""
     speed: float = inf
     """Flange speed limit [m/s]; inf for none."""
 
@@ -177,7 +169,6 @@ def make_safety_params(
     reaction: float,
     u_max: float,
     h: float,
-    counts_per_rev: int,
     speed: float = inf,
     margin: float = POSITION_MARGIN,
     speed_fraction: float = 1.0,
@@ -190,7 +181,6 @@ def make_safety_params(
         reaction: Transport delay and response time of the arm [s].
         u_max: Largest acceleration that the policy commands [m/s^2].
         h: Time between ticks [s].
-        counts_per_rev: Encoder counts per revolution, after x4.
         speed: Flange speed limit [m/s]; inf for none.
         margin: Margin of setpoints inside the joints' position limits [rad].
         speed_fraction: Usable fraction of the joints' velocity limits [-].
@@ -205,7 +195,6 @@ def make_safety_params(
         u_max=u_max,
         min_manipulability=SINGULAR_FRACTION * at_home,
         h=h,
-        resolution=2.0 * pi / counts_per_rev,
         speed=speed,
     )
 
@@ -260,8 +249,8 @@ def check_first(limits: Limits, q: Sequence[float], measured: Sequence[float]) -
 
 
 def _invalid_numbers(limits: Limits, q: Sequence[float], name: str) -> End | None:
-    if len(q) != limits.joints:
-        return _violation(Outcome.COUNT, len(q), limits.joints, name=name)
+    if len(q) != len(limits.lower):
+        return _violation(Outcome.COUNT, len(q), len(limits.lower), name=name)
     for joint, angle in enumerate(q, start=1):
         if not isfinite(angle):
             evidence = {"name": f"{name}, joint {joint},", "got": str(angle), "joint": joint}
@@ -334,7 +323,7 @@ def update_monitor(
     Args:
         params: Safety limits of the rig.
         before: The state at the tick before.
-        inputs: State of the run now, checked for invalid numbers by `check` in the same tick.
+        inputs: State of the run now, checked for invalid numbers by `violations` in the same tick.
     """
     measured, expected = inputs.measured, inputs.expected
     if measured is None or expected is None:
@@ -352,20 +341,14 @@ def update_monitor(
     return MonitorState(0, error_time, tuple(rest), tuple(then), tuple(motion))
 
 
-def check(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> End | None:
-    """Return the broken rule that stops the run, or None; of several the first.
+def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> list[End]:
+    """Return the broken rules in the order of `SAFETY_RULES`; the first one stops the run.
 
     Args:
         params: Safety limits of the rig.
         monitor: State of the checks that span several ticks, this one included.
         inputs: State of the run now.
     """
-    broken = violations(params, monitor, inputs)
-    return broken[0] if broken else None
-
-
-def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> list[End]:
-    """Return the broken rules in the order of `SAFETY_RULES`; arguments as of `check`."""
     broken = [
         _violation(rule, float(value), bound.limit)
         for rule in SAFETY_RULES
@@ -385,7 +368,7 @@ def violations(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs
         if abs(torque) > limit:
             broken.append(_violation(Outcome.TORQUE, torque, limit, joint=joint))
     duration, measured, expected = monitor.error_time, inputs.measured, inputs.expected
-    if error_time_exceeded(duration) and measured is not None and expected is not None:
+    if duration > FOLLOWING_TIME and measured is not None and expected is not None:
         error, joint = largest_difference(measured, expected)
         evidence = {"joint": joint, "duration": duration}
         broken.append(_violation(Outcome.FOLLOWING, error, FOLLOWING_LIMIT, **evidence))
@@ -413,12 +396,6 @@ def next_error_time(before: float, error: float, h: float) -> float:
         h: Time since then [s].
     """
     return before + h if error > FOLLOWING_LIMIT else 0.0
-
-
-@compilable
-def error_time_exceeded(time: float) -> bool:
-    """Return whether a following error persists for too long [s]."""
-    return time > FOLLOWING_TIME
 
 
 @compilable

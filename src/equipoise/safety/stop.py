@@ -91,7 +91,7 @@ def ramp(q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: L
             f"a stop from {tuple(q)} rad with {tuple(dq)} rad/s and {flange_speed} m/s; expected "
             "finite numbers"
         )
-    rates = [inf] * limits.joints
+    rates = [inf] * len(dq)
     moving = [i for i, velocity in enumerate(dq) if velocity != 0.0]
     # The joints' accelerations bound r from above; flange and position limits from below.
     most = {i: limits.acceleration[i] / abs(dq[i]) for i in moving}

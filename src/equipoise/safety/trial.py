@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from math import inf
 from typing import Annotated, Final, NamedTuple, Protocol
 
-from equipoise import paper
 from equipoise.arm.arm import FREE_JOINTS, Arm
 from equipoise.arm.compiler import FRAME_SIZE
 from equipoise.arrays import Array, Records, new_records
@@ -17,14 +16,12 @@ from equipoise.control.control_step import (
     SETPOINTS_PER_TICK,
     ControllerParams,
     ControllerState,
-    horizon,
     kinematics,
 )
 from equipoise.control.controller import flange_pose
 from equipoise.elementary import BATCH_SIZE
 from equipoise.jit import compilable, inlined
-from equipoise.model.actuator import ROWS, Actuator
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.actuator import ROWS
 from equipoise.safety import rules
 from equipoise.safety.rules import NO_VIOLATION, Limits, SafetyParams
 
@@ -60,42 +57,11 @@ class TrialSafetyMonitor(NamedTuple):
     """`MonitorState`."""
 
 
-def trial_safety(
-    arm: Arm,
-    settings: TwinSettings,
-    actuator: Actuator,
-    h: float,
-    max_speed: float | None = None,
-) -> SafetyParams | None:
-    """Return the safety limits of a world, those of a rig; None where it has none.
-
-    Args:
-        arm: The arm with its home posture.
-        settings: The world's numbers.
-        actuator: Model of the arm's response in the controller.
-        h: Time between ticks [s].
-        max_speed: Limit of the task on the flange's speed [m/s]; None without one.
-    """
-    if not settings.guards:
-        return None
-    return rules.make_safety_params(
-        arm,
-        reaction=horizon(arm, actuator, 0.0),
-        u_max=paper.U_MAX,
-        h=h,
-        counts_per_rev=settings.counts_per_rev,
-        speed=min(limit or inf for limit in (settings.max_speed, max_speed)),
-    )
-
-
-def new_trial_monitor(arm: Arm, params: SafetyParams | None) -> TrialSafetyMonitor:
-    """Return the monitor of a trial before its start; without `params` no rule applies."""
-    active, none = params is not None, (0.0,) * len(arm.joints)
-    # Where no rule applies, the limits are placeholders.
-    rules = params or SafetyParams(Limits(none, none, none, none), none, 0.0, 0.0, 0.0, 0.0, 0.0)
-    limits = Limits(*(arm.without_held(row) for row in rules.limits))
-    rules = rules._replace(limits=limits, torque=arm.without_held(rules.torque))
-    return TrialSafetyMonitor(active, rules, new_records(MonitorState))
+def new_trial_monitor(arm: Arm, params: SafetyParams, *, active: bool = True) -> TrialSafetyMonitor:
+    """Return the monitor of a trial before its start; where it is not active no rule applies."""
+    limits = Limits(*(arm.without_held(row) for row in params.limits))
+    params = params._replace(limits=limits, torque=arm.without_held(params.torque))
+    return TrialSafetyMonitor(active, params, new_records(MonitorState))
 
 
 @compilable
@@ -158,7 +124,7 @@ def trial_violation(
     expected = state.setpoints[rules.newest_before(state.sent, state.number, since)]
     error, _ = rules.largest_difference(q, expected)
     state.error_time = rules.next_error_time(state.error_time, error, params.h)
-    if rules.error_time_exceeded(state.error_time):
+    if state.error_time > rules.FOLLOWING_TIME:
         return rules.FOLLOWING_CODE
     kinematics(controller.code.kinematics, measurements.measured, state.still, state.frame, 1)
     x, drift, tilt, w = flange_pose(state.frame, controller.home_reference)

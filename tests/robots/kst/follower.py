@@ -1,6 +1,5 @@
 """An arm that follows its target with a first-order lag, behind an emulated server in memory."""
 
-from contextlib import suppress
 from math import exp, isnan
 
 from equipoise.arm.iiwa import iiwa7
@@ -17,7 +16,6 @@ class Follower:
     """The simplest arm: each joint closes in on the target within LAG."""
 
     arm = iiwa7()
-    stopped = ""
 
     def __init__(self):
         self.q, self.goal = list(HOME), list(HOME)
@@ -29,7 +27,8 @@ class Follower:
         return tuple(self.q)
 
     def torques(self, external):
-        return self.external if external else (0.0, -12.5, 0.0, 8.25, 0.0, 0.5, 0.0)
+        assert external
+        return self.external
 
     def servo(self, running):
         self.running = running
@@ -54,22 +53,30 @@ class Bench:
     def __init__(self, *, delay=0.0):
         self.clock = VirtualClock()
         self.body = Follower()
-        self.server = KstServer(self.body)
+        self.server = KstServer(self.body, self)
         self.client, self.end = memory_pipe(self.clock, delay)
-        self.heard, self.heard_at = b"", []
+        self.heard, self.heard_at, self.gone = b"", [], False
         self.clock.attach(self.body.advance)
         self.clock.attach(self.run)
 
-    def run(self, now):
-        data = b"" if self.server.closed else self.end.read()
+    # The link of the server: it keeps what was heard, and fails once where the client has gone.
+
+    def read(self):
+        if self.gone:
+            self.gone = False
+            raise LinkError("gone")
+        data = self.end.read()
         if data:
             self.heard += data
-            self.heard_at.append((now, data))
-        self.server.feed(data, now)
-        for segment in self.server.advance(now):
-            with suppress(LinkError):
-                self.end.write(segment)
-        if self.server.closed:
+            self.heard_at.append((self.clock.now(), data))
+        return data
+
+    def write(self, data):
+        self.end.write(data)
+
+    def run(self, now):
+        self.server.advance(now)
+        if self.server.ended:
             self.end.close()
 
     def wait(self, duration):

@@ -32,17 +32,16 @@ JAVA = {
 
 def test_setpoint_is_the_line_of_the_captured_session():
     assert setpoint(np.array(Q)) == b"jpJP_0.0013_0.4364_0_-1.3962_0_1.309_0_\n"
-    assert setpoint(Q, "external").startswith(b"jpExT_")
+    assert setpoint(Q, torque=True).startswith(b"jpExT_")
     assert codec.PORT == 30001
 
 
 @given(st.lists(SEVEN, min_size=20, max_size=20))
 def test_setpoint_keeps_nine_digits_and_the_server_reads_them(setpoints):
     for q in setpoints:
-        fields = codec.tokens(setpoint(q).decode().rstrip("\n"))
-        assert fields[0] == "jpJP"
-        assert len(fields) == JOINTS + 1
-        for value, field in zip(q, fields[1:], strict=True):
+        command, *fields, end = setpoint(q).decode().split("_")
+        assert (command, len(fields), end) == ("jpJP", JOINTS, "\n")
+        for value, field in zip(q, fields, strict=True):
             assert math.isclose(java_double(field), value, rel_tol=5.001e-9, abs_tol=1e-320)
 
 
@@ -149,6 +148,6 @@ def test_whatever_is_said_is_read_or_refused(said):
     for line in split_lines(b"\n".join(said) + b"\n")[0]:
         with contextlib.suppress(LinkError):
             assert all(map(math.isfinite, expect_numbers(line, line.count(b"_"), "jpJP")))
-        for field in codec.tokens(line.decode("latin-1")):
+        for field in line.decode("latin-1").split("_"):
             with contextlib.suppress(InputError):
                 assert isinstance(java_double(field), float)

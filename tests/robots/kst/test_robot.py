@@ -3,6 +3,7 @@
 import pytest
 
 from equipoise.errors import LinkError
+from equipoise.rig.plugins import Session
 from equipoise.robots.kst.codec import numbers_reply
 from equipoise.robots.kst.robot import KstRobot
 from tests.robots.kst.follower import HOME, Bench
@@ -14,7 +15,8 @@ class Rig(Bench):
     def __init__(self, *, opens_after=0.0):
         super().__init__()
         self.told, self.opened, self.tried, self.opens_after = [], 0, 0, opens_after
-        self.robot = KstRobot(self.open, self.clock, notify=self.told.append)
+        session = Session(self.clock, self.clock, notify=self.told.append)
+        self.robot = KstRobot(self.open, session)
 
     def open(self):
         self.tried += 1

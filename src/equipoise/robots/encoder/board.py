@@ -59,8 +59,7 @@ class Board:
         self._start_us = t_us
         self._theta = self.angle()
         self._zero = self._counted(self._theta)
-        self._line = self._requested = 0
-        self._greets = True
+        self._line, self._requested = 0, 1  # lines sent; banners to send, the first unasked
         self._down = self._latched = self.illegal = False
 
     # Inputs.
@@ -93,8 +92,8 @@ class Board:
         sent = bytearray()
         if now >= self._started:
             banner = encode(Banner("emulated", "1.0", self.counts_per_rev, self.rate_hz))
-            sent += banner * (self._greets + self._requested)
-            self._greets, self._requested = False, 0
+            sent += banner * self._requested
+            self._requested = 0
         period = 1.0 / (self.rate_hz * (1.0 + self.drift))
         while self._next + period <= now + 1e-9:
             self._next += period

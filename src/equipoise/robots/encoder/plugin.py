@@ -5,7 +5,9 @@ Addresses are `serial:///dev/ttyACM0` or `serial://COM3`. Reads and writes do no
 
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
+
+from serial import Serial
 
 from equipoise.errors import InputError, LinkError
 from equipoise.rig.interfaces import Clock
@@ -15,9 +17,6 @@ from equipoise.rig.transports import memory_pipe
 from equipoise.robots.encoder.board import Board
 from equipoise.robots.encoder.sensor import LineEncoder
 
-if TYPE_CHECKING:
-    from serial import Serial
-
 BAUD: Final = 500_000
 """Baud rate of a serial line [baud], equal to the firmware's. 1000 lines of 36 bytes per second
 fill 72 % of it, and an AVR at 16 MHz hits it exactly. USB boards ignore it."""
@@ -26,7 +25,7 @@ fill 72 % of it, and an AVR at 16 MHz hits it exactly. USB boards ignore it."""
 class SerialTransport:
     """Open serial port."""
 
-    def __init__(self, port: "Serial", name: str) -> None:
+    def __init__(self, port: Serial, name: str) -> None:
         """Take over an open port.
 
         Args:
@@ -90,8 +89,6 @@ def open_serial(uri: str) -> SerialTransport:
         InputError: The address is invalid.
         LinkError: The port cannot be opened.
     """
-    from serial import Serial
-
     name = device_of(uri)
     try:
         port = Serial(name, BAUD, timeout=0.0, write_timeout=0.0, exclusive=True)
@@ -117,8 +114,7 @@ def open_sensor(
 
 def emulate(rig: SimulatedRig, clock: Clock, counts_per_rev: int, sign: int) -> Emulated:
     """Return the driver in front of an emulated board on a simulated spindle."""
-    counts = rig.settings.counts_per_rev
-    board = Board(lambda: rig.theta, counts_per_rev=counts, sign=sign)
+    board = Board(lambda: rig.theta, counts_per_rev=counts_per_rev, sign=sign)
     reader, wire = memory_pipe(clock, rig.settings.encoder_age)
 
     def advance(now: float) -> None:

@@ -275,9 +275,6 @@ class LineEncoder:
             if order.last is not None and now == self._received >= ready:
                 self._banner_until = now + 1.0  # [s]: a later banner shows a restart
                 self._block_end, self._block_lateness = now + 1.0, inf
-                time = self._time(order.last.t_us, now)
-                illegal = bool(order.last.flags & Flags.ILLEGAL)
-                self._first = [Sample(time, self._counts, False, illegal, 0)]
                 return
             clock.wait_until(now + POLL_PERIOD)
         raise LinkError(
@@ -303,7 +300,7 @@ class LineEncoder:
         except LinkError as error:
             raise self._fail(f"is gone: {error}") from None
         now = self._clock.now()
-        samples, self._first = self._first, []
+        samples: list[Sample] = []
         for line in self._decoder.feed(data):
             if not isinstance(line, Banner):
                 samples += self._take(line, now)

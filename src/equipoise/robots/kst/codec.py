@@ -20,7 +20,7 @@ import math
 import re
 from collections.abc import Sequence
 from decimal import Decimal
-from typing import Final, Literal
+from typing import Final
 
 from equipoise.arrays import Array
 from equipoise.errors import InputError, LinkError
@@ -35,12 +35,6 @@ DIGITS: Final = 9
 official clients cause steps of 1 rad/s^2 in the second difference."""
 MAX_LINE: Final = 1024
 """Maximum accepted line length [bytes]; seven Java numbers take less than 190."""
-
-ReplyKind = Literal["joints", "external"]
-"""Reply that a setpoint requests: measured joints [rad], or external torques [N m]."""
-
-SETPOINTS: Final[dict[ReplyKind, str]] = {"joints": "jpJP", "external": "jpExT"}
-"""Commands that set the target of the joint servo, by requested reply."""
 
 GET_JOINTS: Final = "getJointsPositions"
 """Request for the measured joints, at any time."""
@@ -74,21 +68,19 @@ def split_lines(data: bytes) -> tuple[list[bytes], bytes]:
     return [line for line in (line.removesuffix(b"\r") for line in lines) if line], rest
 
 
-def setpoint(
-    q: Sequence[float] | Array, reply: ReplyKind = "joints", *, joints: int = JOINTS
-) -> bytes:
+def setpoint(q: Sequence[float] | Array, *, torque: bool = False, joints: int = JOINTS) -> bytes:
     """Return the line that sets the target of the joint servo.
 
     Args:
         q: All joints [rad], shape (joints,).
-        reply: Requested reply.
+        torque: Whether to request external torques [N m] as the reply, or measured joints [rad].
         joints: Number of joints.
 
     Raises:
         InputError: `q` is not one finite number for each joint.
     """
     fields = "".join(f"{value:.{DIGITS}g}_" for value in checked_setpoint(q, joints).tolist())
-    return f"{SETPOINTS[reply]}_{fields}\n".encode()
+    return f"{'jpExT' if torque else 'jpJP'}_{fields}\n".encode()
 
 
 def expect_done(line: bytes, command: str) -> None:
@@ -120,11 +112,6 @@ def expect_numbers(line: bytes, count: int, command: str) -> tuple[float, ...]:
     raise _out_of_step(line, f"{count} finite numbers that end in _", command)
 
 
-def tokens(line: str) -> list[str]:
-    """Return the non-empty fields of a client's line, split as the server splits it."""
-    return [field for field in line.split("_") if field]
-
-
 def java_double(text: str) -> float:
     """Parse a number as Java's `Double.parseDouble` does, except for hexadecimal numbers.
 
@@ -150,20 +137,13 @@ def java_number(value: float) -> str:
         return "NaN"
     if math.isinf(value):
         return "Infinity" if value > 0.0 else "-Infinity"
-    sign, digits, exponent = Decimal(repr(float(value))).normalize().as_tuple()
+    if value == 0.0 or 1e-3 <= abs(value) < 1e7:
+        return repr(float(value))
+    text = f"{Decimal(repr(float(value))).normalize():E}"
     # Java writes at least two digits: where one is enough, the nearest two.
-    if len(digits) == 1:
-        sign, digits, exponent = Decimal(f"{value:.1e}").as_tuple()
-    text, minus = "".join(map(str, digits)), "-" * sign
-    point = len(text) + int(exponent)
-    if value == 0.0:
-        return f"{minus}0.0"
-    if not 1e-3 <= abs(value) < 1e7:
-        return f"{minus}{text[0]}.{text[1:]}E{point - 1}"
-    text, point = "0" * (1 - point) + text, max(point, 1)
-    text = text.ljust(point, "0")
-    fraction = text[point:].rstrip("0")
-    return f"{minus}{text[:point]}.{fraction or '0'}"
+    text = text if "." in text else f"{value:.1E}"
+    mantissa, _, exponent = text.partition("E")
+    return f"{mantissa}E{int(exponent)}"
 
 
 def numbers_reply(values: Sequence[float]) -> bytes:

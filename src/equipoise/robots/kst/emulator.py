@@ -1,25 +1,22 @@
-"""Emulator of a cabinet with its KST server: joint servo and motions, with the server's faults.
+"""Emulator of a cabinet with its KST server: its joint servo, with the server's faults.
 
-The server is bytes and times (`KstServer`), in memory or on a TCP port (`KstHardware`). As in the
-real one, two threads share one string. The *reader* receives each line, and handles targets,
+The server (`KstServer`) serves a link in memory or on a TCP port (`KstHardware`). As in the real
+one, two threads share one string. The *reader* receives each line, and handles targets,
 `getJointsPositions`, stop and end itself. Any other line waits in that string for the *main*
-thread, which ignores it while a servo or a motion runs. Hence:
+thread, which ignores it while a servo runs. Hence:
 
 - A servo is acknowledged before it exists; its target is then overwritten with the measured joints.
-- A point-to-point motion is acknowledged twice, at its start and at its end. It keeps its own goal:
-  targets in between are acknowledged, and nothing stops it.
 - A command for the main thread that arrives while a servo runs is not answered, and the next line
-  erases it; so does the end of a motion. An unknown command is never answered.
-- A motion that the controller cannot plan is acknowledged, then refused: `nak`.
+  erases it. An unknown command is never answered.
 - A number that Java cannot parse (`nan`; but `NaN` becomes the target) kills the reader: all later
   lines are ignored, stop and end included, and the servo continues.
 - Fewer than seven joints change the first ones only; further ones are ignored.
 - The client is not supervised: if it vanishes, the servo continues, and no other client is ever
   served.
 
-Not modelled, and not answered: everything but joints and their torques (poses, forces, tools, pins,
-Cartesian, impedance and velocity servos), and motions that end at a torque (`doPTP!`). The server
-does not end when no client connects for 60 s.
+Not modelled, and not answered: everything but the joint servo with its joints and external torques
+(motions, poses, forces, tools, pins, Cartesian, impedance and velocity servos). The server does not
+end when no client connects for 60 s.
 """
 
 import socket
@@ -27,130 +24,64 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Final
 
-from equipoise.control.minimum_jerk import path_within
 from equipoise.errors import InputError, LinkError, OutsideError
+from equipoise.rig.interfaces import Transport
 from equipoise.rig.simulated_rig import Bodies, SimulatedRig
 from equipoise.rig.transports import SocketTransport
-from equipoise.robots.kst.codec import (
-    GET_JOINTS,
-    PORT,
-    START_SERVO,
-    STOP_SERVO,
-    java_double,
-    numbers_reply,
-    split_lines,
-    tokens,
-)
+from equipoise.robots.kst import codec
 from equipoise.simulation.twin.simulated_arm import SimulatedArm
 
 HOST: Final = "127.0.0.1"
 """Address of the emulated cabinet: this machine."""
 DONE: Final = b"done\n"
 """Acknowledgement of the server."""
-NAK: Final = b"nak\n"
-"""Reply of the server after an error in its main thread."""
-PLANNING_TIME: Final = 0.1
-"""Time from the acknowledgement of a motion until it starts or is refused [s]. Assumed. A client
-that receives both replies in one segment waits for the second without end."""
-SETTLING_TIME: Final = 0.35
-"""Time from the end of a motion's path until its second acknowledgement [s]: the emulated arm
-follows by the law of the servo, which takes this for the last milliradian."""
-READER: Final = (
-    *("jp_", "jpJP_", "jpExT_", "jpMT_"),  # targets
-    *(GET_JOINTS, STOP_SERVO, "blueOn", "blueOff"),
-)
+READER: Final = ("jp_", "jpJP_", "jpExT_", codec.GET_JOINTS, codec.STOP_SERVO, "blueOn", "blueOff")
 """Starts of the lines that the reader answers."""
-MAIN: Final = ("Torques_ext_J", "Torques_m_J")
-"""Starts of the lines that the main thread answers from the arm."""
-
-
-def answer(command: str, arm: SimulatedArm) -> bytes:
-    """Return the reply to a line of `READER` or `MAIN`."""
-    if command.startswith(("jpJP_", GET_JOINTS)):
-        return numbers_reply(arm.measured())
-    if command.startswith(("jpExT_", "Torques_ext_J")):
-        return numbers_reply(arm.torques(external=True))
-    if command.startswith(("jpMT_", "Torques_m_J")):
-        return numbers_reply(arm.torques(external=False))
-    return DONE
 
 
 class KstServer:
-    """An emulated KST server for one client: bytes and times in, bytes out.
+    """An emulated KST server for one client; advance it once a millisecond, after the arm."""
 
-    Feed received bytes, and advance at least once a millisecond, after the arm::
-
-        server.feed(data, now)
-        for segment in server.advance(now):
-            connection.send(segment)
-    """
-
-    def __init__(self, body: SimulatedArm) -> None:
+    def __init__(self, body: SimulatedArm, link: Transport) -> None:
         """Begin with a connected client, the arm at rest and no servo.
 
         Args:
             body: The arm; lines have a field for each of its joints.
+            link: Link to the client.
         """
         self.ended = False
-        """Whether the server's program has ended; the connection is closed then."""
+        """Whether the server's program has ended; it closes the connection then."""
         self.deserted = False
         """Whether the client left without an `end`; no other is ever served."""
-        self.busy = False
-        """Whether a servo or a motion runs or is starting."""
-        self._body, self._target = body, [0.0] * len(body.arm.joints)
+        self._body, self._link, self._target = body, link, [0.0] * len(body.arm.joints)
         self._measure = body.measured  # of the servo, which no fault of a reply reaches
         self._rest, self._reads = b"", True
-        self._segments: list[bytes] = []
-        self._now = self._speed = 0.0
         self._waiting = ""
         self._requested = self._runs = False  # the servo
         self._main = self._run_main()
 
-    @property
-    def closed(self) -> bool:
-        """Whether the connection is closed from this side."""
-        return self.ended and not self._segments
-
-    def feed(self, data: bytes, now: float) -> None:
-        """Receive bytes from the client.
-
-        Args:
-            data: Received bytes; may be empty.
-            now: The time [s].
-        """
-        self._now = now
-        if self.closed or not self._reads:
-            return
+    def advance(self, _: float) -> None:
+        """Run the server's threads for a millisecond; the time does not matter."""
         try:
-            lines, self._rest = split_lines(self._rest + data)
+            self._receive(self._link.read())
+        except LinkError:  # the servo continues to its last target
+            self.deserted, self._reads = True, False
+        next(self._main, None)
+
+    def _say(self, segment: bytes) -> None:
+        with suppress(LinkError):
+            self._link.write(segment)
+
+    # The reader's thread.
+
+    def _receive(self, data: bytes) -> None:
+        try:
+            lines, self._rest = codec.split_lines(self._rest + data)
             for line in lines:
                 if self._reads:
                     self._read(line.decode("latin-1"))
         except (InputError, LinkError):
             self._reads = False
-
-    def advance(self, now: float) -> list[bytes]:
-        """Run the server's threads until a time.
-
-        Args:
-            now: The time [s].
-
-        Returns:
-            Segments sent to the client since the last call, in order.
-        """
-        self._now = now
-        next(self._main, None)
-        segments, self._segments = self._segments, []
-        return [] if self.deserted else segments
-
-    def vanished(self, now: float) -> None:
-        """Record, unlike the real server, that the client left without an `end`.
-
-        The servo continues to its last target. No line is read again.
-        """
-        self._now, self.deserted, self._reads = now, True, False
-
-    # The reader's thread.
 
     def _read(self, command: str) -> None:
         """Obey a line.
@@ -164,16 +95,24 @@ class KstServer:
         elif command.startswith(READER):
             if command.startswith("jp"):
                 self._read_target(command)
-            elif command.startswith(STOP_SERVO):
+            elif command.startswith(codec.STOP_SERVO):
                 self._requested = False
-            self._segments.append(answer(command, self._body))
+            self._say(self._answer(command))
         else:
             self._waiting = command
 
+    def _answer(self, command: str) -> bytes:
+        if command.startswith(("jpJP_", codec.GET_JOINTS)):
+            return codec.numbers_reply(self._body.measured())
+        if command.startswith("jpExT_"):
+            return codec.numbers_reply(self._body.torques(external=True))
+        return DONE
+
     def _read_target(self, command: str) -> None:
+        fields = [field for field in command.split("_") if field]
         try:
-            for i, field in enumerate(tokens(command)[1 : len(self._target) + 1]):
-                self._target[i] = java_double(field)
+            for i, field in enumerate(fields[1 : len(self._target) + 1]):
+                self._target[i] = codec.java_double(field)
         finally:  # the servo follows the numbers read before the reader died
             if self._runs:
                 self._body.target(tuple(self._target))
@@ -183,60 +122,26 @@ class KstServer:
     def _run_main(self) -> Iterator[None]:
         while not self.ended:
             command, self._waiting = self._waiting, ""
-            self.busy = command.startswith((START_SERVO, "doPTPinJS"))
-            try:
-                if command.startswith(MAIN):
-                    self._segments.append(answer(command, self._body))
-                elif command.startswith(START_SERVO):
-                    yield from self._serve()
-                elif command.startswith("doPTPinJS"):
-                    yield from self._move()
-                elif command.startswith("jRelVel"):  # fraction of the speed limits, for motions
-                    self._speed = java_double("".join(tokens(command)[1:2]))
-                    self._segments.append(DONE)
-            except InputError:
-                self._segments.append(NAK)
-            self.busy = False
-            yield
-
-    def _sleep(self, duration: float) -> Iterator[None]:
-        until = self._now + duration - 1e-9  # [s]: rounding
-        while self._now < until:
+            if command.startswith(codec.START_SERVO):
+                yield from self._serve()
             yield
 
     def _serve(self) -> Iterator[None]:
         """Run a servo, which begins and ends "a few milliseconds" after its acknowledgements."""
         self._requested = True
-        self._segments.append(DONE)
-        yield from self._sleep(5e-3)
+        self._say(DONE)
+        for _ in range(5):  # [ms]
+            yield
         self._runs = True
         self._body.servo(True)
         self._target[:] = self._measure()
         self._body.target(tuple(self._target))
         while self._requested:
             yield
-        yield from self._sleep(3e-3)
+        for _ in range(3):  # [ms]
+            yield
         self._body.servo(False)
         self._runs = False
-
-    def _move(self) -> Iterator[None]:
-        """Move to the target along a minimum-jerk path, at the set speed."""
-        body, joints, goal = self._body, self._body.arm.joints, tuple(self._target)
-        self._segments.append(DONE)
-        yield from self._sleep(PLANNING_TIME)
-        within = all(a.lower <= q <= a.upper for a, q in zip(joints, goal, strict=True))
-        if body.stopped or not within or not 0.0 < self._speed <= 1.0:
-            raise InputError("the controller cannot plan this motion")
-        speeds = [self._speed * joint.velocity for joint in joints]
-        path = path_within(body.measured(), goal, speeds, [joint.acceleration for joint in joints])
-        start = self._now
-        body.servo(True)
-        while self._now < start + path.duration + SETTLING_TIME:
-            body.target(path.at(self._now - start).q)
-            yield
-        body.servo(False)
-        self._segments.append(NAK if body.stopped else DONE)
-        self._waiting = ""
 
 
 class KstHardware:
@@ -259,7 +164,7 @@ class KstHardware:
             ArmError: The masses of the arm's links are unknown.
             OutsideError: The port is not available.
         """
-        port = PORT if port is None else port
+        port = codec.PORT if port is None else port
         try:
             self._listener = socket.create_server((HOST, port))
         except OSError as error:
@@ -281,28 +186,20 @@ class KstHardware:
         }
         """Actions at the robot, by the word that triggers them."""
         self._client: SocketTransport | None = None
-        self._begin()
+        self._server: KstServer | None = None
 
     def advance(self, now: float) -> None:
         """Advance the arm to a time [s], and serve the client."""
         self.bench.advance(now)
-        server = self._server
-        if self._client is None and not (server.deserted or server.closed):
+        if self._server is None:
             with suppress(BlockingIOError):
                 self._client = SocketTransport(self._listener.accept()[0])
-        try:
-            if self._client is not None:
-                server.feed(self._client.read(), now)
-            for segment in server.advance(now):
-                if self._client is not None:
-                    self._client.write(segment)
-        except LinkError:
-            self._hang_up()
-            server.vanished(now)
-            self._say("the client has vanished; a running servo continues until start")
-        if server.closed:
-            self._hang_up()
-            if not server.busy:
+                self._server = KstServer(self.bench.body, self._client)
+        elif not self._server.deserted:
+            self._server.advance(now)
+            if self._server.deserted:
+                self._say("the client has vanished; a running servo continues until start")
+            if self._server.ended:
                 self._restart()
 
     def close(self) -> None:
@@ -315,19 +212,15 @@ class KstHardware:
         self.bench.body.servo(False)
         self._say("the robot's server has ended, and starts again")
         self._hang_up()
-        self._begin()
-
-    def _begin(self) -> None:
-        """Start a server."""
-        self._server = KstServer(self.bench.body)
-        with suppress(BlockingIOError):  # whoever called the server before is not served any more
-            while True:
-                self._listener.accept()[0].close()
 
     def _hang_up(self) -> None:
+        """Close all connections: whoever called the server before is not served any more."""
         if self._client is not None:
             self._client.close()
-        self._client = None
+        self._client = self._server = None
+        with suppress(BlockingIOError):
+            while True:
+                self._listener.accept()[0].close()
 
     def _warm_up(self) -> None:
         """Call each function that a client needs, since compiling it later would be a stall."""

@@ -11,7 +11,7 @@ import numpy as np
 from equipoise import paper
 from equipoise.arm.arm import FREE_JOINTS, Arm
 from equipoise.arrays import Array
-from equipoise.errors import InputError, LinkError
+from equipoise.errors import InputError
 from equipoise.model.actuator import speed_of_peak
 from equipoise.rig.plugins import Emulated, RobotPlugin, Session
 from equipoise.rig.simulated_rig import SimulatedRig
@@ -52,26 +52,15 @@ def open_robot(address: str, session: Session) -> KstRobot:
     """Return the driver for an address; nothing is opened before it is connected."""
     if session.load is not None:
         raise InputError("a KST server takes no load_kg; enter it as a tool in Sunrise.Workbench")
-    open_link = partial(dial, *host_and_port(address))
-    return KstRobot(open_link, session.clock, notify=session.notify, attend=session.attend)
+    return KstRobot(partial(dial, *host_and_port(address)), session)
 
 
 def emulate(rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: int) -> Emulated:
     """Return the driver in front of an emulated server that drives a simulated arm."""
-    server = KstServer(rig.body)
     host, cabinet = memory_pipe(session.clock, delay)
-
-    def advance(now: float) -> None:
-        data = b""
-        with suppress(LinkError):  # a closed link gets no reply; the servo continues
-            data = cabinet.read()
-        server.feed(data, now)
-        for segment in server.advance(now):
-            with suppress(LinkError):
-                cabinet.write(segment)
-
-    robot = KstRobot(lambda: host, session.clock, joints=rig.joints)
-    return Emulated(robot, advance, server, cabinet)
+    server = KstServer(rig.body, cabinet)
+    robot = KstRobot(lambda: host, session, joints=rig.joints)
+    return Emulated(robot, server.advance, server, cabinet)
 
 
 def flange_speed(arm: Arm, period: float) -> float:

@@ -26,8 +26,8 @@ import numpy as np
 
 from equipoise.arrays import Array
 from equipoise.errors import LinkError, OutsideError
-from equipoise.rig.interfaces import Clock, Reply, Transport
-from equipoise.rig.plugins import ignore
+from equipoise.rig.interfaces import Reply, Transport
+from equipoise.rig.plugins import Session
 from equipoise.rig.transports import SocketTransport
 from equipoise.robots.kst import codec
 
@@ -82,25 +82,20 @@ class KstRobot:
     def __init__(
         self,
         open_transport: Callable[[], Transport],
-        clock: Clock,
+        session: Session,
         *,
-        notify: Callable[[str], None] = ignore,
-        attend: Callable[[], None] = ignore,
         joints: int = codec.JOINTS,
     ) -> None:
         """Create the driver; nothing is opened before `connect`.
 
         Args:
             open_transport: Opens a connection to the server, or raises `LinkError`.
-            clock: Clock of the rig.
-            notify: Receives instructions to the operator while `connect` waits.
-            attend: Called between attempts to connect; an exception that it raises ends the wait.
+            session: Its clock, and the operator while `connect` waits.
             joints: Number of joints; other than seven only for an emulated arm.
         """
         self.joints = joints
         """Number of joints, the held one included."""
-        self._open, self._clock = open_transport, clock
-        self._notify, self._attend = notify, attend
+        self._open, self._session, self._clock = open_transport, session, session.clock
         self._transport: Transport | None = None
         self._failure = ""
         self._streams, self._sent = False, 0
@@ -165,7 +160,7 @@ class KstRobot:
             InputError: The setpoint is not seven finite numbers; nothing was sent.
         """
         torque = (self._sent + 1) % TORQUE_EVERY == 0
-        line = codec.setpoint(q, "external" if torque else "joints", joints=self.joints)
+        line = codec.setpoint(q, torque=torque, joints=self.joints)
         transport = self._link()
         if not self._streams:
             raise LinkError("the servo does not run, so that no setpoint is obeyed; start it first")
@@ -236,13 +231,13 @@ class KstRobot:
                 if self._clock.now() >= deadline:
                     raise LinkError(f"no KST server within {SERVER_TIMEOUT:g} s: {error}") from None
             if not notified:
-                self._notify(
+                self._session.notify(
                     "waiting for the robot: start the application MatlabToolboxServer on the "
                     f"smartPAD now; it waits {SERVER_TIMEOUT:g} s for its client"
                 )
                 notified = True
             self._wait(1.0)
-            self._attend()
+            self._session.attend()
 
     def _link(self) -> Transport:
         """Return the open link, or raise the error that ended it."""

@@ -11,11 +11,13 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from equipoise import paper
 from equipoise.arm.arm import FREE_JOINTS
 from equipoise.arrays import Array, IntArray, Records, new_records, rows_of
 from equipoise.control.control_step import (
     SETPOINTS_PER_TICK,
     ControllerParams,
+    horizon,
     make_controller_params,
     wrapped,
 )
@@ -25,13 +27,12 @@ from equipoise.elementary import BATCH_SIZE
 from equipoise.jit import call, inlined
 from equipoise.model.grid import SAFETY_STOP, TRUNCATED
 from equipoise.model.worlds import World, pendulum_on, read_world
-from equipoise.safety.rules import NO_VIOLATION
+from equipoise.safety.rules import NO_VIOLATION, make_safety_params
 from equipoise.safety.trial import (
     TrialSafetyMonitor,
     new_trial_monitor,
     reset_trial_monitor,
     setpoint_violation,
-    trial_safety,
     trial_violation,
 )
 from equipoise.simulation.interface import CompiledLoop, Measurement, Setup, Simulation
@@ -165,9 +166,12 @@ class TwinSimulation(Simulation):
             arm, settings, actuator, self.pendulum, h=h, counts_per_rev=numbers.counts_per_rev
         )
         """Constants of the controller."""
-        self.safety = trial_safety(arm, numbers, actuator, h, settings.plant.max_speed)
-        """Safety limits of a trial."""
         self.max_speed = min(self.max_speed, numbers.max_speed or inf)
+        reaction = horizon(arm, actuator, 0.0)
+        self.safety = make_safety_params(
+            arm, reaction=reaction, u_max=paper.U_MAX, h=h, speed=self.max_speed
+        )
+        """Safety limits of a trial: those of a rig."""
 
     def loop(self) -> "TwinLoop":
         """Return a closed loop for `reset`."""
@@ -183,7 +187,8 @@ class TwinLoop(CompiledLoop):
         """Build the twin, and allocate the controller."""
         arm, params, self._numbers = simulation.setup.arm, simulation.params, simulation.numbers
         self._twin = Twin(arm, simulation.pendulum, self._numbers)
-        states, monitor = new_records(BatchState), new_trial_monitor(arm, simulation.safety)
+        states, active = new_records(BatchState), self._numbers.guards
+        monitor = new_trial_monitor(arm, simulation.safety, active=active)
         rows, q = rows_of(states, BATCH_SIZE), np.zeros(FREE_JOINTS)
         law = make_swing_up(params, simulation.max_speed)
         world = TwinWorld(*self._twin.args, params, states, rows, q, monitor, law, 0, 0)
