@@ -33,8 +33,8 @@ from equipoise.log.recorder import (
     is_alive,
     live_runs,
     open_recorder,
+    read_conditions,
     read_events,
-    read_info,
 )
 from equipoise.outcomes import Phase
 from equipoise.report.style import BLUE, GREEN, GREY, INK, ORANGE, VERMILION
@@ -64,8 +64,8 @@ class RunWatch:
             ValueError: The run is one of another version of Equipoise.
             BlockingIOError: Another console is attached to this run.
         """
-        self.info = read_info(folder)
-        """Description of the run."""
+        self.conditions = read_conditions(folder)
+        """Conditions of the run."""
         self.time = nan
         """Time of the last tick [s]; NaN before the first."""
         self.silence = 0.0
@@ -90,7 +90,7 @@ class RunWatch:
         if not lock(self._console):
             self._console.close()
             raise BlockingIOError("another console is attached to this run")
-        self._recorder = open_recorder(folder, len(self.info.arm.joints))
+        self._recorder = open_recorder(folder, len(self.conditions.joints))
         self._seen: dict[str, int] = {}
         self._measured = self._sampled = -inf  # times of the newest posture and encoder sample [s]
         self._speaking = threading.Lock()
@@ -110,7 +110,7 @@ class RunWatch:
             self._sampled = float(samples["received"][-1])
         self.late = float(np.max(ticks["late"])) if len(ticks) else nan
         if len(ticks):
-            last, phases = ticks[-1], self.info.phases
+            last, phases = ticks[-1], self.conditions.phases
             self.time, self.phi = float(last["time"]), float(last["estimated_phi"])
             self.u = float(last["u"]) if isfinite(last["u"]) else 0.0
             self.phase = phases[last["state"]] if 0 <= last["state"] < len(phases) else None
@@ -173,7 +173,7 @@ class LivePage:
         """Show another run from its begin."""
         with self._lock:
             self._watch = watch
-            self._page.show_arm(watch.info.arm)
+            self._page.show_arm(watch.conditions.arm)
             self._history.clear()
             self._messages.clear()
             self._page.draw(np.zeros(0), np.zeros((len(PLOTS), 0)))
@@ -216,15 +216,17 @@ class LivePage:
 
     def _describe(self, run: RunWatch) -> None:
         """Show the state in words."""
-        name, colour, lines = "before the motion", BLUE, [run.info.title]
+        conditions = run.conditions
+        title = f"{conditions.policy_name} on {conditions.world}"
+        name, colour, lines = "before the motion", BLUE, [title]
         if run.phase is not None:
             name, colour = run.phase.value, COLOURS.get(run.phase, BLUE)
         elif not (run.question or run.ended):
             lines += [event.text for event in self._messages][-1:]
         lines += [event.text for event in self._messages if event.name == "run"][-1:]
         if isfinite(self._began):
-            length = f" of {run.info.duration:g} s" if run.info.duration else ""
-            lines.append(f"balanced {self._ended - self._began:.1f} s{length}")
+            balanced = self._ended - self._began
+            lines.append(f"balanced {balanced:.1f} s of {conditions.duration:g} s")
         if run.silence > HEARTBEAT_TIMEOUT:
             name, colour = "the loop does not answer", VERMILION
             lines.append(f"no tick for {run.silence:.2f} s; press the E-stop if the arm moves")

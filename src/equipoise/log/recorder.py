@@ -18,18 +18,17 @@ import tempfile
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
-from equipoise.arm.arm import Arm
 from equipoise.control.ticks import OperatorMessage, TickInputs, TickOutput
 from equipoise.errors import OutsideError
-from equipoise.files import Name, Value, lock, write_atomically
+from equipoise.files import lock, write_atomically
 from equipoise.log.columns import tables, unknown_rows
-from equipoise.outcomes import Phase, describe
+from equipoise.log.conditions import RunConditions
+from equipoise.outcomes import describe
 
 RATES: Final[Mapping[str, float]] = {
     "tick": 100.0,
@@ -248,24 +247,9 @@ def _texts(event: OperatorMessage) -> dict[str, bytes]:
 # The memory of a run.
 
 
-class RunInfo(Value):
-    """Description of a run for its observers."""
-
-    title: Name
-    """Robot, policy or world, for the heading."""
-    pid: int
-    """Process that owns the run."""
-    arm: Arm
-    """The arm."""
-    phases: Annotated[tuple[Phase, ...], Field(max_length=64)] = ()
-    """Phases by their number in the ticks' column `state`."""
-    duration: float | None = None
-    """Requested duration of the balancing [s]."""
-
-
 @contextmanager
-def share(info: RunInfo) -> Generator[Path]:
-    """Create the memory of a run, and remove it at the end.
+def share(conditions: RunConditions) -> Generator[Path]:
+    """Create the memory of a run, with its conditions for observers, and remove it at the end.
 
     Yields:
         The folder, for `open_recorder` in this process and in others.
@@ -280,12 +264,12 @@ def share(info: RunInfo) -> Generator[Path]:
     try:
         with (folder / "alive").open("wb") as alive:
             lock(alive)
-            size = memory_layout(len(info.arm.joints)).itemsize
+            size = memory_layout(len(conditions.joints)).itemsize
             try:
                 (folder / "memory").write_bytes(bytes(size))  # not sparse: a full disk shows here
                 (folder / CONSOLE).touch()
                 # An observer waits for this file.
-                write_atomically(folder / "run.json", info.model_dump_json())
+                write_atomically(folder / "run.json", conditions.model_dump_json())
             except OSError as error:
                 message = f"cannot create {size} bytes of shared memory in {FOLDER}: {error}"
                 raise OutsideError(message) from None
@@ -308,14 +292,14 @@ def open_recorder(folder: Path, joints: int) -> Recorder:
         return Recorder(joints, memoryview(mmap.mmap(file.fileno(), 0)))
 
 
-def read_info(folder: Path) -> RunInfo:
-    """Return the description of a run.
+def read_conditions(folder: Path) -> RunConditions:
+    """Return the conditions of a run.
 
     Raises:
         OSError: The run has ended.
         ValueError: The run is one of another version of Equipoise.
     """
-    return RunInfo.model_validate_json((folder / "run.json").read_text(encoding="utf-8"))
+    return RunConditions.model_validate_json((folder / "run.json").read_bytes(), strict=True)
 
 
 def live_runs() -> list[Path]:

@@ -31,7 +31,6 @@ from equipoise.log.recorder import (
     CONNECTING,
     ENDED,
     Recorder,
-    RunInfo,
     open_recorder,
     push_event,
     read_events,
@@ -95,13 +94,12 @@ def run_in_processes(
     """
     with user_code(f"sending {request.policy.name} to another process", "give it as MODULE:NAME"):
         data = pickle.dumps(request)
-    arm = request.settings.described_arm
-    title = f"{request.policy.name} on {request.robot}"[:1024]
-    info = RunInfo(title=title, pid=os.getpid(), arm=arm, phases=PHASES, duration=request.duration)
+    conditions = request.conditions()
+    joints = len(conditions.joints)
     signalled: list[str] = []
-    with share(info) as memory, handled_signals(SIGNALS, lambda *_: signalled.append(STOP)):
-        recorder = open_recorder(memory, len(arm.joints))
-        logs = RunLogs(out, request.conditions(), request.runs, time.monotonic())
+    with share(conditions) as memory, handled_signals(SIGNALS, lambda *_: signalled.append(STOP)):
+        recorder = open_recorder(memory, joints)
+        logs = RunLogs(out, conditions, request.runs, time.monotonic())
         over, following = threading.Event(), SimpleQueue[Following]()
         drains = threading.Thread(
             target=_drain, args=(logs, recorder, over, following), daemon=True
@@ -109,7 +107,7 @@ def run_in_processes(
         drains.start()
         context = multiprocessing.get_context("spawn")
         results, loop_end = context.Pipe()
-        loop = context.Process(target=_loop, args=(data, memory, len(arm.joints), loop_end))
+        loop = context.Process(target=_loop, args=(data, memory, joints, loop_end))
         end = RunEnd()
         try:
             blocked = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # until it is ready
