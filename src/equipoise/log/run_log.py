@@ -418,33 +418,17 @@ class RunLog:
 
 
 def simulated_log(
-    conditions: RunConditions,
-    end: RunEnd,
-    ticks: Mapping[str, Any],
-    *,
-    truth: Mapping[str, Any] | None = None,
-    stream: Mapping[str, Any] | None = None,
-    replies: Mapping[str, Any] | None = None,
-    encoder: Mapping[str, Any] | None = None,
+    conditions: RunConditions, end: RunEnd, columns_of: Mapping[str, Mapping[str, Any]]
 ) -> RunLog:
-    """Create a simulated run from the columns of its tables; columns that are missing are unknown.
+    """Create a simulated run from the columns of its tables, by the names of both.
 
-    The names are those of `equipoise.log.columns`. The times of `ticks` hold for `truth`, too;
-    `replies` need only `time` and `q`.
+    Tables may be missing; so may columns except `time`, whose values are then unknown.
     """
-    columns_of: dict[str, Mapping[str, Any] | None] = {
-        "tick": {"late": 0.0, "compute": 0.0, **ticks},
-        "truth": truth and {"time": ticks["time"], **truth},
-        "stream": stream,
-        "reply": replies and {**replies, "sent": replies["time"]},
-        "encoder": encoder,
-    }
     kinds, filled = tables(len(conditions.joints)), dict[str, Rows]()
     for name, columns in columns_of.items():
-        if columns:
-            filled[name] = unknown_rows(kinds[name], len(columns.get("time", ())))
-            for column, values in columns.items():
-                filled[name][column] = values
+        filled[name] = unknown_rows(kinds[name], len(columns["time"]))
+        for column, values in columns.items():
+            filled[name][column] = values
     return RunLog(conditions, filled, end)
 
 
