@@ -198,7 +198,7 @@ class LivePage:
                 self._began = self._began if isfinite(self._began) else run.time
                 self._ended = run.time
             self._describe(run)
-            self._ask(run.question)
+            self._ask(run)
 
     def end(self) -> None:
         """Detach from a run that has ended; its last picture stays."""
@@ -246,28 +246,23 @@ class LivePage:
         rows[0][known] = np.unwrap(rows[0][known][::-1], period=360.0)[::-1]
         self._page.draw(time - time[-1], np.array(rows))
 
-    def _ask(self, question: LoggedEvent | None) -> None:
-        """Show a question with its buttons."""
+    def _ask(self, run: RunWatch | None) -> None:
+        """Show the question of a run with its buttons; the run takes the first answer to it."""
+        question = run and run.question
         if question == self._question:
             return
         self._question = question
         for button in self._buttons:
             button.remove()
         self._buttons, self._asked.visible = [], question is not None
-        if question is None:
+        if run is None or question is None:
             return
         look = f"font-size:16px;font-weight:600;border-left:5px solid {ORANGE};background:#fff7e6"
         self._asked.content = card("question", shown(question.text), look)
         for place, (word, label) in enumerate(answers(question).items()):
             button = self._server.gui.add_button(label, order=11.0 + place)
-            button.on_click(lambda _, word=word: self._answer(word, question.time))
+            button.on_click(lambda _, word=word: run.say(word, question.time))
             self._buttons.append(button)
-
-    def _answer(self, word: str, question: float) -> None:
-        """Send an answer; the run takes the first one to the question of a time [s]."""
-        watch = self._watch
-        if watch is not None:
-            watch.say(word, question)
 
 
 def answers(question: LoggedEvent) -> dict[str, str]:
