@@ -131,11 +131,12 @@ class Playground:
         self.growth = exp(sqrt(parameters.w2) * self.latency)
         """Factor by which a lean grows within the latency [-]."""
         self._simulation = TwinSimulation(twin, setup, seed=0, stream=DEPLOYMENT)
-        self._loop = self._simulation.loop()
+        self.loop = self._simulation.loop()
+        """The closed loop; it counts as balancing unless the pendulum has fallen or swings up."""
         self.swing_up = None
         """The policy after a swing-up; None if no swing-up can end with it."""
         if policy.kernel is not None:
-            law = make_swing_up(self._loop.params, self._simulation.max_speed)
+            law = make_swing_up(self.loop.params, self._simulation.max_speed)
             self.swing_up = SwingUpPolicy(policy.kernel, law)
         self._boxes = make_grid(BoxSettings(), parameters.k)
         self.u_of_box = None
@@ -151,7 +152,7 @@ class Playground:
         acting, phi = self.policy, radians(self.scene.lean_deg)
         if hanging and self.swing_up is not None:
             acting, phi = self.swing_up, pi
-        self._loop.reset(trial._replace(start=(0.0, 0.0, phi, 0.0)))
+        self.loop.reset(trial._replace(start=(0.0, 0.0, phi, 0.0)))
         self._follow(acting)
 
     def _follow(self, acting: Policy) -> None:
@@ -159,22 +160,13 @@ class Playground:
         acting.reset()
         self._acting, self._tick, self.fallen, self.box = acting, 0, "", -1
 
-    def push(self, rate: float) -> None:
-        """Push the pendulum, which changes its rate [rad/s]."""
-        self._loop.push(rate)
-
-    @property
-    def balancing(self) -> bool:
-        """Whether the pendulum is up, neither fallen nor on its way up."""
-        return self._loop.balancing
-
     def advance(self) -> None:
         """Advance by one tick; a fall is shown for `FALL`, then the arm swings the pendulum up.
 
         The pendulum is released again instead if that cannot be: see `swing_up`, or the flange has
         not come back.
         """
-        loop = self._loop
+        loop = self.loop
         if self.fallen and self._tick * self.h > FALL:
             if self.swing_up is None or self._cause != TRUNCATED:
                 self.begin()
@@ -206,7 +198,7 @@ class Playground:
 
     def sentences(self) -> tuple[str, str, str, str]:
         """Return the policy, the scene, the motion so far, and the effect of the latency."""
-        what = "It has been up" if self.balancing else "The arm has been swinging it up"
+        what = "It has been up" if self.loop.balancing else "The arm has been swinging it up"
         motion = self.fallen or f"{what} for {self._tick * self.h:.0f} s."
         transport, latency = self.scene.delay_ms, 1e3 * self.latency
         effect = (
@@ -293,7 +285,7 @@ class PlayPage:
 
     def _push(self, rate: float) -> None:
         with self._lock:
-            self.playground.push(rate)
+            self.playground.loop.push(rate)
 
     def advance(self, picture: int) -> None:
         """Advance by one picture.
@@ -307,7 +299,7 @@ class PlayPage:
                 twin.advance()
             self._page.show(twin.q, remainder(twin.phi, 2.0 * pi), twin.u)
             if picture % 12 == 0:  # texts change twice a second
-                name, colour = ("standing", GREEN) if twin.balancing else ("swinging up", BLUE)
+                name, colour = ("standing", GREEN) if twin.loop.balancing else ("swinging up", BLUE)
                 if twin.fallen:
                     name, colour = "fallen", VERMILION
                 self._page.describe(name, colour, twin.sentences())
