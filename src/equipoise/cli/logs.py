@@ -84,16 +84,16 @@ def _balance(run: "eq.RunLog") -> dict[str, Any]:
         rms, largest = np.sqrt(np.mean(values**2)), np.abs(values).max()
         return {"rms": float(rms), "largest": float(largest), "limit": limit}
 
-    arm, h, sent = run.conditions.arm, run.conditions.h, run.stream.q
-    dq = np.diff(sent, axis=0) / (0.5 * h) if len(sent) > 1 else run.dq  # of two setpoints a tick
+    arm, h, sent, ticks = run.conditions.arm, run.conditions.h, run.stream.q, run.ticks
+    dq = np.diff(sent, axis=0) / (0.5 * h) if len(sent) > 1 else ticks.dq  # of two setpoints a tick
     fraction = (run.conditions.rig or {}).get("speed_fraction")
     limits = np.array([joint.velocity for joint in arm.joints])
     limits *= fraction if isinstance(fraction, float) else 1.0
     fastest = int(np.argmax(np.abs(dq).max(axis=0) / limits))
     return {
-        "x_mm": extent(1e3 * run.estimated_x, 1e3 * paper.X_LIMIT),
-        "phi_deg": extent(np.degrees(run.estimated_phi), paper.PHI_LIMIT_DEG),
-        "flange_speed_m_s": extent(run.estimated_x_dot, run.end and run.end.max_speed),
+        "x_mm": extent(1e3 * ticks.estimated_x, 1e3 * paper.X_LIMIT),
+        "phi_deg": extent(np.degrees(ticks.estimated_phi), paper.PHI_LIMIT_DEG),
+        "flange_speed_m_s": extent(ticks.estimated_x_dot, run.end and run.end.max_speed),
         "joint_speed_rad_s": {"joint": arm.joints[fastest].name}
         | extent(dq[:, fastest], float(limits[fastest])),
     }

@@ -1,9 +1,9 @@
 """Log of a run: the tables of the whole run, and the columns of the balancing.
 
 `tables`, `events` and `end` hold the whole run: on a rig from the connection to rest, in simulation
-from its first tick on. The other attributes hold the balancing, during which the policy acts: a
-value per tick, with the time since the first, the release. On a rig the encoder's counts are then
-relative to the hanging pendulum, and the true state is unknown.
+from its first tick on. `ticks`, `truth`, `stream`, `replies` and `encoder` hold the balancing,
+during which the policy acts; `time` is that of each tick since the first, the release. On a rig the
+encoder's counts are then relative to the hanging pendulum, and the true state is unknown.
 
 A truncated or damaged log is read up to the first damage, on request: a chunk counts only with its
 checksum, messages only with consecutive sequence numbers.
@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise.arrays import Array, IntArray
 from equipoise.errors import ArtefactError, RecordingError
@@ -99,16 +98,6 @@ def _without_partial_ticks(rows: Mapping[str, Rows], h: float) -> dict[str, Rows
     return dict(rows) | {name: rows[name][:complete] for name in ("tick", "truth")}
 
 
-class _TickColumn:
-    """Column of the ticks of the balancing, as an attribute of a run with the column's name."""
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self._name = name
-
-    def __get__(self, run: "RunLog", owner: type) -> npt.NDArray[Any]:
-        return run.ticks[self._name]
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class RunLog:
     """One run."""
@@ -179,17 +168,21 @@ class RunLog:
         return np.flatnonzero(np.isin(self.tables["tick"]["state"], states))
 
     @cached_property
-    def ticks(self) -> Rows:
-        """Rows of the balancing without unknown numbers, shape (n,)."""
+    def ticks(self) -> Any:
+        """Ticks of the balancing without unknown numbers: attributes as the columns of `tick`.
+
+        With an encoder, `x`, `x_dot`, `phi` and `phi_dot` are predictions for the time at which the
+        command takes effect.
+        """
         rows = self.tables["tick"][self.phase_ticks(Phase.BALANCING)]
         known = [np.isfinite(rows[name]) for name in ("x", "x_dot", "phi", "phi_dot", "u")]
         known += [np.isfinite(rows[name]).all(axis=1) for name in ("q", "dq")]
-        return rows[np.all(known, axis=0)]
+        return rows[np.all(known, axis=0)].view(np.recarray)
 
     @property
     def release(self) -> float:
         """Time of the release on the run's clock [s]; zero without balancing."""
-        return float(self.ticks["time"][0]) if len(self.ticks) else 0.0
+        return float(self.ticks.time[0]) if len(self.ticks) else 0.0
 
     def require_balancing(self) -> None:
         """Reject a run without balancing.
@@ -208,41 +201,12 @@ class RunLog:
         phases = (self.conditions.phases[state] for state in states)
         return next((phase for phase in phases if phase is not Phase.STOPPING), None)
 
-    # Columns of the balancing.
+    # Rows of the balancing.
 
     @cached_property
     def time(self) -> Array:
         """Start of each tick since the release [s], shape (n,)."""
-        return self.ticks["time"] - self.release
-
-    x = _TickColumn()
-    """Displacement of the flange from home along base x, as observed by the policy [m], shape (n,).
-
-    With an encoder, this and the next three columns are predictions for the time at which the
-    command takes effect.
-    """
-    x_dot = _TickColumn()
-    """Velocity of the flange, as observed by the policy [m/s], shape (n,)."""
-    phi = _TickColumn()
-    """Angle of the pendulum from upright, as observed by the policy [rad], shape (n,)."""
-    phi_dot = _TickColumn()
-    """Angular velocity of the pendulum, as observed by the policy [rad/s], shape (n,)."""
-    box = _TickColumn()
-    """Box of the table that contains the state, shape (n,)."""
-    u = _TickColumn()
-    """Commanded acceleration of the flange along x [m/s^2], shape (n,)."""
-    q = _TickColumn()
-    """Joint positions commanded for the end of the tick [rad], shape (n, joints)."""
-    dq = _TickColumn()
-    """Joint velocities commanded for the end of the tick [rad/s], shape (n, joints)."""
-    estimated_phi = _TickColumn()
-    """Estimate of phi at the tick, without prediction [rad], shape (n,)."""
-    estimated_x_dot = _TickColumn()
-    """Estimate of x_dot at the tick, without prediction [m/s], shape (n,)."""
-    estimated_x = _TickColumn()
-    """Estimate of x at the tick, without prediction [m], shape (n,)."""
-    bias = _TickColumn()
-    """Estimate of the encoder's zero error [rad], shape (n,)."""
+        return self.ticks.time - self.release
 
     @cached_property
     def truth(self) -> Any:
@@ -285,7 +249,7 @@ class RunLog:
         """
         rows, h = self.tables[table], self.conditions.h
         if len(self.tables["tick"]) or not self.conditions.simulated:
-            first, last = self.ticks["time"][[0, -1]] if len(self.ticks) else (np.inf, -np.inf)
+            first, last = self.ticks.time[[0, -1]] if len(self.ticks) else (np.inf, -np.inf)
             rows = rows[(rows["time"] >= first - h) & (rows["time"] <= last + h)]
         rows = rows.copy()
         rows["time"] -= self.release

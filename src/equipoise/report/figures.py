@@ -187,7 +187,7 @@ def run_figure(recipe: str, run: RunLog, beside: RunLog) -> "Figure":
     edges = np.append(time, time[-1] + run.conditions.h)
     figure = new_figure(8.8, f"{recipe}: {run.outcome} after {run.survival:g} s")
     axes: Any = figure.subplots(6, 1, sharex=True, height_ratios=(3, 2, 2, 2, 2, 2))
-    axes[0].stairs(run.u[run.time < until], edges, baseline=None, **observed_line)
+    axes[0].stairs(run.ticks.u[run.time < until], edges, baseline=None, **observed_line)
     axes[0].set_yticks(paper.ACTIONS, [typeset(f"{action:+g}") for action in paper.ACTIONS])
     axes[0].set_ylabel("u [m/s²]")
     joints, *states = _curves(run, until)
@@ -223,13 +223,13 @@ def _curves(run: RunLog, until: float) -> list[Array]:
     They are the change of the joints [deg], then the true and the observed phi [deg], phi_dot
     [deg/s], x [m] and x_dot [m/s].
     """
-    shown, true, deg = run.time < until, truth(run), np.rad2deg
+    shown, true, seen, deg = run.time < until, truth(run), run.ticks, np.rad2deg
     return [
-        deg(run.q - run.q[0])[shown],
-        np.column_stack((deg(true.phi), deg(run.phi)))[shown],
-        np.column_stack((deg(true.phi_dot), deg(run.phi_dot)))[shown],
-        np.column_stack((true.x, run.x))[shown],
-        np.column_stack((true.x_dot, run.x_dot))[shown],
+        deg(seen.q - seen.q[0])[shown],
+        np.column_stack((deg(true.phi), deg(seen.phi)))[shown],
+        np.column_stack((deg(true.phi_dot), deg(seen.phi_dot)))[shown],
+        np.column_stack((true.x, seen.x))[shown],
+        np.column_stack((true.x_dot, seen.x_dot))[shown],
     ]
 
 
