@@ -182,7 +182,7 @@ def run(of, survival=60.0, cause=Outcome.SURVIVED, world=MODEL):
             settings=of.settings,
         ),
         RunEnd(outcome=cause, survival=survival),
-        {"tick": tick, "truth": truth} if twin else {"tick": tick},
+        {"tick": tick, "truth": truth},
     )
 
 

@@ -5,13 +5,12 @@ count from the release; in a run that ended before it, from the first tick.
 """
 
 from math import isfinite, pi
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from equipoise.arrays import Array
 from equipoise.errors import ArtefactError, InputError, RecordingError
-from equipoise.log.columns import Rows
 from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Phase
 
@@ -72,7 +71,7 @@ class Motion(NamedTuple):
                 "the times of the ticks in the log do not increase; give the log as it was written"
             )
         if conditions.simulated:
-            true = true_rows(run)
+            true = run.tables["truth"] if len(run.tables["truth"]) else tick
             q, x, phi, late = true["q"], true["x"], true["phi"], np.full(len(time), np.nan)
         else:
             q = _measured_joints(run, time, began)
@@ -162,13 +161,3 @@ def _measured_phi(run: RunLog, at: Array, began: float) -> Array:
     counts = np.interp(at, encoder["time"] - began, encoder["counts"])
     turns = (counts - zero) / (run.conditions.counts_per_rev or 1)
     return np.remainder(-2.0 * np.pi * turns, 2.0 * np.pi) - np.pi
-
-
-def true_rows(run: RunLog) -> Rows:
-    """Return the true states at all ticks if the log has them, else the ticks themselves."""
-    return run.tables["truth"] if len(run.tables["truth"]) else run.tables["tick"]
-
-
-def truth(run: RunLog) -> Any:
-    """Return the true state while balancing if the log has it, else that of the ticks."""
-    return run.truth if len(run.truth.phi) else run.ticks

@@ -13,7 +13,7 @@ from equipoise import paper
 from equipoise.arrays import Array
 from equipoise.control.policy import TabularPolicy
 from equipoise.identification.recording import Trajectory, fitted_curve
-from equipoise.log.motion import Motion, true_rows, truth
+from equipoise.log.motion import Motion
 from equipoise.log.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
 from equipoise.outcomes import Outcome, Phase
@@ -162,11 +162,11 @@ def run_figure(recipe: str, run: RunLog, beside: RunLog) -> "Figure":
     """Draw a run as in the paper's figures 4 to 7: the first 5 s, as there.
 
     The rows are command, joints, pendulum and flange, with the edges of the boxes and the failure
-    limits. Where a simulation has the true state beside the policy's observation, both are drawn.
+    limits. The true state is drawn beside the policy's observation.
 
     Args:
         recipe: Title: the recipe of the policy.
-        run: A run with a policy.
+        run: A simulated run with a policy.
         beside: The run of the figure beside it, which gets the same axes.
 
     Raises:
@@ -223,7 +223,7 @@ def _curves(run: RunLog, until: float) -> list[Array]:
     They are the change of the joints [deg], then the true and the observed phi [deg], phi_dot
     [deg/s], x [m] and x_dot [m/s].
     """
-    shown, true, seen, deg = run.time < until, truth(run), run.ticks, np.rad2deg
+    shown, true, seen, deg = run.time < until, run.truth, run.ticks, np.rad2deg
     return [
         deg(seen.q - seen.q[0])[shown],
         np.column_stack((deg(true.phi), deg(seen.phi)))[shown],
@@ -249,7 +249,7 @@ def swing_up(run: RunLog) -> "Figure":
     first, h = len(run.phase_ticks(Phase.SWINGING_UP)), run.conditions.h
     taken, last = first * h, first + round(2.0 / h)  # the first 2 s of the policy
     time = motion.time - motion.time[0]
-    phi, phi_dot = np.rad2deg(motion.phi), np.rad2deg(true_rows(run)["phi_dot"])
+    phi, phi_dot = np.rad2deg(motion.phi), np.rad2deg(run.tables["truth"]["phi_dot"])
     title = f"handed over after {taken:.2f} s" if len(run.ticks) else str(run.outcome)
     figure = new_figure(3.8, f"Swing-up: {title}")
     rows: Any = {"φ [°]": phi, "x [m]": motion.x, "u [m/s²]": motion.u}

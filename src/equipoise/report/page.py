@@ -19,7 +19,6 @@ from equipoise import paper
 from equipoise.errors import OutsideError
 from equipoise.files import Provenance, Value, write_atomically
 from equipoise.film import write_film
-from equipoise.log.motion import truth
 from equipoise.model.worlds import MODEL, TwinSettings
 from equipoise.outcomes import Outcome
 from equipoise.printable import as_text, label, plus_minus, printable
@@ -159,7 +158,7 @@ def comparison(results: Results) -> dict[str, dict[str, Any]]:
 
 def _figures(recipe: RecipeResults) -> dict[str, Any]:
     """Return the figures of a recipe; without a twin, none of its trials there."""
-    run, true, on_twin = recipe.run, truth(recipe.run), recipe.twin_evaluation
+    run, true, on_twin = recipe.run, recipe.run.truth, recipe.twin_evaluation
     there = _trials("robot_or_twin", on_twin, paper.SECONDS_BALANCED) if on_twin else {}
     return {
         "delay_in_training_ms": round(1e3 * recipe.policy.actuator.delay.value, 1),
