@@ -155,7 +155,7 @@ class LivePage:
         self._history: deque[tuple[float, ...]] = deque()
         self._messages: deque[LoggedEvent] = deque(maxlen=40)
         self._began = self._ended = nan
-        self._page = RigPage(server, "Equipoise console", plots=len(PLOTS))
+        self._page = RigPage(server, "Equipoise console", len(PLOTS))
         self._asked = server.gui.add_html("", order=10, visible=False)
         self._folder = server.gui.add_folder("Messages", order=60, visible=False)
         with self._folder:

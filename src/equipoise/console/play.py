@@ -18,13 +18,13 @@ from equipoise.control.control_step import horizon
 from equipoise.control.policy import Policy, TabularPolicy, TaskPolicy, shipped_policy
 from equipoise.control.swing_up import SwingUpPolicy, make_swing_up, time_limit
 from equipoise.files import Estimate
-from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED, box_indices, make_grid
+from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED, box_indices
 from equipoise.model.random import DEPLOYMENT
 from equipoise.model.worlds import World, read_world
 from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.paper import PHI_LIMIT, PHI_LIMIT_DEG, U_MAX, X_LIMIT
 from equipoise.report.style import BLUE, GREEN, GREY, INK, PALE, VERMILION, edges
-from equipoise.settings import BoxSettings
+from equipoise.settings import BoxSettings, changed
 from equipoise.simulation import predicted, setup_of
 from equipoise.simulation.twin.world import TwinSimulation
 
@@ -120,11 +120,10 @@ class Playground:
         known = shipped_policy().actuator  # identified on the nominal twin, then moved along
         moved = max(known.delay.value + transport - base.transport, 0.0)
         actuator = known.model_copy(update={"delay": Estimate.around(moved, 0.0, "given")})
-        controller = policy.settings.controller.model_copy(update={"predict": scene.predict})
-        settings = policy.settings.model_copy(update={"controller": controller})
+        settings = changed(policy.settings, {"controller.predict": scene.predict})
         twin = World("playground", base.model_copy(update=rig | exact))
         setup = setup_of(policy, twin, settings, actuator)
-        self.scene, self.policy, self.arm = scene, policy, policy.arm
+        self.scene, self.policy = scene, policy
         parameters, self.h = policy.pendulum.parameters(), policy.h
         self.latency = horizon(policy.arm, actuator, 0.0)
         """Time from a command to its effect [s]: transport, then the response of the servo."""
@@ -138,10 +137,9 @@ class Playground:
         if policy.kernel is not None:
             law = make_swing_up(self.loop.params, self._simulation.max_speed)
             self.swing_up = SwingUpPolicy(policy.kernel, law)
-        self._boxes = make_grid(BoxSettings(), parameters.k)
         self.u_of_box = None
         if isinstance(policy, TabularPolicy) and policy.settings.boxes == BoxSettings():
-            self.u_of_box = policy.u_of_box.reshape(-1)
+            self.u_of_box, self._grid = policy.u_of_box, policy.grid
         """Command of each box [m/s^2], shape (270,); None without a table of the usual boxes."""
         self.begin()
 
@@ -194,7 +192,7 @@ class Playground:
         self.q, self.phi, self.box = loop.joints(), float(loop.state()[2]), -1
         inside = abs(observation[2]) < PHI_LIMIT and abs(observation[0]) < X_LIMIT
         if self.u_of_box is not None and inside and loop.balancing:
-            self.box = int(box_indices(observation[None, :], self._boxes)[0])
+            self.box = int(box_indices(observation[None, :], self._grid)[0])
 
     def sentences(self) -> tuple[str, str, str, str]:
         """Return the policy, the scene, the motion so far, and the effect of the latency."""
@@ -228,7 +226,7 @@ class PlayPage:
         self._page.describe("starting", GREY, [compiling])
         self.playground = Playground(scene, yours)
         """The twin behind the page."""
-        self._page.show_arm(self.playground.arm)
+        self._page.show_arm(self.playground.policy.arm)
         self._page.pendulum.on_drag("left")(self._dragged)
         gui: Any = server.gui
         pushes = gui.add_button_group("Push", ("◀ push left", "push right ▶"), order=10)

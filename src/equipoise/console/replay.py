@@ -71,7 +71,8 @@ class ReplayPage:
         rows = [np.degrees(motion.phi), 1e3 * motion.x, motion.u]
         rows += [1e3 * np.maximum(motion.late, 0.0)] if np.isfinite(motion.late).any() else []
         self._rows = np.array(rows)
-        self._page = RigPage(server, "Replay of a run", run.conditions.arm, len(rows))
+        self._page = RigPage(server, "Replay of a run", len(rows))
+        self._page.show_arm(run.conditions.arm)
         gui, first = server.gui, round(float(motion.time[0]), 2)
         ends: Any = {"min": first, "max": max(round(motion.end, 2), first + 0.01), "step": 0.01}
         self._slider = gui.add_slider("time [s]", initial_value=first, order=41, **ends)
