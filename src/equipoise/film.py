@@ -12,6 +12,7 @@ import json
 import os
 import tempfile
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -309,10 +310,9 @@ def _frames(run: RunLog, motion: Motion, times: Array, suffix: str) -> Iterator[
 
     conditions, (width, height, _) = run.conditions, FORMATS[suffix]
     bar = height // 10
-    renderer = RigRenderer(conditions.arm, width, height - bar)
     font = Path(get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
     large, small = (ImageFont.truetype(font, fraction * bar) for fraction in (0.3, 0.27))
-    try:
+    with closing(RigRenderer(conditions.arm, width, height - bar)) as renderer:
         for time in times.tolist():
             pose = motion.at(time)
             image = Image.new("RGB", (width, height), "white")
@@ -324,5 +324,3 @@ def _frames(run: RunLog, motion: Motion, times: Array, suffix: str) -> Iterator[
             note = " · ".join(filter(None, (conditions.arm.name, conditions.world, pose.phase)))
             pen.text((0.03 * width, height - 0.27 * bar), note, "#767676", small, "lm")
             yield image
-    finally:
-        renderer.close()
