@@ -177,12 +177,10 @@ def _run_on_rig(
         start=run.start or "hand",
         runs=rig.runs,
     )
-    swings = []
     with output.busy("checking policy and addresses"):
         require(check_fit(request.policy, request.actuator, request.settings))
-        if request.start == HANGING:
-            swings = [check_swing_up(request)]
-            require(swings)
+        swings = [check_swing_up(request)] if request.start == HANGING else []
+        require(swings)
         with user_code(f"the driver of {robot}"):
             devices = connect(request)  # nothing is opened before the run
     for swing in swings:
