@@ -24,12 +24,11 @@ import numpy.typing as npt
 from equipoise.arrays import Array
 from equipoise.console.scene import PERIOD, PLOTS, SPAN, RigPage, card, messages_list, shown
 from equipoise.console.web import serving
-from equipoise.control.ticks import OK
+from equipoise.control.ticks import OK, OperatorMessage
 from equipoise.files import lock
 from equipoise.log.recorder import (
     CONSOLE,
     ENDED,
-    LoggedEvent,
     is_alive,
     live_runs,
     open_recorder,
@@ -79,9 +78,9 @@ class RunWatch:
         commanded acceleration of the flange [m/s^2], 0 while no policy acts."""
         self.late = nan
         """Largest lateness of the new ticks [s]; NaN without any."""
-        self.events: list[LoggedEvent] = []
+        self.events: list[OperatorMessage] = []
         """New events, the oldest first."""
-        self.question: LoggedEvent | None = None
+        self.question: OperatorMessage | None = None
         """Question that the run asks now."""
         self.ended = False
         """Whether the process of the run has ended."""
@@ -150,10 +149,10 @@ class LivePage:
         self._server = server
         self._watch: RunWatch | None = None
         self._lock = threading.RLock()
-        self._question: LoggedEvent | None = None
+        self._question: OperatorMessage | None = None
         self._buttons: list[Any] = []
         self._history: deque[tuple[float, ...]] = deque()
-        self._messages: deque[LoggedEvent] = deque(maxlen=40)
+        self._messages: deque[OperatorMessage] = deque(maxlen=40)
         self._began = self._ended = nan
         self._page = RigPage(server, "Equipoise console", len(PLOTS))
         self._asked = server.gui.add_html("", order=10, visible=False)
@@ -265,15 +264,15 @@ class LivePage:
             self._buttons.append(button)
 
 
-def answers(question: LoggedEvent) -> dict[str, str]:
+def answers(question: OperatorMessage) -> dict[str, str]:
     """Return the answers to a question with the labels of their buttons.
 
     A question with one word, which is typed to acknowledge it, has a denial as well.
 
     Example:
-        >>> answers(LoggedEvent(1.0, "move", ("y", "n"), "Move?"))
+        >>> answers(OperatorMessage("move", "Move?", ("y", "n")))
         {'y': 'Yes', 'n': 'No'}
-        >>> answers(LoggedEvent(2.0, "checklist", ("fence",), "Is the fence closed?"))
+        >>> answers(OperatorMessage("checklist", "Is the fence closed?", ("fence",)))
         {'fence': 'Yes: fence', 'n': 'No'}
     """
     labels = {"y": "Yes", "n": "No", OK: "OK"}

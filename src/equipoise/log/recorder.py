@@ -18,7 +18,7 @@ import tempfile
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -61,19 +61,6 @@ PREFIX: Final = f"equipoise-{os.getuid() if hasattr(os, 'getuid') else 0}-"
 """Begin of the names of this user's runs."""
 CONSOLE: Final = "console"
 """File that the console with the ring of words has locked."""
-
-
-class LoggedEvent(NamedTuple):
-    """A change of the phase, a prompt or a fault, as text."""
-
-    time: float
-    """Time on the run's clock [s]."""
-    name: str
-    """Name of the phase that began, or kind of message."""
-    answers: tuple[str, ...]
-    """Words expected from the operator: one of them."""
-    text: str
-    """Sentence for the operator."""
 
 
 class Ring:
@@ -200,7 +187,7 @@ class Recorder:
                 row[name] = text
             row["time"] = time
 
-    def question(self) -> LoggedEvent | None:
+    def question(self) -> OperatorMessage | None:
         """Return the open question; None without one."""
         (question,) = read_events(self._question.copy())
         open_ = question.time == self._question["time"][0] != 0.0
@@ -229,12 +216,13 @@ def push_event(ring: Ring, time: float, event: OperatorMessage) -> None:
     ring.push(time=time, **_texts(event))
 
 
-def read_events(rows: npt.NDArray[Any]) -> list[LoggedEvent]:
-    """Return the events in rows of the table `event`."""
-    events: list[LoggedEvent] = []
+def read_events(rows: npt.NDArray[Any]) -> list[OperatorMessage]:
+    """Return the events in rows of the table `event`, with their times."""
+    events: list[OperatorMessage] = []
     for time, *texts in rows.tolist():
         name, answers, text = (value.decode("utf-8", "ignore") for value in texts)
-        events.append(LoggedEvent(time, name, tuple(filter(None, answers.split("|"))), text))
+        words = tuple(filter(None, answers.split("|")))
+        events.append(OperatorMessage(name, text, words, time))
     return events
 
 

@@ -24,6 +24,7 @@ from typing import Any, Self
 import numpy as np
 
 from equipoise.arrays import Array, IntArray
+from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.files import DIGEST_PREFIX, Provenance, StrPath, shortened, write_atomically
 from equipoise.log.columns import (
@@ -36,7 +37,7 @@ from equipoise.log.columns import (
     unknown_rows,
 )
 from equipoise.log.conditions import RunConditions, RunEnd
-from equipoise.log.recorder import LoggedEvent, read_events
+from equipoise.log.recorder import read_events
 from equipoise.log.writer import FORMAT, LogEncoder
 from equipoise.outcomes import End, Outcome, Phase
 
@@ -140,7 +141,7 @@ class RunLog:
         return End(Outcome.BROKEN_OFF, {"text": stops[-1]} if stops else {})
 
     @cached_property
-    def events(self) -> tuple[LoggedEvent, ...]:
+    def events(self) -> tuple[OperatorMessage, ...]:
         """Changes of the phase, prompts and faults, in order."""
         return tuple(read_events(self.tables["event"]))
 

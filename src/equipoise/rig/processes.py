@@ -196,7 +196,7 @@ def _attend(
             person.notify(OperatorMessage("fault", text))
         silent = streams and not beats
         for event in read_events(recorder.notices.take()):
-            person.notify(OperatorMessage(event.name, event.text, event.answers))
+            person.notify(event)
         if logs.problem is not None and not warned:
             warned = True
             person.notify(log_warning(logs.problem))
