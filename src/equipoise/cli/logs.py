@@ -1,7 +1,7 @@
 """Verbs that read the log of a run: `equipoise log show`, `explain` and `export`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equipoise as eq
 from equipoise import paper
@@ -9,9 +9,6 @@ from equipoise.cli import options as opt
 from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
 from equipoise.errors import InputError
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 
 @verb
@@ -80,7 +77,7 @@ def _balance(run: "eq.RunLog") -> dict[str, Any]:
     """Return how a run balanced: values that safety rules compare, and their limits."""
     import numpy as np
 
-    def extent(values: "npt.NDArray[np.float64]", limit: float | None) -> dict[str, Any]:
+    def extent(values: Any, limit: float | None) -> dict[str, Any]:
         rms, largest = np.sqrt(np.mean(values**2)), np.abs(values).max()
         return {"rms": float(rms), "largest": float(largest), "limit": limit}
 

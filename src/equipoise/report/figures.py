@@ -5,9 +5,11 @@ Every function returns a matplotlib figure; `equipoise.report.style.save` writes
 
 from itertools import pairwise
 from math import inf
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
 
 from equipoise import paper
 from equipoise.arrays import Array
@@ -20,10 +22,6 @@ from equipoise.outcomes import Outcome, Phase
 from equipoise.report import style
 from equipoise.report.style import edges, new_figure, plain, styled, typeset
 from equipoise.simulation.evaluation import Evaluation, TrialResults
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 TRIAL_LINES: Final[tuple[dict[str, Any], ...]] = (
     {"color": style.BLUE, "linewidth": 3.2},
@@ -42,7 +40,7 @@ JOINT_COLOURS: Final = (
 
 
 @styled()
-def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
+def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> Figure:
     """Draw a recorded swing with its fit, and the residual.
 
     As in the paper's figure 2 the recording is a continuous line and the fit a dashed one.
@@ -81,7 +79,7 @@ def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
 
 
 @styled()
-def learning_curve(policy: TabularPolicy) -> "Figure":
+def learning_curve(policy: TabularPolicy) -> Figure:
     """Draw the mean duration of the training episodes, and mark the selected table.
 
     Args:
@@ -107,7 +105,7 @@ def learning_curve(policy: TabularPolicy) -> "Figure":
 
 
 @styled()
-def survival(evaluation: Evaluation) -> "Figure":
+def survival(evaluation: Evaluation) -> Figure:
     """Draw survival against time, and the final survival rates with their intervals.
 
     Args:
@@ -158,7 +156,7 @@ def _survival_curve(results: TrialResults, begin: float, end: float) -> tuple[Ar
 
 
 @styled()
-def run_figure(recipe: str, run: RunLog, beside: RunLog) -> "Figure":
+def run_figure(recipe: str, run: RunLog, beside: RunLog) -> Figure:
     """Draw a run as in the paper's figures 4 to 7: the first 5 s, as there.
 
     The rows are command, joints, pendulum and flange, with the edges of the boxes and the failure
@@ -234,7 +232,7 @@ def _curves(run: RunLog, until: float) -> list[Array]:
 
 
 @styled()
-def swing_up(run: RunLog) -> "Figure":
+def swing_up(run: RunLog) -> Figure:
     """Draw a swing-up: the pendulum in the phase plane; angle, flange and command against time.
 
     Args:
@@ -243,8 +241,6 @@ def swing_up(run: RunLog) -> "Figure":
     Raises:
         RecordingError: The run has no ticks.
     """
-    from matplotlib.ticker import MultipleLocator
-
     motion = Motion.of(run)
     first, h = len(run.phase_ticks(Phase.SWINGING_UP)), run.conditions.h
     taken, last = first * h, first + round(2.0 / h)  # the first 2 s of the policy
@@ -281,7 +277,7 @@ def swing_up(run: RunLog) -> "Figure":
 
 
 @styled()
-def policy_picture(policy: TabularPolicy) -> "Figure":
+def policy_picture(policy: TabularPolicy) -> Figure:
     """Draw the commanded acceleration per box: a panel per x and x_dot, with phi and phi_dot axes.
 
     Boxes without a number were never visited in the training.

@@ -9,11 +9,12 @@ import re
 from collections.abc import Callable, Iterator
 from importlib.metadata import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import jinja2
 import numpy as np
 from markupsafe import Markup, escape
+from matplotlib.figure import Figure
 
 from equipoise import paper
 from equipoise.errors import OutsideError
@@ -28,11 +29,8 @@ from equipoise.reproduction.results import SWING, RecipeResults, Results
 from equipoise.settings import BoxSettings, Settings
 from equipoise.simulation.evaluation import Evaluation, exact_interval
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 PAGE: Final = "report.html"
-FIGURES: Final[dict[str, Callable[[Results], "Figure"]]] = {
+FIGURES: Final[dict[str, Callable[[Results], Figure]]] = {
     "swing": lambda r: figures.free_swing(r.swing, r.pendulum),
     "learning-curve": lambda r: figures.learning_curve(r.default.policy),
     "survival": lambda r: figures.survival(r.default.evaluation),
