@@ -27,7 +27,6 @@ from equipoise.console.web import serving
 from equipoise.control.ticks import OK, OperatorMessage
 from equipoise.files import lock
 from equipoise.log.recorder import (
-    CONSOLE,
     ENDED,
     is_alive,
     live_runs,
@@ -85,9 +84,9 @@ class RunWatch:
         self.ended = False
         """Whether the process of the run has ended."""
         self._folder = folder
-        self._console = (folder / CONSOLE).open("r+b")
-        if not lock(self._console):
-            self._console.close()
+        self._memory = (folder / "memory").open("rb")
+        if not lock(self._memory):
+            self._memory.close()
             raise BlockingIOError("another console is attached to this run")
         self._recorder = open_recorder(folder, len(self.conditions.joints))
         self._seen: dict[str, int] = {}
@@ -130,7 +129,7 @@ class RunWatch:
 
     def close(self) -> None:
         """Detach from the run."""
-        self._console.close()
+        self._memory.close()
 
     def _new(self, table: str) -> npt.NDArray[Any]:
         rows, self._seen[table] = self._recorder.rings[table].peek(self._seen.get(table, 0))

@@ -6,8 +6,8 @@ writer and one reader and needs no lock. A full ring drops new rows and counts t
 The memory of a run in real time is a file without a disk behind it, in a folder that only this
 user can enter. A console maps the same file: it reads rows without taking them, and writes to one
 ring of words, so that the run never waits for an observer and cannot tell whether one is alive. Two
-file locks, which the system releases when a process ends in any way, mark the run as alive and its
-ring of words as taken.
+file locks, which the system releases when a process ends in any way, mark the run as alive and, on
+the memory, its ring of words as taken by a console.
 """
 
 import mmap
@@ -59,8 +59,6 @@ FOLDER: Final = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile
 """Folder for files without a disk on Linux; elsewhere that of temporary files."""
 PREFIX: Final = f"equipoise-{os.getuid() if hasattr(os, 'getuid') else 0}-"
 """Begin of the names of this user's runs."""
-CONSOLE: Final = "console"
-"""File that the console with the ring of words has locked."""
 
 
 class Ring:
@@ -255,7 +253,6 @@ def share(conditions: RunConditions) -> Generator[Path]:
             size = memory_layout(len(conditions.joints)).itemsize
             try:
                 (folder / "memory").write_bytes(bytes(size))  # not sparse: a full disk shows here
-                (folder / CONSOLE).touch()
                 # An observer waits for this file.
                 write_atomically(folder / "run.json", conditions.model_dump_json())
             except OSError as error:
