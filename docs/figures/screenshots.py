@@ -82,7 +82,7 @@ def take_console(log: Path) -> None:
     """Take the console of a run that plays a log, and so keeps its time on a busy machine."""
     run, over = RunLog.load(log), threading.Event()
     with share(run.conditions) as folder, program("console") as console:
-        recorder = open_recorder(folder, len(run.conditions.joints))
+        _, recorder = open_recorder(folder)
         with page_at(console.find(ADDRESS)[1]) as page:
             player = threading.Thread(target=play, args=(run, recorder, over))
             player.start()

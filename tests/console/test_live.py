@@ -53,7 +53,7 @@ def played(monkeypatch):
     monkeypatch.setattr(live, "stay_aside", lambda: None)
     addresses, ended = [], threading.Event()
     with share(rig_conditions(policy_name="<b>run</b>", arm=ARM)) as folder:
-        run = PlayedRun(open_recorder(folder, len(ARM.joints)))
+        run = PlayedRun(open_recorder(folder)[1])
         monkeypatch.setattr(live, "live_runs", lambda: [folder])
         served = ("127.0.0.1", 0, addresses.append, ended.is_set)
         serving = threading.Thread(target=live.serve, args=served)

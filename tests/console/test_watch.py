@@ -19,7 +19,7 @@ HOME = np.array(RIG.arm.home)
 @pytest.fixture
 def shared():
     with share(RIG) as folder:
-        yield folder, open_recorder(folder, len(HOME))
+        yield folder, open_recorder(folder)[1]
 
 
 @pytest.fixture

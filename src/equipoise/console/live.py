@@ -26,14 +26,7 @@ from equipoise.console.scene import PERIOD, PLOTS, SPAN, RigPage, card, messages
 from equipoise.console.web import serving
 from equipoise.control.ticks import OK, OperatorMessage
 from equipoise.files import lock
-from equipoise.log.recorder import (
-    ENDED,
-    is_alive,
-    live_runs,
-    open_recorder,
-    read_conditions,
-    read_events,
-)
+from equipoise.log.recorder import ENDED, is_alive, live_runs, open_recorder, read_events
 from equipoise.outcomes import Phase
 from equipoise.report.style import BLUE, GREEN, GREY, INK, ORANGE, VERMILION
 from equipoise.rig.processes import HEARTBEAT_TIMEOUT
@@ -62,8 +55,8 @@ class RunWatch:
             ValueError: The run is one of another version of Equipoise.
             BlockingIOError: Another console is attached to this run.
         """
-        self.conditions = read_conditions(folder)
-        """Conditions of the run."""
+        self.conditions, self._recorder = open_recorder(folder)
+        """Conditions of the run, and its rings."""
         self.time = nan
         """Time of the last tick [s]; NaN before the first."""
         self.silence = 0.0
@@ -88,7 +81,6 @@ class RunWatch:
         if not lock(self._memory):
             self._memory.close()
             raise BlockingIOError("another console is attached to this run")
-        self._recorder = open_recorder(folder, len(self.conditions.joints))
         self._seen: dict[str, int] = {}
         self._measured = self._sampled = -inf  # times of the newest posture and encoder sample [s]
         self._speaking = threading.Lock()

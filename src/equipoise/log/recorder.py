@@ -263,28 +263,20 @@ def share(conditions: RunConditions) -> Generator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def open_recorder(folder: Path, joints: int) -> Recorder:
-    """Map the rings of a run into this process.
+def open_recorder(folder: Path) -> tuple[RunConditions, Recorder]:
+    """Map the rings of a run into this process; return its conditions and the rings.
 
     Args:
         folder: Folder from `share`.
-        joints: Number of joints of the arm.
-
-    Raises:
-        OSError: The run has ended.
-    """
-    with (folder / "memory").open("r+b") as file:
-        return Recorder(joints, memoryview(mmap.mmap(file.fileno(), 0)))
-
-
-def read_conditions(folder: Path) -> RunConditions:
-    """Return the conditions of a run.
 
     Raises:
         OSError: The run has ended.
         ValueError: The run is one of another version of Equipoise.
     """
-    return RunConditions.model_validate_json((folder / "run.json").read_bytes(), strict=True)
+    conditions = RunConditions.model_validate_json((folder / "run.json").read_bytes(), strict=True)
+    with (folder / "memory").open("r+b") as file:
+        memory = memoryview(mmap.mmap(file.fileno(), 0))
+    return conditions, Recorder(len(conditions.joints), memory)
 
 
 def live_runs() -> list[Path]:

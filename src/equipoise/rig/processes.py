@@ -95,10 +95,9 @@ def run_in_processes(
     with user_code(f"sending {request.policy.name} to another process", "give it as MODULE:NAME"):
         data = pickle.dumps(request)
     conditions = request.conditions()
-    joints = len(conditions.joints)
     signalled: list[str] = []
     with share(conditions) as memory, handled_signals(SIGNALS, lambda *_: signalled.append(STOP)):
-        recorder = open_recorder(memory, joints)
+        _, recorder = open_recorder(memory)
         logs = RunLogs(out, conditions, request.runs, time.monotonic())
         over, following = threading.Event(), SimpleQueue[Following]()
         drains = threading.Thread(
@@ -107,7 +106,7 @@ def run_in_processes(
         drains.start()
         context = multiprocessing.get_context("spawn")
         results, loop_end = context.Pipe()
-        loop = context.Process(target=_loop, args=(data, memory, joints, loop_end))
+        loop = context.Process(target=_loop, args=(data, memory, loop_end))
         end = RunEnd()
         try:
             blocked = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # until it is ready
@@ -221,9 +220,9 @@ def _attend(
 # The loop's process.
 
 
-def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
+def _loop(data: bytes, memory: Path, pipe: Any) -> None:
     """Run the loop's process for a pickled request, whose policy is imported here anew."""
-    recorder = open_recorder(memory, joints)
+    _, recorder = open_recorder(memory)
     operator = OperatorProxy(recorder)
     for number in SIGNALS:
         signal.signal(number, lambda *_: operator.signals.append(STOP))
