@@ -17,7 +17,6 @@ from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from io import BytesIO
 from pathlib import Path
 from typing import Any, Self
 
@@ -27,15 +26,7 @@ from equipoise.arrays import Array, IntArray
 from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.files import DIGEST_PREFIX, Provenance, StrPath, shortened, write_atomically
-from equipoise.log.columns import (
-    TABLES,
-    Rows,
-    canonical,
-    from_messages,
-    plain,
-    tables,
-    unknown_rows,
-)
+from equipoise.log.columns import Rows, canonical, from_messages, tables, to_csv, unknown_rows
 from equipoise.log.conditions import RunConditions, RunEnd
 from equipoise.log.recorder import read_events
 from equipoise.log.writer import FORMAT, LogEncoder
@@ -52,7 +43,7 @@ def _read_mcap(path: Path) -> tuple[Mapping[str, str], Mapping[str, list[bytes]]
     from mcap.stream_reader import StreamReader
 
     try:
-        file = BytesIO(path.read_bytes())
+        file = io.BytesIO(path.read_bytes())
     except OSError as error:
         raise ArtefactError(f"cannot read {path}: {error.strerror}; check the path") from None
     entries: dict[str, str] = {}
@@ -318,22 +309,12 @@ class RunLog:
         for name, rows in self.tables.items():
             if not len(rows) and (self.conditions.simulated or name == "truth"):
                 continue
-            columns: dict[str, list[Any]] = {}
-            for column in TABLES[name]:
-                if column.kind == "joints":
-                    for joint, values in zip(
-                        self.conditions.joints, rows[column.name].T, strict=True
-                    ):
-                        header = column._replace(name=f"{column.name}_{joint}").header
-                        columns[header] = plain(values)
-                else:
-                    columns[column.header] = plain(rows[column.name])
-            text = io.StringIO()
+            columns, text = to_csv(name, rows, self.conditions.joints), io.StringIO()
             writer = csv.writer(text, lineterminator="\n")
             writer.writerow(columns)
             writer.writerows(zip(*columns.values(), strict=True))
             made.append(folder / f"{name}.csv")
-            write_atomically(made[-1], text.getvalue().encode())
+            write_atomically(made[-1], text.getvalue())
         return made
 
     @classmethod
