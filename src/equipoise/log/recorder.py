@@ -176,14 +176,14 @@ class Recorder:
         """Return the rows of each table since the last call."""
         return {name: ring.take() for name, ring in self.rings.items()}
 
-    def ask(self, time: float, question: OperatorMessage | None) -> None:
-        """Publish the open question, which its time [s] identifies; None without one."""
+    def ask(self, question: OperatorMessage | None) -> None:
+        """Publish the open question, which its time identifies; None withdraws it."""
         row = self._question
         row["time"] = 0.0  # an observer ignores a row that is being written
         if question is not None:
             for name, text in _texts(question).items():
                 row[name] = text
-            row["time"] = time
+            row["time"] = question.time
 
     def question(self) -> OperatorMessage | None:
         """Return the open question; None without one."""

@@ -296,7 +296,6 @@ class OperatorProxy:
     def __init__(self, recorder: Recorder) -> None:
         """Connect to the rings of a run."""
         self._recorder = recorder
-        self._open = 0.0  # time of the open question [s]; 0 without one
         self._parent = os.getppid()
         self.signals: list[str] = []
         """Stops that signals to this process request."""
@@ -306,20 +305,19 @@ class OperatorProxy:
         now = time.monotonic()
         push_event(self._recorder.notices, now, event)
         if event.answers:
-            self._open = now
-            self._recorder.ask(now, event)
+            self._recorder.ask(event._replace(time=now))
         elif event.name not in ("warning", "nudge"):  # these come beside an open question
-            self._close()
+            self._recorder.ask(None)
 
     def read_input(self) -> list[str]:
         """Return the words of the operators, the oldest first."""
         words = [word.decode("utf-8", "ignore") for word in self._recorder.typed.take()["word"]]
         if any(words):  # Enter alone may be no answer
-            self._close()
+            self._recorder.ask(None)
         for question, data in self._recorder.console.take().tolist():
-            word = data.decode("utf-8", "ignore")
-            if word == STOP or question == self._open > 0.0:
-                self._close()
+            word, asked = data.decode("utf-8", "ignore"), self._recorder.question()
+            if word == STOP or (asked is not None and question == asked.time):
+                self._recorder.ask(None)
                 words.append(word)
                 self.notify(OperatorMessage("console", f"Console: {word}"))
         words += self.signals
@@ -328,9 +326,3 @@ class OperatorProxy:
             self._parent = os.getppid()
             words.append(ALONE)
         return words
-
-    def _close(self) -> None:
-        """Withdraw the open question."""
-        if self._open:
-            self._open = 0.0
-            self._recorder.ask(0.0, None)
