@@ -107,7 +107,6 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
 
     def say(words: str) -> None:
         output.tell(f"{time.monotonic() - began:8.1f} s  {words}")
-        output.stream.flush()
 
     settings = eq.read_world(emulated.world).settings
     link = emulated.encoder_link
@@ -132,7 +131,6 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     # kernel's threads that carry its bytes get their turns there.
     host.prepare(core=0, priority=0)
     output.result(robot=links["robot"], encoder=encoder, actions=sorted(emulation.acts), then=then)
-    output.stream.flush()
 
     with signals() as stopped:
 
