@@ -320,10 +320,11 @@ simulation. One search there chose the numbers of the learning that the paper le
 
 
 def changed(settings: Settings, changes: Mapping[str, Any]) -> Settings:
-    """Return settings with other values of some of them, by their full names."""
+    """Return settings with other values of some of them, by their full names; None changes none."""
     tree = settings.model_dump()
     for name, value in changes.items():
-        _put(tree, name, value)
+        if value is not None:
+            _put(tree, name, value)
     return Settings.model_validate(tree)
 
 

@@ -104,9 +104,7 @@ def deploy(
                 actuator=actuator,
                 duration=run.duration,
                 seed=seed,
-                settings=changed(
-                    loaded.settings, {} if run.start is None else {"evaluation.start": run.start}
-                ),
+                settings=changed(loaded.settings, {"evaluation.start": run.start}),
             )
         code, then = int(log.outcome != Outcome.SURVIVED), command("log explain", out)
         inputs = {"policy": log.conditions.policy}

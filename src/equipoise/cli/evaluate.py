@@ -70,8 +70,7 @@ def evaluate(
         "evaluation.duration": trials.duration,
         "evaluation.start": trials.start,
     }
-    known = {name: value for name, value in changes.items() if value is not None}
-    settings = changed(chosen.settings, known)
+    settings = changed(chosen.settings, changes)
     count = settings.evaluation.trials
     setup_of(chosen, trials.world, settings, task.actuator)
     if claim is not None and allowed_failures(count, claim) == -1:
