@@ -18,8 +18,6 @@ from equipoise.outcomes import Phase
 class Pose(NamedTuple):
     """State of a run at a time."""
 
-    time: float
-    """Time [s]."""
     q: Array
     """Measured joints [rad], in simulation the true ones, shape (joints,)."""
     x: float
@@ -51,8 +49,8 @@ class Motion(NamedTuple):
     """Lateness [s], shape (n,); NaN in simulation."""
     phases: tuple[str, ...]
     """Phase of each tick."""
-    h: float
-    """Time between ticks [s]."""
+    end: float
+    """End of the motion [s]."""
     began: float
     """Time zero on the run's clock [s]."""
 
@@ -85,12 +83,7 @@ class Motion(NamedTuple):
         if np.isfinite(phi).all():  # upright at the release is zero
             phi -= 2.0 * pi * np.round(phi[int(np.searchsorted(time, 0.0))] / (2.0 * pi))
         u = np.nan_to_num(tick["u"])
-        return cls(time, q, x, phi, u, late, phases, conditions.h, began)
-
-    @property
-    def end(self) -> float:
-        """End of the motion [s]."""
-        return float(self.time[-1]) + self.h
+        return cls(time, q, x, phi, u, late, phases, float(time[-1]) + conditions.h, began)
 
     def part(self, begin: float | None = None, end: float | None = None) -> tuple[float, float]:
         """Return start and end of a part [s].
@@ -118,7 +111,6 @@ class Motion(NamedTuple):
         row = max(int(np.searchsorted(self.time, time + 1e-9, side="right")) - 1, 0)
         phi = float(np.interp(time, self.time, self.phi))
         return Pose(
-            time=time,
             q=np.array([np.interp(time, self.time, angles) for angles in self.q.T]),
             x=float(np.interp(time, self.time, self.x)),
             phi=float(np.remainder(phi + pi, 2.0 * pi) - pi) if isfinite(phi) else phi,
