@@ -6,12 +6,11 @@ from typing import Any
 import equipoise as eq
 from equipoise import paper
 from equipoise.cli import options as opt
-from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
 from equipoise.errors import InputError
 
 
-@verb
+@opt.verb
 def show(output: Output, run: Path, *, page: opt.Page) -> None:
     """Replay a run in the browser: the arm in 3-D, plots, events, until Ctrl-C.
 
@@ -29,7 +28,7 @@ def show(output: Output, run: Path, *, page: opt.Page) -> None:
         replay.play(stopped.is_set)
 
 
-@verb
+@opt.verb
 def explain(output: Output, run: Path) -> None:
     """Explain why a run ended, or how well it balanced.
 
@@ -43,9 +42,9 @@ def explain(output: Output, run: Path) -> None:
 
     log = eq.RunLog.load(run, damaged=True)
     causes, end = why(log), log.ending
-    then = command("log show", run)
+    then = opt.command("log show", run)
     if end.outcome is Outcome.EXCITED:
-        then = command("identify", run)
+        then = opt.command("identify", run)
     if end.outcome in (Outcome.SURVIVED, Outcome.OPERATOR) and len(log.ticks):
         fields = _balance(log)
     else:
@@ -96,7 +95,7 @@ def _balance(run: "eq.RunLog") -> dict[str, Any]:
     }
 
 
-class Film(Options):
+class Film(opt.Options):
     """The film."""
 
     video: Path | None = None
@@ -107,7 +106,7 @@ class Film(Options):
     """End of the film [s], counted from the release."""
 
 
-@verb
+@opt.verb
 def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
     """Write each table of a run log as a CSV file, or film the run.
 
@@ -133,5 +132,5 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
         tables=tables,
         video=video,
         warnings=[log.damage],
-        then=command("log explain", run),
+        then=opt.command("log explain", run),
     )
