@@ -194,7 +194,7 @@ runs = {
     for name, policy in (("mine", table), ("lqr", eq.load_policy("lqr")))
 }
 for name, run in runs.items():
-    print(f"{name:5} ended: {run.outcome}; x within {1e3 * np.abs(run.x).max():.0f} mm")
+    print(f"{name:5} ended: {run.outcome}; x within {1e3 * np.abs(run.ticks.x).max():.0f} mm")
 runs["mine"]
 
 # %% [markdown]

@@ -17,7 +17,7 @@ print(f"flange: within {1e3 * abs(run.truth.x).max():.0f} mm of home")  # what a
 print(f"pendulum: within {degrees(abs(run.truth.phi).max()):.1f} deg of upright")
 print(
     f"encoder's zero: wrong by {degrees(run.conditions.zero_error or 0.0):+.2f} deg, "
-    f"estimated as {degrees(run.bias[-1]):+.2f} deg"
+    f"estimated as {degrees(run.ticks.bias[-1]):+.2f} deg"
 )
 
 run.save("run.mcap")

@@ -59,7 +59,7 @@ def main() -> None:
     figure, axes = plt.subplots(2, sharex=True, figsize=(6, 4), layout="constrained")
     axes[0].plot(run.time, np.degrees(run.truth.phi))
     axes[0].set(ylabel="pendulum φ [deg]")
-    axes[1].plot(run.time, run.u)
+    axes[1].plot(run.time, run.ticks.u)
     axes[1].set(ylabel="command u [m/s²]", xlabel="time [s]")
     figure.savefig("mpc.png")
 

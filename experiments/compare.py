@@ -138,7 +138,7 @@ def survival(
 
 def rms_x(policy: TaskPolicy, duration: float) -> float:
     """Return the root mean square of x over some runs on `model` [m]."""
-    runs = [eq.simulate_run(policy, seed=seed, duration=duration).x for seed in range(RUNS)]
+    runs = [eq.simulate_run(policy, seed=seed, duration=duration).ticks.x for seed in range(RUNS)]
     return float(np.sqrt(np.mean(np.concatenate(runs) ** 2)))
 
 

@@ -159,7 +159,7 @@ def learn(tables: Tables, logs: list[RunLog], settings: Settings) -> None:
         learning.mirrored,
     )
     for log in logs:
-        boxes, actions = log.box.tolist(), [index[u] for u in log.u.tolist()]
+        boxes, actions = log.ticks.box.tolist(), [index[u] for u in log.ticks.u.tolist()]
         steps = list(zip(boxes, actions, boxes[1:], strict=False))
         fell = log.ending.outcome in (Outcome.ANGLE, Outcome.TRACK)
         steps += [(boxes[-1], actions[-1], 0)] if fell else []

@@ -51,7 +51,7 @@ def test_names_and_files_stand_for_values():
     run = {"world": "ideal", "duration": 0.05}
     by_name = eq.simulate_run(Path("policy.json"), **run)
     assert by_name.digest == eq.simulate_run(eq.shipped_policy(), **run).digest
-    assert eq.simulate_run(lambda observation: 1.0, **run).u.tolist() == [1.0] * 5
+    assert eq.simulate_run(lambda observation: 1.0, **run).ticks.u.tolist() == [1.0] * 5
 
 
 def test_an_argument_that_is_given_by_position_is_named():

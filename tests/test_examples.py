@@ -86,7 +86,7 @@ def test_frames_stand_where_the_kinematics_puts_flange_and_pendulum(shown, run):
         x, y, z, w = turn["pendulum"]
         phi = np.arctan2(2.0 * (x * z + w * y), 1.0 - 2.0 * (x * x + y * y))
         tick = np.searchsorted(run.time, replies.time[row], side="right") - 1
-        near = run.estimated_phi[max(tick - 2, 0) : tick + 2]
+        near = run.ticks.estimated_phi[max(tick - 2, 0) : tick + 2]
         assert near.min() - 0.01 < phi < near.max() + 0.01 or compared == 0
         # Another program reads the same out of the description.
         rest = np.zeros(len(q) + 1)

@@ -57,7 +57,7 @@ def draw_wind() -> None:
     figure, axes = plt.subplots(figsize=(6, 3), layout="constrained")
     for seed in range(5):
         run = eq.simulate_run(world="own_world:Windy", duration=10.0, seed=seed)
-        axes.plot(run.time, np.degrees(run.phi), label=f"seed {seed}: {run.outcome}")
+        axes.plot(run.time, np.degrees(run.ticks.phi), label=f"seed {seed}: {run.outcome}")
     axes.set(xlabel="time [s]", ylabel="pendulum φ [deg]")
     axes.legend(ncols=2)
     figure.savefig("wind.png")

@@ -7,7 +7,6 @@ Needs the extra `test`, and Chromium with its driver (Debian: chromium, chromium
 
 import contextlib
 import io
-import os
 import re
 import sys
 import tempfile
@@ -20,7 +19,7 @@ from typing import Any
 from PIL import Image
 
 from equipoise.console.scene import PERIOD
-from equipoise.log.recorder import Recorder, RunInfo, open_recorder, share
+from equipoise.log.recorder import Recorder, open_recorder, share
 from equipoise.log.run_log import RunLog
 
 HERE = Path(__file__).parent
@@ -82,11 +81,8 @@ def make_log(folder: Path) -> Path:
 def take_console(log: Path) -> None:
     """Take the console of a run that plays a log, and so keeps its time on a busy machine."""
     run, over = RunLog.load(log), threading.Event()
-    arm, phases = run.conditions.arm, run.conditions.phases
-    title = f"policy on {run.conditions.world}"
-    info = RunInfo(title=title, pid=os.getpid(), arm=arm, phases=phases, duration=60.0)
-    with share(info) as folder, program("console") as console:
-        recorder = open_recorder(folder, len(arm.joints))
+    with share(run.conditions) as folder, program("console") as console:
+        _, recorder = open_recorder(folder)
         with page_at(console.find(ADDRESS)[1]) as page:
             player = threading.Thread(target=play, args=(run, recorder, over))
             player.start()

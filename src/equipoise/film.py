@@ -10,8 +10,8 @@ OSMesa or GLFW.
 import io
 import json
 import os
-import tempfile
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -278,28 +278,24 @@ def write_film(
         )
     rate = FORMATS[suffix][2]
     times = begin + np.arange(max(1, round((end - begin) * rate))) / rate
-    frames = _frames(run, motion, times, suffix)
+    frames, film = _frames(run, motion, times, suffix), io.BytesIO()
     if suffix == WEBP:
         first, *others = frames
-        stream = io.BytesIO()
         options: Any = {"append_images": others, "duration": round(1e3 / rate), "loop": 0}
-        first.save(stream, "webp", save_all=True, quality=60, method=4, **options)
-        write_atomically(path, stream.getvalue())
-        return
-    import imageio
+        first.save(film, "webp", save_all=True, quality=60, method=4, **options)
+    else:
+        import imageio
 
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder, "film.mp4")
-            writer: Any = imageio.get_writer(file, fps=rate, quality=7)
+        try:
+            writer: Any = imageio.get_writer(film, MP4, fps=rate, quality=7)
             with writer:
                 for frame in frames:
                     writer.append_data(np.asarray(frame))
-            write_atomically(path, file.read_bytes())
-    except OutsideError:  # an OSError whose message is complete
-        raise
-    except (OSError, RuntimeError) as error:
-        raise OutsideError(f"cannot write {path}, the encoder failed: {error}") from None
+        except OutsideError:  # an OSError whose message is complete
+            raise
+        except (OSError, RuntimeError) as error:
+            raise OutsideError(f"cannot write {path}, the encoder failed: {error}") from None
+    write_atomically(path, film.getvalue())
 
 
 def _frames(run: RunLog, motion: Motion, times: Array, suffix: str) -> Iterator[Any]:
@@ -309,10 +305,9 @@ def _frames(run: RunLog, motion: Motion, times: Array, suffix: str) -> Iterator[
 
     conditions, (width, height, _) = run.conditions, FORMATS[suffix]
     bar = height // 10
-    renderer = RigRenderer(conditions.arm, width, height - bar)
     font = Path(get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
     large, small = (ImageFont.truetype(font, fraction * bar) for fraction in (0.3, 0.27))
-    try:
+    with closing(RigRenderer(conditions.arm, width, height - bar)) as renderer:
         for time in times.tolist():
             pose = motion.at(time)
             image = Image.new("RGB", (width, height), "white")
@@ -324,5 +319,3 @@ def _frames(run: RunLog, motion: Motion, times: Array, suffix: str) -> Iterator[
             note = " · ".join(filter(None, (conditions.arm.name, conditions.world, pose.phase)))
             pen.text((0.03 * width, height - 0.27 * bar), note, "#767676", small, "lm")
             yield image
-    finally:
-        renderer.close()

@@ -18,16 +18,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from equipoise import paper
 from equipoise.errors import SettingsError
-from equipoise.files import (
-    MAX_QUOTE_LENGTH,
-    Name,
-    StrPath,
-    Value,
-    first_fault,
-    quoted,
-    read_text,
-    shortened,
-)
+from equipoise.files import Name, StrPath, Value, first_fault, quoted, read_text, shortened
 
 GRAVITY = 9.80665
 """Standard acceleration of gravity [m/s^2]."""
@@ -329,10 +320,11 @@ simulation. One search there chose the numbers of the learning that the paper le
 
 
 def changed(settings: Settings, changes: Mapping[str, Any]) -> Settings:
-    """Return settings with other values of some of them, by their full names."""
+    """Return settings with other values of some of them, by their full names; None changes none."""
     tree = settings.model_dump()
     for name, value in changes.items():
-        _put(tree, name, value)
+        if value is not None:
+            _put(tree, name, value)
     return Settings.model_validate(tree)
 
 
@@ -431,7 +423,7 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text, parse_float=_number)
     except (ValueError, RecursionError) as error:
-        reason = shortened(str(error), 2 * MAX_QUOTE_LENGTH)
+        reason = shortened(str(error), 120)
         raise SettingsError(f"{path} is not valid TOML ({reason}); correct it") from None
 
 

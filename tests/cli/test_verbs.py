@@ -93,7 +93,7 @@ def test_deploy_and_the_verbs_for_logs(equipoise, tmp_path):
     assert "x [mm]" in equipoise("log", "explain", "run.mcap").out
     found = equipoise("log", "explain", "run.mcap", "--json").json
     log = RunLog.load(tmp_path / "run.mcap")
-    largest = pytest.approx(1e3 * np.abs(log.estimated_x).max())
+    largest = pytest.approx(1e3 * np.abs(log.ticks.estimated_x).max())
     assert found["x_mm"] == found["x_mm"] | {"largest": largest, "limit": 220.0}
     assert equipoise("log", "export", "run.mcap").code == 0
     made = {path.name for path in (tmp_path / "run-csv").iterdir()}

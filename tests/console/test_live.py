@@ -1,6 +1,5 @@
 """The page of the console in a real browser, before a run that the test plays."""
 
-import os
 import threading
 import time
 
@@ -9,12 +8,13 @@ import pytest
 
 from equipoise.arm.iiwa import iiwa7
 from equipoise.console import live
-from equipoise.log.recorder import RunInfo, open_recorder, push_event, share
+from equipoise.log.recorder import open_recorder, push_event, share
 from equipoise.outcomes import Phase
 from equipoise.rig.interfaces import OperatorMessage
 from equipoise.rig.processes import OperatorProxy
 from equipoise.rig.run_controller import PHASES
 from tests.console.browser import browser, needs_browser, press, requests, shown
+from tests.log.made_up import rig_conditions
 from tests.program import wait_until
 
 pytestmark = [needs_browser, pytest.mark.slow]
@@ -51,10 +51,9 @@ class PlayedRun:
 def played(monkeypatch):
     """A run, and the address of the console that shows it."""
     monkeypatch.setattr(live, "stay_aside", lambda: None)
-    info = RunInfo(title="<b>run</b>", pid=os.getpid(), arm=ARM, phases=PHASES, duration=9.0)
     addresses, ended = [], threading.Event()
-    with share(info) as folder:
-        run = PlayedRun(open_recorder(folder, len(ARM.joints)))
+    with share(rig_conditions(policy_name="<b>run</b>", arm=ARM)) as folder:
+        run = PlayedRun(open_recorder(folder)[1])
         monkeypatch.setattr(live, "live_runs", lambda: [folder])
         served = ("127.0.0.1", 0, addresses.append, ended.is_set)
         serving = threading.Thread(target=live.serve, args=served)

@@ -22,11 +22,11 @@ def test_it_stands_and_a_push_moves_it():
     playground, undisturbed = Playground(SCENES["balance"]), Playground(SCENES["balance"])
     assert not played(playground, 10.0).fallen
     played(undisturbed, 10.0)
-    playground.push(radians(15.0))
-    rates = [played(each, 0.01) and each._loop.state()[3] for each in (playground, undisturbed)]
+    playground.loop.push(radians(15.0))
+    rates = [played(each, 0.01) and each.loop.state()[3] for each in (playground, undisturbed)]
     assert rates[0] - rates[1] == pytest.approx(radians(15.0), rel=0.1)
     assert not played(playground, 5.0).fallen
-    playground.push(radians(200.0))
+    playground.loop.push(radians(200.0))
     assert played(playground, 1.0).fallen
 
 
@@ -42,13 +42,13 @@ def test_a_delay_without_prediction_falls_and_with_it_stands():
 
 def test_a_pendulum_that_was_tipped_over_is_swung_up_again():
     playground = Playground(SCENES["balance"])
-    played(playground, 1.0).push(radians(200.0))
+    played(playground, 1.0).loop.push(radians(200.0))
     assert "It fell after 1." in played(playground, 1.0).sentences()[2]
     played(playground, FALL)
-    assert (playground.balancing, playground.fallen, playground.box) == (False, "", -1)
-    assert abs(playground._loop.state()[0]) < 0.05
+    assert (playground.loop.balancing, playground.fallen, playground.box) == (False, "", -1)
+    assert abs(playground.loop.state()[0]) < 0.05
     assert "has been swinging it up for" in playground.sentences()[2]
-    assert played(playground, 10.0).balancing
+    assert played(playground, 10.0).loop.balancing
     assert "It has been up for" in playground.sentences()[2]
 
 
@@ -102,7 +102,7 @@ def test_the_page_pushes_and_changes_the_rig(monkeypatch):
     page._hang()
     page.advance(0)
     assert "swinging up" in page._page._state.content
-    monkeypatch.setattr(page.playground, "push", pushes.append)
+    monkeypatch.setattr(page.playground.loop, "push", pushes.append)
     for drawn in (0.05, -1.0):  # [m]
         event = {"start_position": (0.1, 0.0, 0.9), "end_position": (0.1 + drawn, 0.0, 0.9)}
         page._dragged(SimpleNamespace(phase="end", **event))

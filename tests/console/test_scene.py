@@ -17,10 +17,12 @@ def server():
     server.stop()
 
 
-def page_of(server, arm, plots=0):
+def page_of(server, arm):
     from equipoise.console.scene import RigPage
 
-    return RigPage(server, "test", arm, plots)
+    page = RigPage(server, "test")
+    page.show_arm(arm)
+    return page
 
 
 def places_of(page):

@@ -1,28 +1,25 @@
 """Runs and their consoles through shared memory."""
 
-import os
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from equipoise.arm.iiwa import iiwa7
 from equipoise.console.live import RunWatch
-from equipoise.log.recorder import RunInfo, live_runs, open_recorder, push_event, share
+from equipoise.log.recorder import live_runs, open_recorder, push_event, share
 from equipoise.outcomes import Phase
 from equipoise.rig.interfaces import OperatorMessage
 from equipoise.rig.processes import OperatorProxy
 from equipoise.rig.run_controller import PHASES
+from tests.log.made_up import RIG
 
-ARM = iiwa7()
-HOME = np.array(ARM.home)
+HOME = np.array(RIG.arm.home)
 
 
 @pytest.fixture
 def shared():
-    info = RunInfo(title="test", pid=os.getpid(), arm=ARM, phases=PHASES, duration=8.0)
-    with share(info) as folder:
-        yield folder, open_recorder(folder, len(ARM.joints))
+    with share(RIG) as folder:
+        yield folder, open_recorder(folder)[1]
 
 
 @pytest.fixture
@@ -91,8 +88,7 @@ def test_a_measurement_that_is_too_old_is_unknown(shared, watch, clock):
 
 
 def test_the_end_of_a_run_is_seen_and_its_memory_is_gone():
-    info = RunInfo(title="test", pid=os.getpid(), arm=ARM)
-    with share(info) as folder:
+    with share(RIG) as folder:
         assert folder in live_runs()
         assert folder.stat().st_mode & 0o077 == 0
         watch = RunWatch(folder)

@@ -59,25 +59,26 @@ def rig_conditions(**changes):
     return conditions(**(rig | changes))
 
 
-def made_up(count=40, **changes):
-    """A run of random numbers, with other tables where they are given."""
+def made_up(count=40):
+    """A run of random numbers."""
     rng = np.random.default_rng(3)
     tick = {name: rng.standard_normal(count) for name in COLUMNS}
-    tick |= {"time": 0.01 * np.arange(count), "box": rng.integers(0, 270, count)}
+    time = 0.01 * np.arange(count)
+    tick |= {"time": time, "box": rng.integers(0, 270, count)}
     tick |= {name: rng.standard_normal((count, JOINTS)) for name in ("q", "dq")}
     state = ("x", "x_dot", "phi", "phi_dot", "tracked")
-    truth = {name: rng.standard_normal(count) for name in state}
+    truth = {"time": time} | {name: rng.standard_normal(count) for name in state}
     truth["q"] = rng.standard_normal((count, JOINTS))
     sent = 0.005 * np.arange(2 * count)
     stream = {"time": sent, "q": rng.standard_normal((2 * count, JOINTS))}
     # The first reply and the first count were measured before the release.
     measured = 0.005 * np.arange(count) - 0.004
-    replies = {"time": measured, "q": rng.standard_normal((count, JOINTS))}
+    reply = {"time": measured, "sent": measured, "q": rng.standard_normal((count, JOINTS))}
     counts = rng.integers(-4096, 4096, count)
-    encoder = {"time": 0.01 * np.arange(count) - 0.001, "counts": counts}
-    given = {"truth": truth, "stream": stream, "replies": replies, "encoder": encoder}
+    encoder = {"time": time - 0.001, "counts": counts}
+    columns = {"tick": tick, "truth": truth, "stream": stream, "reply": reply, "encoder": encoder}
     end = RunEnd(outcome=Outcome.TRACK, survival=0.01 * count)
-    return simulated_log(conditions(), end, tick, **given | changes)
+    return simulated_log(conditions(), end, columns)
 
 
 def changed_table(run, table, **new):

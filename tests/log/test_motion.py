@@ -46,7 +46,7 @@ def test_a_simulated_run_is_shown_as_it_truly_was():
     now = motion.at(0.105)
     np.testing.assert_allclose(now.q, 0.5 * (run.truth.q[10] + run.truth.q[11]))
     assert now.phi == pytest.approx(0.5 * (run.truth.phi[10] + run.truth.phi[11]))
-    assert (now.u, now.phase) == (run.u[10], "balancing")
+    assert (now.u, now.phase) == (run.ticks.u[10], "balancing")
     assert np.isnan(now.late)
     assert motion.part() == pytest.approx((0.0, 0.4))
 

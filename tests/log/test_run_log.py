@@ -37,9 +37,10 @@ def excited():
     """An excitation of the arm, without ticks."""
     time = 0.005 * np.arange(30)
     q = np.tile(np.sin(time)[:, None], 7)
-    replies = {"time": time[:-2] + 0.001, "q": q[:-2]}
+    measured = time[:-2] + 0.001
+    reply = {"time": measured, "sent": measured, "q": q[:-2]}
     end = RunEnd(outcome=Outcome.EXCITED)
-    return simulated_log(conditions(), end, {}, stream={"time": time, "q": q}, replies=replies)
+    return simulated_log(conditions(), end, {"stream": {"time": time, "q": q}, "reply": reply})
 
 
 RUNS = {"no ticks": lambda: made_up(0), "all tables": made_up, "an excitation": excited}
@@ -77,7 +78,7 @@ def test_any_reader_of_mcap_finds_named_numbers_with_a_schema(file, run):
 
 
 EDITS = {
-    "a word for a number": {"compute": "far"},
+    "a word for a number": {"x": "far"},
     "a short posture": {"dq": [0.0, 0.0, 0.0]},
     "no such phase": {"state": 99},
 }

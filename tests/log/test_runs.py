@@ -42,16 +42,17 @@ def test_counts_and_joints_of_a_rig_tell_what_the_observer_believed(rig_log):
     log = load_run(rig_log)
     motion = read_motion(log, iiwa(7))
     phi = np.interp(log.time, motion.time, motion.phi)
-    assert np.rad2deg(phi - log.estimated_phi - log.bias)[10:] == pytest.approx(0.0, abs=0.4)
+    believed = log.ticks.estimated_phi + log.ticks.bias
+    assert np.rad2deg(phi - believed)[10:] == pytest.approx(0.0, abs=0.4)
     x = np.interp(log.time + 0.03, motion.time, motion.x)
-    assert x[:-5] == pytest.approx(log.x[:-5], abs=0.01)
+    assert x[:-5] == pytest.approx(log.ticks.x[:-5], abs=0.01)
 
 
 def test_a_log_that_breaks_off_is_read_to_its_last_chunk(broken_off, rig_log):
     log, whole = load_run(broken_off), load_run(rig_log)
     assert RunLog.load(broken_off, damaged=True).ending.outcome is Outcome.BROKEN_OFF
     assert 10 < len(log.time) < len(whole.time)
-    assert log.phi.tolist() == whole.phi[: len(log.time)].tolist()
+    assert log.ticks.phi.tolist() == whole.ticks.phi[: len(log.time)].tolist()
     # Nobody said where the zero is: the last angle in the hand does.
     n = len(log.encoder.counts)
     away = log.encoder.counts - whole.encoder.counts[:n]

@@ -32,7 +32,7 @@ def test_what_is_written_comes_back(tmp_path):
     writer.finish(2.5, RunEnd(outcome=Outcome.SURVIVED))
     run = RunLog.load(path)
     assert (run.conditions, run.end) == (RIG, RunEnd(outcome=Outcome.SURVIVED))
-    assert run.events == ((2.5, "stopping", ("y", "n"), "stop – it fell"),)
+    assert run.events == (OperatorMessage("stopping", "stop – it fell", ("y", "n"), 2.5),)
     tick, reply = run.tables["tick"], run.tables["reply"]
     assert tick["time"] == pytest.approx(0.01 * np.arange(250))
     assert np.isnan(tick["x_dot"]).all()
@@ -119,7 +119,8 @@ def test_rings_lie_in_memory_that_two_share():
     push(one, 3)
     assert other.stream.take()["time"] == pytest.approx([0.0, 0.01, 0.02])
     push_event(one.notices, 1.0, OperatorMessage("lift", "Lift the pendulum."))
-    assert read_events(other.notices.take()) == [(1.0, "lift", (), "Lift the pendulum.")]
+    lift = OperatorMessage("lift", "Lift the pendulum.", time=1.0)
+    assert read_events(other.notices.take()) == [lift]
     other.typed.push(word=b"stop")
     assert one.typed.take()["word"].tolist() == [b"stop"]
     one.pulse["time"] = 5.0

@@ -157,7 +157,18 @@ def run(of, survival=60.0, cause=Outcome.SURVIVED, world=MODEL):
 
     was = state(time - AHEAD if twin else time)
     u = np.array(paper.ACTIONS)[np.arange(n) // 3 % 8]
-    known = {**was, "tracked": u + 0.03, "q": q - 0.001} if twin else None
+    tick = {
+        "time": time,
+        **state(time),
+        "box": np.arange(n) % 12 + 120,
+        "u": u,
+        "q": q,
+        "dq": np.zeros_like(q),
+        "estimated_phi": was["phi"],
+        "estimated_phi_dot": was["phi_dot"],
+        "bias": ZERO * (1.0 - np.exp(-time)) if twin else np.zeros(n),
+    }
+    truth = {"time": time, **was, "tracked": u + 0.03, "q": q - 0.001}
     return simulated_log(
         conditions(
             policy=of.digest,
@@ -171,18 +182,7 @@ def run(of, survival=60.0, cause=Outcome.SURVIVED, world=MODEL):
             settings=of.settings,
         ),
         RunEnd(outcome=cause, survival=survival),
-        {
-            "time": time,
-            **state(time),
-            "box": np.arange(n) % 12 + 120,
-            "u": u,
-            "q": q,
-            "dq": np.zeros_like(q),
-            "estimated_phi": was["phi"],
-            "estimated_phi_dot": was["phi_dot"],
-            "bias": ZERO * (1.0 - np.exp(-time)) if twin else np.zeros(n),
-        },
-        truth=known,
+        {"tick": tick, "truth": truth},
     )
 
 

@@ -118,11 +118,11 @@ def test_a_run_is_drawn_as_observed_and_as_it_was(results, drawn, name, until):
     run = results.default.run if name == "run" else results.literal.run
     axes = drawn[name].axes
     values, edges, _ = axes[0].patches[0].get_data()
-    np.testing.assert_array_equal(values, run.u[:until])
+    np.testing.assert_array_equal(values, run.ticks.u[:until])
     np.testing.assert_allclose(edges, 0.01 * np.arange(until + 1), atol=1e-12)
     units = {"phi": np.degrees(1.0), "phi_dot": np.degrees(1.0), "x": 1.0, "x_dot": 1.0}
     for panel, (curve, unit) in zip(axes[2:], units.items(), strict=True):
-        seen, was = getattr(run, curve), getattr(run.truth, curve)
+        seen, was = run.ticks[curve], run.truth[curve]
         drawn_lines = [line.get_ydata() for line in panel.lines if len(line.get_xdata()) > 2]
         np.testing.assert_allclose(drawn_lines, unit * np.array([was[:until], seen[:until]]))
     limits = {line.get_ydata()[0] for line in axes[2].lines if len(line.get_ydata()) == 2}

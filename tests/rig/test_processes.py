@@ -98,21 +98,21 @@ def move(request, rig, operators, recorder, *, prepare, submit, follow):
     return RunEnd(outcome=outcome, evidence=evidence, stoppable=ending.stoppable, survival=0.0)
 
 
-def moving(request, memory, joints, pipe, course=move):
+def moving(request, memory, pipe, course=move):
     """Be the loop's process, with another course and nobody beside it."""
     processes.connect = lambda *_, **__: None
     processes.run_on_rig = course
-    processes._loop(request, memory, joints, pipe)
+    processes._loop(request, memory, pipe)
 
 
-def breaking(request, memory, joints, pipe):
+def breaking(request, memory, pipe):
     def fail(*_, **__):
         raise ZeroDivisionError("by zero")
 
-    moving(request, memory, joints, pipe, fail)
+    moving(request, memory, pipe, fail)
 
 
-def waiting(request, memory, joints, pipe):
+def waiting(request, memory, pipe):
     """Wait for a robot's server with an encoder that has died."""
 
     def samples():
@@ -123,7 +123,7 @@ def waiting(request, memory, joints, pipe):
         return SimpleNamespace(sensor=SimpleNamespace(samples=samples))
 
     processes.connect = connect
-    processes._loop(request, memory, joints, pipe)
+    processes._loop(request, memory, pipe)
 
 
 def three(request, *parts, follow, **options):
@@ -133,8 +133,8 @@ def three(request, *parts, follow, **options):
     return move(request, *parts, follow=follow, **options)
 
 
-def series(request, memory, joints, pipe):
-    moving(request, memory, joints, pipe, three)
+def series(request, memory, pipe):
+    moving(request, memory, pipe, three)
 
 
 # Who stands at the screen.

@@ -28,4 +28,4 @@ def test_it_is_the_trial_that_the_compiled_loop_runs(small_policy):
     assert len(long.time) == trial.steps[0]
     assert long.outcome == TRIAL_OUTCOMES[trial.cause[0]]
     # x^2 before each step, against the sum after each step.
-    assert np.sum(long.x[1:] ** 2) == pytest.approx(trial.sum_x2[0], rel=0.1)
+    assert np.sum(long.ticks.x[1:] ** 2) == pytest.approx(trial.sum_x2[0], rel=0.1)

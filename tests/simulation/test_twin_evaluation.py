@@ -38,7 +38,7 @@ def test_a_run_on_the_twin_holds_what_was_sent_measured_and_true(behind_a_servo,
     error = shown - run.truth.phi + (run.time - run.encoder.time) * run.truth.phi_dot
     assert np.abs(error).max() < step + 0.003  # the flange's rotation about the spindle
     # The second setpoint of a tick is the commanded posture at its end.
-    assert np.array_equal(run.stream.q[1::2], run.q)
+    assert np.array_equal(run.stream.q[1::2], run.ticks.q)
     run.save(tmp_path / "run.mcap", command="test")
     assert RunLog.load(tmp_path / "run.mcap").digest == run.digest
 

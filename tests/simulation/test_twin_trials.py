@@ -77,9 +77,10 @@ def test_a_regulator_stands_and_who_does_nothing_falls():
 def test_behind_an_ideal_actuator_the_observed_velocity_is_the_slope_of_the_observed_x():
     clean = World("twin:clean", TwinSettings().model_copy(update=CLEAN))
     run = simulate_run("lqr", world=clean, actuator="ideal", duration=2.0)
-    moved = 0.005 * np.cumsum(run.x_dot[1:] + run.x_dot[:-1])  # exact for a u that is held
+    x, x_dot = run.ticks.x, run.ticks.x_dot
+    moved = 0.005 * np.cumsum(x_dot[1:] + x_dot[:-1])  # exact for a u that is held
     assert np.ptp(moved) > 0.02
-    np.testing.assert_allclose(run.x[1:] - run.x[0], moved, atol=1e-3)
+    np.testing.assert_allclose(x[1:] - x[0], moved, atol=1e-3)
 
 
 def test_outcomes_depend_on_seed_and_number_alone():

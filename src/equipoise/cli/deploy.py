@@ -12,14 +12,13 @@ from pydantic import Field
 
 import equipoise as eq
 from equipoise.cli import options as opt
-from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
 from equipoise.errors import InputError
 from equipoise.settings import HANGING, Start, changed
 from equipoise.user_code import user_code
 
 
-class Run(Options):
+class Run(opt.Options):
     """The run."""
 
     world: str = "twin:nominal"
@@ -47,7 +46,7 @@ class OnRig(opt.Rig):
     """Number of runs in a row, with --start hanging: after a fall the arm begins the next one."""
 
 
-@verb
+@opt.verb
 def deploy(
     output: Output,
     policy: Path | None = None,
@@ -91,7 +90,7 @@ def deploy(
         length = run.duration or 10.0
         with output.busy("moving the arm"):
             log = eq.excite(arm, pendulum=task.pendulum, duration=length, world=world, seed=seed)
-        code, then, inputs = 0, command("identify", out), dict[str, str]()
+        code, then, inputs = 0, opt.command("identify", out), dict[str, str]()
     else:
         loaded, actuator = task.read(policy), task.actuator
         setup_of(loaded, world, actuator=actuator)
@@ -104,11 +103,9 @@ def deploy(
                 actuator=actuator,
                 duration=run.duration,
                 seed=seed,
-                settings=changed(
-                    loaded.settings, {} if run.start is None else {"evaluation.start": run.start}
-                ),
+                settings=changed(loaded.settings, {"evaluation.start": run.start}),
             )
-        code, then = int(log.outcome != Outcome.SURVIVED), command("log explain", out)
+        code, then = int(log.outcome != Outcome.SURVIVED), opt.command("log explain", out)
         inputs = {"policy": log.conditions.policy}
     log.save(out, command="deploy", inputs=inputs)
     output.result(
@@ -177,12 +174,10 @@ def _run_on_rig(
         start=run.start or "hand",
         runs=rig.runs,
     )
-    swings = []
     with output.busy("checking policy and addresses"):
         require(check_fit(request.policy, request.actuator, request.settings))
-        if request.start == HANGING:
-            swings = [check_swing_up(request)]
-            require(swings)
+        swings = [check_swing_up(request)] if request.start == HANGING else []
+        require(swings)
         with user_code(f"the driver of {robot}"):
             devices = connect(request)  # nothing is opened before the run
     for swing in swings:
@@ -202,17 +197,17 @@ def _run_on_rig(
     ends.append(end)
     series: dict[str, Any] = summarise(ends) if request.runs > 1 else {}
     last = run_path(out, len(ends), request.runs)
-    actuator, then = None, command("log explain", last)
+    actuator, then = None, opt.command("log explain", last)
     found = ends[0].identified
     if found is not None:
         actuator = out.with_name(f"{out.stem}-actuator.json")
         found.save(actuator, command="deploy", inputs={})
     if end.outcome is Outcome.DRY_RUN:
-        then = command("deploy", policy, run, rig.model_copy(update={"dry_run": False}), task)
+        then = opt.command("deploy", policy, run, rig.model_copy(update={"dry_run": False}), task)
     elif end.outcome is Outcome.UNIDENTIFIED and actuator is not None:
         pendulum = opt.file_of(loaded.pendulum.digest, eq.shipped_pendulum())
         arm = task.arm or rig.rig or opt.name_of(loaded.arm)
-        then = command("train", task.pendulum or pendulum, arm=arm, actuator=actuator)
+        then = opt.command("train", task.pendulum or pendulum, arm=arm, actuator=actuator)
     output.result(
         **series,
         outcome=end.outcome,
@@ -230,7 +225,7 @@ def _run_on_rig(
     )
 
 
-@verb
+@opt.verb
 def console(output: Output, *, page: opt.Page) -> None:
     """Show the runs on this computer in the browser, with all buttons, until Ctrl-C.
 

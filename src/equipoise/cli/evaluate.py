@@ -8,7 +8,6 @@ from pydantic import Field
 
 import equipoise as eq
 from equipoise.cli import options as opt
-from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
 from equipoise.errors import InputError
 from equipoise.settings import Start, changed
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
     from equipoise.simulation.evaluation import TrialResults
 
 
-class Trials(Options):
+class Trials(opt.Options):
     """Trials."""
 
     world: str = "model"
@@ -35,7 +34,7 @@ class Trials(Options):
     """Claim that a trial survives with at least this probability, e.g. 0.99."""
 
 
-@verb
+@opt.verb
 def evaluate(
     output: Output,
     policy: Path | None = None,
@@ -70,8 +69,7 @@ def evaluate(
         "evaluation.duration": trials.duration,
         "evaluation.start": trials.start,
     }
-    known = {name: value for name, value in changes.items() if value is not None}
-    settings = changed(chosen.settings, known)
+    settings = changed(chosen.settings, changes)
     count = settings.evaluation.trials
     setup_of(chosen, trials.world, settings, task.actuator)
     if claim is not None and allowed_failures(count, claim) == -1:
@@ -115,7 +113,7 @@ def evaluate(
         baselines={row.name: _trial_fields(row) for row in evaluation.baselines},
         file=out,
         code=code,
-        then=command("deploy", policy, task, world=twin, start=trials.start),
+        then=opt.command("deploy", policy, task, world=twin, start=trials.start),
     )
 
 
@@ -129,7 +127,7 @@ def _trial_fields(results: "TrialResults") -> dict[str, Any]:
     return fields
 
 
-@verb
+@opt.verb
 def play(
     output: Output, scene: str = "balance", policy: Path | None = None, *, page: opt.Page
 ) -> None:

@@ -8,12 +8,11 @@ from pydantic import Field
 
 import equipoise as eq
 from equipoise.cli import options as opt
-from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output
 from equipoise.errors import InputError
 
 
-class Fit(Options):
+class Fit(opt.Options):
     """The recording, friction, and measurements for I and b."""
 
     start: float | None = None
@@ -36,7 +35,7 @@ class Fit(Options):
     """Its standard deviation [m]."""
 
 
-@verb
+@opt.verb
 def identify(
     output: Output,
     recording: Path,
@@ -77,9 +76,9 @@ def identify(
         pendulum = eq.identify(recorded, settings.identification, mass, length, show)
         pendulum.save(out, command="identify", inputs={"recording": recorded.sha256})
         drawn = save(free_swing(recorded, pendulum), out.with_suffix(""))
-    then, found = command("train", out), pendulum.fit
+    then, found = opt.command("train", out), pendulum.fit
     if found and found.richer_friction:
-        then = command("identify", recording, fit, changes, friction=found.richer_friction)
+        then = opt.command("identify", recording, fit, changes, friction=found.richer_friction)
     output.result(
         pendulum,
         period_s=pendulum.period,
@@ -104,11 +103,11 @@ def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:
         actuator,
         warnings=list(filter(None, [run.damage])),
         actuator=out,
-        then=command("train", pendulum, arm=opt.name_of(run.conditions.arm), actuator=out),
+        then=opt.command("train", pendulum, arm=opt.name_of(run.conditions.arm), actuator=out),
     )
 
 
-@verb
+@opt.verb
 def refine(output: Output, policy: Path, runs: list[Path], *, files: opt.Files) -> None:
     """Compare logs of runs with the model of a policy, and write what has changed.
 
@@ -137,7 +136,7 @@ def refine(output: Output, policy: Path, runs: list[Path], *, files: opt.Files) 
     if findings.actuator.digest != table.actuator.digest:
         paths["actuator"] = actuator = out.with_name(out.stem + "-actuator.json")
         findings.actuator.save(actuator, command="refine", inputs=inputs)
-    then = command("train", pendulum, arm=opt.name_of(table.arm), actuator=actuator)
+    then = opt.command("train", pendulum, arm=opt.name_of(table.arm), actuator=actuator)
     output.result(
         findings.fit,
         **findings.response,

@@ -1,20 +1,16 @@
 """Verbs that read the log of a run: `equipoise log show`, `explain` and `export`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equipoise as eq
 from equipoise import paper
 from equipoise.cli import options as opt
-from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
 from equipoise.errors import InputError
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
-
-@verb
+@opt.verb
 def show(output: Output, run: Path, *, page: opt.Page) -> None:
     """Replay a run in the browser: the arm in 3-D, plots, events, until Ctrl-C.
 
@@ -32,7 +28,7 @@ def show(output: Output, run: Path, *, page: opt.Page) -> None:
         replay.play(stopped.is_set)
 
 
-@verb
+@opt.verb
 def explain(output: Output, run: Path) -> None:
     """Explain why a run ended, or how well it balanced.
 
@@ -46,9 +42,9 @@ def explain(output: Output, run: Path) -> None:
 
     log = eq.RunLog.load(run, damaged=True)
     causes, end = why(log), log.ending
-    then = command("log show", run)
+    then = opt.command("log show", run)
     if end.outcome is Outcome.EXCITED:
-        then = command("identify", run)
+        then = opt.command("identify", run)
     if end.outcome in (Outcome.SURVIVED, Outcome.OPERATOR) and len(log.ticks):
         fields = _balance(log)
     else:
@@ -80,26 +76,26 @@ def _balance(run: "eq.RunLog") -> dict[str, Any]:
     """Return how a run balanced: values that safety rules compare, and their limits."""
     import numpy as np
 
-    def extent(values: "npt.NDArray[np.float64]", limit: float | None) -> dict[str, Any]:
+    def extent(values: Any, limit: float | None) -> dict[str, Any]:
         rms, largest = np.sqrt(np.mean(values**2)), np.abs(values).max()
         return {"rms": float(rms), "largest": float(largest), "limit": limit}
 
-    arm, h, sent = run.conditions.arm, run.conditions.h, run.stream.q
-    dq = np.diff(sent, axis=0) / (0.5 * h) if len(sent) > 1 else run.dq  # of two setpoints a tick
+    arm, h, sent, ticks = run.conditions.arm, run.conditions.h, run.stream.q, run.ticks
+    dq = np.diff(sent, axis=0) / (0.5 * h) if len(sent) > 1 else ticks.dq  # of two setpoints a tick
     fraction = (run.conditions.rig or {}).get("speed_fraction")
     limits = np.array([joint.velocity for joint in arm.joints])
     limits *= fraction if isinstance(fraction, float) else 1.0
     fastest = int(np.argmax(np.abs(dq).max(axis=0) / limits))
     return {
-        "x_mm": extent(1e3 * run.estimated_x, 1e3 * paper.X_LIMIT),
-        "phi_deg": extent(np.degrees(run.estimated_phi), paper.PHI_LIMIT_DEG),
-        "flange_speed_m_s": extent(run.estimated_x_dot, run.end and run.end.max_speed),
+        "x_mm": extent(1e3 * ticks.estimated_x, 1e3 * paper.X_LIMIT),
+        "phi_deg": extent(np.degrees(ticks.estimated_phi), paper.PHI_LIMIT_DEG),
+        "flange_speed_m_s": extent(ticks.estimated_x_dot, run.end and run.end.max_speed),
         "joint_speed_rad_s": {"joint": arm.joints[fastest].name}
         | extent(dq[:, fastest], float(limits[fastest])),
     }
 
 
-class Film(Options):
+class Film(opt.Options):
     """The film."""
 
     video: Path | None = None
@@ -110,7 +106,7 @@ class Film(Options):
     """End of the film [s], counted from the release."""
 
 
-@verb
+@opt.verb
 def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
     """Write each table of a run log as a CSV file, or film the run.
 
@@ -136,5 +132,5 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
         tables=tables,
         video=video,
         warnings=[log.damage],
-        then=command("log explain", run),
+        then=opt.command("log explain", run),
     )

@@ -24,14 +24,13 @@ import equipoise as eq
 from equipoise.cli.output import Output, complain, signals
 from equipoise.entry_points import registered
 from equipoise.errors import INTERRUPTED, InputError
-from equipoise.files import reserved
+from equipoise.files import Artefact, reserved
 from equipoise.learning.rewards import REWARDS
 from equipoise.model.worlds import named_twins
 from equipoise.settings import RECIPES, Friction
 
 if TYPE_CHECKING:
     from equipoise.control.policy import TaskPolicy
-    from equipoise.files import Artefact
 
 TABLES: Final = {
     "arms": sorted(registered("equipoise.arms")),
@@ -299,7 +298,7 @@ def read_arm(name: str) -> "eq.Arm":
     return read_rig(Path(name)).described_arm if toml else urdf.read_arm(name)
 
 
-def file_of(digest: str, shipped: "Artefact") -> Path | None:
+def file_of(digest: str, shipped: Artefact) -> Path | None:
     """Return the file in this folder of the pendulum or actuator with a digest.
 
     Returns:

@@ -13,20 +13,19 @@ from pydantic import Field
 
 import equipoise as eq
 from equipoise.cli import options as opt
-from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output, signals
 from equipoise.errors import InputError
 from equipoise.user_code import user_code
 
 
-class Measurement(Options):
+class Measurement(opt.Options):
     """Measurements."""
 
     seconds: Annotated[float, Field(ge=0.05, le=3600.0)] = 5.0
     """Duration of each measurement [s]."""
 
 
-@verb
+@opt.verb
 def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
     """Check whether machine and rig are fit for a run, and suggest fixes.
 
@@ -66,11 +65,11 @@ def doctor(output: Output, *, rig: opt.Rig, measurement: Measurement) -> None:
         },
         restart=plugin and plugin.restart,
         code=int(not fit),
-        then=command("deploy", rig, dry_run=True) if fit and robot else "",
+        then=opt.command("deploy", rig, dry_run=True) if fit and robot else "",
     )
 
 
-class Emulated(Options):
+class Emulated(opt.Options):
     """The emulated rig."""
 
     robot: str = "kst"
@@ -89,7 +88,7 @@ class Emulated(Options):
     """Seed of all random numbers."""
 
 
-@verb
+@opt.verb
 def emulate(output: Output, *, emulated: Emulated) -> None:
     """Emulate robot, pendulum and encoder, until Ctrl-C; type what the hand does.
 
@@ -107,7 +106,6 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
 
     def say(words: str) -> None:
         output.tell(f"{time.monotonic() - began:8.1f} s  {words}")
-        output.stream.flush()
 
     settings = eq.read_world(emulated.world).settings
     link = emulated.encoder_link
@@ -127,12 +125,11 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
     task = emulated.model_dump(include={"arm", "pendulum"}, exclude_defaults=True)
     links = {"robot": emulation.hardware.address, "encoder": encoder}
     # The shipped table is for the defaults.
-    then = command("deploy", "POLICY" if task else None, **links, **task)
+    then = opt.command("deploy", "POLICY" if task else None, **links, **task)
     # The emulated robot takes the first core: the loop of the run stays on the last one. The
     # kernel's threads that carry its bytes get their turns there.
     host.prepare(core=0, priority=0)
     output.result(robot=links["robot"], encoder=encoder, actions=sorted(emulation.acts), then=then)
-    output.stream.flush()
 
     with signals() as stopped:
 
@@ -145,7 +142,7 @@ def emulate(output: Output, *, emulated: Emulated) -> None:
         emulation.run(stop)
 
 
-class Recording(Options):
+class Recording(opt.Options):
     """The recording."""
 
     encoder: str
@@ -156,7 +153,7 @@ class Recording(Options):
     """Encoder counts per revolution, after x4."""
 
 
-@verb
+@opt.verb
 def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
     """Record a free swing of the pendulum from its encoder (swing.csv).
 
@@ -188,5 +185,5 @@ def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
         rejected=sensor.rejected,
         counts_per_rev=sensor.counts_per_rev,
         recording=out,
-        then=command("identify", out),
+        then=opt.command("identify", out),
     )

@@ -7,10 +7,10 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from math import degrees, isnan
 from threading import Event
-from typing import Any, Final
+from typing import Final
 
 from equipoise.cli.output import Output
-from equipoise.control.ticks import OK
+from equipoise.control.ticks import OK, OperatorMessage
 from equipoise.printable import printable
 
 STYLES: Final = {
@@ -42,7 +42,7 @@ class TerminalOperator:
         self._live = False
         self._ended = False
 
-    def notify(self, event: Any) -> None:
+    def notify(self, event: OperatorMessage) -> None:
         """Print an event."""
         if self._live:
             self._output.stream.write("\r" + " " * 48 + "\r")

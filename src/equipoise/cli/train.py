@@ -8,11 +8,10 @@ from pydantic import Field
 
 import equipoise as eq
 from equipoise.cli import options as opt
-from equipoise.cli.options import Options, command, verb
 from equipoise.cli.output import Output
 
 
-class Training(Options):
+class Training(opt.Options):
     """The training."""
 
     arm: str = "iiwa7"
@@ -34,7 +33,7 @@ class Training(Options):
     """Maximum number of trainings to meet the target; the seed increases by one each time."""
 
 
-@verb
+@opt.verb
 def train(
     output: Output,
     pendulum: Path | None = None,
@@ -85,11 +84,11 @@ def train(
         steps=best.steps,
         warnings=[best.shortfall],
         code=int(bool(best.shortfall)),
-        then=command("evaluate", out),
+        then=opt.command("evaluate", out),
     )
 
 
-class Extent(Options):
+class Extent(opt.Options):
     """The reproduction."""
 
     arm: str = "iiwa7"
@@ -100,7 +99,7 @@ class Extent(Options):
     """Encoder counts per revolution, after x4."""
 
 
-@verb
+@opt.verb
 def reproduce(
     output: Output,
     *,
@@ -147,11 +146,11 @@ def reproduce(
         comparison=comparison(results),
         warnings=[results.default.policy.shortfall],
         code=int(evaluation.results.summary().median < evaluation.duration),
-        then=command("evaluate", out / POLICY, trials=1000),
+        then=opt.command("evaluate", out / POLICY, trials=1000),
     )
 
 
-@verb
+@opt.verb
 def warm_up(output: Output) -> None:
     """Compile all kernels once, on all cores, so that every verb starts at once.
 

@@ -24,18 +24,9 @@ import numpy.typing as npt
 from equipoise.arrays import Array
 from equipoise.console.scene import PERIOD, PLOTS, SPAN, RigPage, card, messages_list, shown
 from equipoise.console.web import serving
-from equipoise.control.ticks import OK
+from equipoise.control.ticks import OK, OperatorMessage
 from equipoise.files import lock
-from equipoise.log.recorder import (
-    CONSOLE,
-    ENDED,
-    LoggedEvent,
-    is_alive,
-    live_runs,
-    open_recorder,
-    read_events,
-    read_info,
-)
+from equipoise.log.recorder import ENDED, is_alive, live_runs, open_recorder, read_events
 from equipoise.outcomes import Phase
 from equipoise.report.style import BLUE, GREEN, GREY, INK, ORANGE, VERMILION
 from equipoise.rig.processes import HEARTBEAT_TIMEOUT
@@ -64,8 +55,8 @@ class RunWatch:
             ValueError: The run is one of another version of Equipoise.
             BlockingIOError: Another console is attached to this run.
         """
-        self.info = read_info(folder)
-        """Description of the run."""
+        self.conditions, self._recorder = open_recorder(folder)
+        """Conditions of the run, and its rings."""
         self.time = nan
         """Time of the last tick [s]; NaN before the first."""
         self.silence = 0.0
@@ -79,18 +70,17 @@ class RunWatch:
         commanded acceleration of the flange [m/s^2], 0 while no policy acts."""
         self.late = nan
         """Largest lateness of the new ticks [s]; NaN without any."""
-        self.events: list[LoggedEvent] = []
+        self.events: list[OperatorMessage] = []
         """New events, the oldest first."""
-        self.question: LoggedEvent | None = None
+        self.question: OperatorMessage | None = None
         """Question that the run asks now."""
         self.ended = False
         """Whether the process of the run has ended."""
         self._folder = folder
-        self._console = (folder / CONSOLE).open("r+b")
-        if not lock(self._console):
-            self._console.close()
+        self._memory = (folder / "memory").open("rb")
+        if not lock(self._memory):
+            self._memory.close()
             raise BlockingIOError("another console is attached to this run")
-        self._recorder = open_recorder(folder, len(self.info.arm.joints))
         self._seen: dict[str, int] = {}
         self._measured = self._sampled = -inf  # times of the newest posture and encoder sample [s]
         self._speaking = threading.Lock()
@@ -110,7 +100,7 @@ class RunWatch:
             self._sampled = float(samples["received"][-1])
         self.late = float(np.max(ticks["late"])) if len(ticks) else nan
         if len(ticks):
-            last, phases = ticks[-1], self.info.phases
+            last, phases = ticks[-1], self.conditions.phases
             self.time, self.phi = float(last["time"]), float(last["estimated_phi"])
             self.u = float(last["u"]) if isfinite(last["u"]) else 0.0
             self.phase = phases[last["state"]] if 0 <= last["state"] < len(phases) else None
@@ -131,7 +121,7 @@ class RunWatch:
 
     def close(self) -> None:
         """Detach from the run."""
-        self._console.close()
+        self._memory.close()
 
     def _new(self, table: str) -> npt.NDArray[Any]:
         rows, self._seen[table] = self._recorder.rings[table].peek(self._seen.get(table, 0))
@@ -150,12 +140,12 @@ class LivePage:
         self._server = server
         self._watch: RunWatch | None = None
         self._lock = threading.RLock()
-        self._question: LoggedEvent | None = None
+        self._question: OperatorMessage | None = None
         self._buttons: list[Any] = []
         self._history: deque[tuple[float, ...]] = deque()
-        self._messages: deque[LoggedEvent] = deque(maxlen=40)
+        self._messages: deque[OperatorMessage] = deque(maxlen=40)
         self._began = self._ended = nan
-        self._page = RigPage(server, "Equipoise console", plots=len(PLOTS))
+        self._page = RigPage(server, "Equipoise console", len(PLOTS))
         self._asked = server.gui.add_html("", order=10, visible=False)
         self._folder = server.gui.add_folder("Messages", order=60, visible=False)
         with self._folder:
@@ -173,7 +163,7 @@ class LivePage:
         """Show another run from its begin."""
         with self._lock:
             self._watch = watch
-            self._page.show_arm(watch.info.arm)
+            self._page.show_arm(watch.conditions.arm)
             self._history.clear()
             self._messages.clear()
             self._page.draw(np.zeros(0), np.zeros((len(PLOTS), 0)))
@@ -198,7 +188,7 @@ class LivePage:
                 self._began = self._began if isfinite(self._began) else run.time
                 self._ended = run.time
             self._describe(run)
-            self._ask(run.question)
+            self._ask(run)
 
     def end(self) -> None:
         """Detach from a run that has ended; its last picture stays."""
@@ -216,15 +206,17 @@ class LivePage:
 
     def _describe(self, run: RunWatch) -> None:
         """Show the state in words."""
-        name, colour, lines = "before the motion", BLUE, [run.info.title]
+        conditions = run.conditions
+        title = f"{conditions.policy_name} on {conditions.world}"
+        name, colour, lines = "before the motion", BLUE, [title]
         if run.phase is not None:
             name, colour = run.phase.value, COLOURS.get(run.phase, BLUE)
         elif not (run.question or run.ended):
             lines += [event.text for event in self._messages][-1:]
         lines += [event.text for event in self._messages if event.name == "run"][-1:]
         if isfinite(self._began):
-            length = f" of {run.info.duration:g} s" if run.info.duration else ""
-            lines.append(f"balanced {self._ended - self._began:.1f} s{length}")
+            balanced = self._ended - self._began
+            lines.append(f"balanced {balanced:.1f} s of {conditions.duration:g} s")
         if run.silence > HEARTBEAT_TIMEOUT:
             name, colour = "the loop does not answer", VERMILION
             lines.append(f"no tick for {run.silence:.2f} s; press the E-stop if the arm moves")
@@ -244,39 +236,34 @@ class LivePage:
         rows[0][known] = np.unwrap(rows[0][known][::-1], period=360.0)[::-1]
         self._page.draw(time - time[-1], np.array(rows))
 
-    def _ask(self, question: LoggedEvent | None) -> None:
-        """Show a question with its buttons."""
+    def _ask(self, run: RunWatch | None) -> None:
+        """Show the question of a run with its buttons; the run takes the first answer to it."""
+        question = run and run.question
         if question == self._question:
             return
         self._question = question
         for button in self._buttons:
             button.remove()
         self._buttons, self._asked.visible = [], question is not None
-        if question is None:
+        if run is None or question is None:
             return
         look = f"font-size:16px;font-weight:600;border-left:5px solid {ORANGE};background:#fff7e6"
         self._asked.content = card("question", shown(question.text), look)
         for place, (word, label) in enumerate(answers(question).items()):
             button = self._server.gui.add_button(label, order=11.0 + place)
-            button.on_click(lambda _, word=word: self._answer(word, question.time))
+            button.on_click(lambda _, word=word: run.say(word, question.time))
             self._buttons.append(button)
 
-    def _answer(self, word: str, question: float) -> None:
-        """Send an answer; the run takes the first one to the question of a time [s]."""
-        watch = self._watch
-        if watch is not None:
-            watch.say(word, question)
 
-
-def answers(question: LoggedEvent) -> dict[str, str]:
+def answers(question: OperatorMessage) -> dict[str, str]:
     """Return the answers to a question with the labels of their buttons.
 
     A question with one word, which is typed to acknowledge it, has a denial as well.
 
     Example:
-        >>> answers(LoggedEvent(1.0, "move", ("y", "n"), "Move?"))
+        >>> answers(OperatorMessage("move", "Move?", ("y", "n")))
         {'y': 'Yes', 'n': 'No'}
-        >>> answers(LoggedEvent(2.0, "checklist", ("fence",), "Is the fence closed?"))
+        >>> answers(OperatorMessage("checklist", "Is the fence closed?", ("fence",)))
         {'fence': 'Yes: fence', 'n': 'No'}
     """
     labels = {"y": "Yes", "n": "No", OK: "OK"}

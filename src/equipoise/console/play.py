@@ -18,13 +18,13 @@ from equipoise.control.control_step import horizon
 from equipoise.control.policy import Policy, TabularPolicy, TaskPolicy, shipped_policy
 from equipoise.control.swing_up import SwingUpPolicy, make_swing_up, time_limit
 from equipoise.files import Estimate
-from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED, box_indices, make_grid
+from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED, box_indices
 from equipoise.model.random import DEPLOYMENT
 from equipoise.model.worlds import World, read_world
 from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.paper import PHI_LIMIT, PHI_LIMIT_DEG, U_MAX, X_LIMIT
 from equipoise.report.style import BLUE, GREEN, GREY, INK, PALE, VERMILION, edges
-from equipoise.settings import BoxSettings
+from equipoise.settings import BoxSettings, changed
 from equipoise.simulation import predicted, setup_of
 from equipoise.simulation.twin.world import TwinSimulation
 
@@ -120,27 +120,26 @@ class Playground:
         known = shipped_policy().actuator  # identified on the nominal twin, then moved along
         moved = max(known.delay.value + transport - base.transport, 0.0)
         actuator = known.model_copy(update={"delay": Estimate.around(moved, 0.0, "given")})
-        controller = policy.settings.controller.model_copy(update={"predict": scene.predict})
-        settings = policy.settings.model_copy(update={"controller": controller})
+        settings = changed(policy.settings, {"controller.predict": scene.predict})
         twin = World("playground", base.model_copy(update=rig | exact))
         setup = setup_of(policy, twin, settings, actuator)
-        self.scene, self.policy, self.arm = scene, policy, policy.arm
+        self.scene, self.policy = scene, policy
         parameters, self.h = policy.pendulum.parameters(), policy.h
         self.latency = horizon(policy.arm, actuator, 0.0)
         """Time from a command to its effect [s]: transport, then the response of the servo."""
         self.growth = exp(sqrt(parameters.w2) * self.latency)
         """Factor by which a lean grows within the latency [-]."""
         self._simulation = TwinSimulation(twin, setup, seed=0, stream=DEPLOYMENT)
-        self._loop = self._simulation.loop()
+        self.loop = self._simulation.loop()
+        """The closed loop; it counts as balancing unless the pendulum has fallen or swings up."""
         self.swing_up = None
         """The policy after a swing-up; None if no swing-up can end with it."""
         if policy.kernel is not None:
-            law = make_swing_up(self._loop.params, self._simulation.max_speed)
+            law = make_swing_up(self.loop.params, self._simulation.max_speed)
             self.swing_up = SwingUpPolicy(policy.kernel, law)
-        self._boxes = make_grid(BoxSettings(), parameters.k)
         self.u_of_box = None
         if isinstance(policy, TabularPolicy) and policy.settings.boxes == BoxSettings():
-            self.u_of_box = policy.u_of_box.reshape(-1)
+            self.u_of_box, self._grid = policy.u_of_box, policy.grid
         """Command of each box [m/s^2], shape (270,); None without a table of the usual boxes."""
         self.begin()
 
@@ -151,7 +150,7 @@ class Playground:
         acting, phi = self.policy, radians(self.scene.lean_deg)
         if hanging and self.swing_up is not None:
             acting, phi = self.swing_up, pi
-        self._loop.reset(trial._replace(start=(0.0, 0.0, phi, 0.0)))
+        self.loop.reset(trial._replace(start=(0.0, 0.0, phi, 0.0)))
         self._follow(acting)
 
     def _follow(self, acting: Policy) -> None:
@@ -159,22 +158,13 @@ class Playground:
         acting.reset()
         self._acting, self._tick, self.fallen, self.box = acting, 0, "", -1
 
-    def push(self, rate: float) -> None:
-        """Push the pendulum, which changes its rate [rad/s]."""
-        self._loop.push(rate)
-
-    @property
-    def balancing(self) -> bool:
-        """Whether the pendulum is up, neither fallen nor on its way up."""
-        return self._loop.balancing
-
     def advance(self) -> None:
         """Advance by one tick; a fall is shown for `FALL`, then the arm swings the pendulum up.
 
         The pendulum is released again instead if that cannot be: see `swing_up`, or the flange has
         not come back.
         """
-        loop = self._loop
+        loop = self.loop
         if self.fallen and self._tick * self.h > FALL:
             if self.swing_up is None or self._cause != TRUNCATED:
                 self.begin()
@@ -202,11 +192,11 @@ class Playground:
         self.q, self.phi, self.box = loop.joints(), float(loop.state()[2]), -1
         inside = abs(observation[2]) < PHI_LIMIT and abs(observation[0]) < X_LIMIT
         if self.u_of_box is not None and inside and loop.balancing:
-            self.box = int(box_indices(observation[None, :], self._boxes)[0])
+            self.box = int(box_indices(observation[None, :], self._grid)[0])
 
     def sentences(self) -> tuple[str, str, str, str]:
         """Return the policy, the scene, the motion so far, and the effect of the latency."""
-        what = "It has been up" if self.balancing else "The arm has been swinging it up"
+        what = "It has been up" if self.loop.balancing else "The arm has been swinging it up"
         motion = self.fallen or f"{what} for {self._tick * self.h:.0f} s."
         transport, latency = self.scene.delay_ms, 1e3 * self.latency
         effect = (
@@ -236,7 +226,7 @@ class PlayPage:
         self._page.describe("starting", GREY, [compiling])
         self.playground = Playground(scene, yours)
         """The twin behind the page."""
-        self._page.show_arm(self.playground.arm)
+        self._page.show_arm(self.playground.policy.arm)
         self._page.pendulum.on_drag("left")(self._dragged)
         gui: Any = server.gui
         pushes = gui.add_button_group("Push", ("◀ push left", "push right ▶"), order=10)
@@ -293,7 +283,7 @@ class PlayPage:
 
     def _push(self, rate: float) -> None:
         with self._lock:
-            self.playground.push(rate)
+            self.playground.loop.push(rate)
 
     def advance(self, picture: int) -> None:
         """Advance by one picture.
@@ -307,7 +297,7 @@ class PlayPage:
                 twin.advance()
             self._page.show(twin.q, remainder(twin.phi, 2.0 * pi), twin.u)
             if picture % 12 == 0:  # texts change twice a second
-                name, colour = ("standing", GREEN) if twin.balancing else ("swinging up", BLUE)
+                name, colour = ("standing", GREEN) if twin.loop.balancing else ("swinging up", BLUE)
                 if twin.fallen:
                     name, colour = "fallen", VERMILION
                 self._page.describe(name, colour, twin.sentences())

@@ -71,7 +71,8 @@ class ReplayPage:
         rows = [np.degrees(motion.phi), 1e3 * motion.x, motion.u]
         rows += [1e3 * np.maximum(motion.late, 0.0)] if np.isfinite(motion.late).any() else []
         self._rows = np.array(rows)
-        self._page = RigPage(server, "Replay of a run", run.conditions.arm, len(rows))
+        self._page = RigPage(server, "Replay of a run", len(rows))
+        self._page.show_arm(run.conditions.arm)
         gui, first = server.gui, round(float(motion.time[0]), 2)
         ends: Any = {"min": first, "max": max(round(motion.end, 2), first + 0.01), "step": 0.01}
         self._slider = gui.add_slider("time [s]", initial_value=first, order=41, **ends)
@@ -136,15 +137,15 @@ class ReplayPage:
         now = self._motion.at(self.time)
         late = f", late by {1e3 * max(now.late, 0.0):.2f} ms" if isfinite(now.late) else ""
         lines = (
-            typeset(f"t = {now.time:.3f} s, u = {now.u:+.2f} m/s²{late}"),
+            typeset(f"t = {self.time:.3f} s, u = {now.u:+.2f} m/s²{late}"),
             f"{self._title}: {conditions.arm.name}, {conditions.world}; ended: {run.outcome}",
             run.damage,
         )
         with self._server.atomic():
             self._page.show(now.q, now.phi, now.u)
             self._page.describe(now.phase, BLUE, lines)
-            self._slider.value = round(now.time, 2)
-            begin, end = np.searchsorted(self._motion.time, (now.time - SPAN, now.time + 1e-9))
+            self._slider.value = round(self.time, 2)
+            begin, end = np.searchsorted(self._motion.time, (self.time - SPAN, self.time + 1e-9))
             self._page.draw(self._motion.time[begin:end], self._rows[:, begin:end])
             self._button.label = "Pause" if self.playing else "Play"
 

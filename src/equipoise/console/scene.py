@@ -47,15 +47,12 @@ class RigPage:
     to one picture.
     """
 
-    def __init__(
-        self, server: "viser.ViserServer", label: str, arm: Arm | None = None, plots: int = 0
-    ) -> None:
+    def __init__(self, server: "viser.ViserServer", label: str, plots: int = 0) -> None:
         """Fill a server's page.
 
         Args:
             server: The viser server.
             label: Title of the panel.
-            arm: The arm; None shows none before `show_arm`.
             plots: Number of plots, the first of `PLOTS`.
         """
         self._server, self._root = server, None
@@ -67,8 +64,6 @@ class RigPage:
         self._state = server.gui.add_html("", order=0)
         self._readings = server.gui.add_html("", order=40)
         self._plots = [self._add_plot(n, n == plots - 1) for n in range(plots)]
-        if arm is not None:
-            self.show_arm(arm)
 
     def show_arm(self, arm: Arm) -> None:
         """Show the surroundings of another arm, from the camera of the films; `show` adds it."""

@@ -23,6 +23,7 @@ import secrets
 import socket
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
+from functools import partial
 from http import HTTPStatus
 from importlib import import_module, resources
 from typing import TYPE_CHECKING, Any, Final
@@ -75,20 +76,20 @@ class Gate:
         self._cookie = f"equipoise-{secrets.token_hex(4)}={self.token}"
         self._actions, self._overlay = actions, overlay
 
-    def check(self, request: Any, serve: Callable[[Any], Any]) -> Any:
+    def check(self, connection: Any, request: Any, serve: Callable[[Any, Any], Any]) -> Any:
         """Return the response to a request; None accepts a websocket.
 
         Args:
-            request: Request of the package websockets.
+            connection: Connection of the package websockets.
+            request: Its request.
             serve: Returns viser's own response.
         """
         try:
-            response = self._response(request, serve)
+            response = self._response(connection, request, serve)
         except (ValueError, LookupError):  # an invalid address, or a header given twice
-            response = _respond(HTTPStatus.BAD_REQUEST, "This is not a valid request.")
+            response = connection.respond(HTTPStatus.BAD_REQUEST, "This is not a valid request.")
         if response is not None:
-            for name, value in HEADERS.items():
-                response.headers[name] = value
+            response.headers.update(HEADERS)
         return response
 
     def is_own(self, host: str) -> bool:
@@ -97,7 +98,7 @@ class Gate:
         is_address = ":" in name or name.replace(".", "").isdigit()
         return name in self._hosts or (self._any_address and is_address)
 
-    def _response(self, request: Any, serve: Callable[[Any], Any]) -> Any:
+    def _response(self, connection: Any, request: Any, serve: Callable[[Any, Any], Any]) -> Any:
         headers, address = request.headers, urlsplit(request.path)
         is_websocket = bool(headers.get_all("Upgrade"))
         cookies = [part.strip() for text in headers.get_all("Cookie") for part in text.split(";")]
@@ -106,29 +107,29 @@ class Gate:
         is_own = self.is_own(headers["Host"])
         if is_own and tokens and not is_websocket:
             if _equal(tokens[0], self.token):
+                response = connection.respond(HTTPStatus.SEE_OTHER, "")
                 cookie = f"{self._cookie}; Path=/; HttpOnly; SameSite=Strict"
-                more = {"Location": "/", "Set-Cookie": cookie}
-                return _respond(HTTPStatus.SEE_OTHER, "", more)
+                response.headers.update({"Location": "/", "Set-Cookie": cookie})
+                return response
         elif is_own and has_cookie:
             if is_websocket:
                 origin = urlsplit(headers.get("Origin", "")).netloc
                 if origin == headers["Host"]:
-                    return serve(request)
+                    return serve(connection, request)
             elif (action := self._actions.get(address.path)) is not None:
                 if "X-Equipoise" in headers:  # only a script of the page can send it
-                    return _respond(HTTPStatus.OK, action())
+                    return connection.respond(HTTPStatus.OK, action())
             elif address.path in ("/", "/index.html"):
-                return self._serve_page(request, serve)
+                with suppress(KeyError):
+                    del headers["Accept-Encoding"]  # viser then sends plain text
+                return self._with_overlay(serve(connection, request))
             else:
-                return serve(request)
+                return serve(connection, request)
         advice = "Open this page with its whole address, token included, as the terminal shows it."
-        return _respond(HTTPStatus.FORBIDDEN, advice)
+        return connection.respond(HTTPStatus.FORBIDDEN, advice)
 
-    def _serve_page(self, request: Any, serve: Callable[[Any], Any]) -> Any:
+    def _with_overlay(self, response: Any) -> Any:
         """Return viser's page with the overlay."""
-        with suppress(KeyError):
-            del request.headers["Accept-Encoding"]  # viser then sends plain text
-        response = serve(request)
         body = re.sub(rb"<title>.*?</title>", b"<title>Equipoise</title>", response.body, count=1)
         body = re.sub(rb'<link\s+rel="icon".*?/>', b"", body, count=1, flags=re.DOTALL)
         own = resources.files("equipoise.console").joinpath("page.html").read_bytes()
@@ -140,15 +141,6 @@ class Gate:
 
 def _equal(text: str, secret: str) -> bool:
     return hmac.compare_digest(text.encode(), secret.encode())
-
-
-def _respond(status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> Any:
-    from websockets.datastructures import Headers
-    from websockets.http11 import Response
-
-    body = text.encode()
-    own = {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))}
-    return Response(status.value, status.phrase, Headers(own | dict(headers or {})), body)
 
 
 @contextmanager
@@ -211,10 +203,8 @@ def _guarding(gate: Gate) -> Generator[None]:
     silent.disabled = True
 
     def serve(*arguments: Any, process_request: Any, **options: Any) -> Any:
-        def check(connection: Any, request: Any) -> Any:
-            return gate.check(request, lambda passed: process_request(connection, passed))
-
         guarded.append(True)
+        check = partial(gate.check, serve=process_request)
         return original(*arguments, process_request=check, logger=silent, **options)
 
     server.serve = serve

@@ -51,6 +51,8 @@ class OperatorMessage(NamedTuple):
     """Sentence for the operator."""
     answers: tuple[str, ...] = ()
     """Expected answers; empty for a message that needs none."""
+    time: float = np.nan
+    """Time on the run's clock [s]; NaN until it is logged."""
 
 
 class TickRecord(NamedTuple):

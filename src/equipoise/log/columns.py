@@ -41,12 +41,6 @@ class Column(NamedTuple):
     kind: str = "number"
     """Type: `number`, `integer`, `joints` (one number per joint) or `S` with a size [B] (text)."""
 
-    @property
-    def header(self) -> str:
-        """Name with unit, for the header of a CSV file."""
-        unit = self.unit.replace("/", "_").replace("^", "").replace(" ", "")
-        return f"{self.name}_{unit}" if unit else self.name
-
 
 TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
     "tick": (
@@ -164,6 +158,19 @@ def plain(column: Rows) -> list[Any]:
     first = column[:, 0] if column.ndim == 2 else column
     unknown = (first != first).tolist()
     return [None if no else value for value, no in zip(column.tolist(), unknown, strict=True)]
+
+
+def to_csv(table: str, rows: Rows, joints: Sequence[str]) -> dict[str, list[Any]]:
+    """Return the columns of a CSV file, one for each of the joints, by their names with units."""
+    columns: dict[str, list[Any]] = {}
+    for name, unit, _, kind in TABLES[table]:
+        end = "_" + unit.replace("/", "_").replace("^", "").replace(" ", "") if unit else ""
+        if kind == "joints":
+            for joint, values in zip(joints, rows[name].T, strict=True):
+                columns[f"{name}_{joint}{end}"] = plain(values)
+        else:
+            columns[f"{name}{end}"] = plain(rows[name])
+    return columns
 
 
 def from_messages(messages: Sequence[Mapping[str, Any]], kind: np.dtype[Any]) -> Rows:

@@ -5,13 +5,12 @@ count from the release; in a run that ended before it, from the first tick.
 """
 
 from math import isfinite, pi
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from equipoise.arrays import Array
 from equipoise.errors import ArtefactError, InputError, RecordingError
-from equipoise.log.columns import Rows
 from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Phase
 
@@ -19,8 +18,6 @@ from equipoise.outcomes import Phase
 class Pose(NamedTuple):
     """State of a run at a time."""
 
-    time: float
-    """Time [s]."""
     q: Array
     """Measured joints [rad], in simulation the true ones, shape (joints,)."""
     x: float
@@ -52,8 +49,8 @@ class Motion(NamedTuple):
     """Lateness [s], shape (n,); NaN in simulation."""
     phases: tuple[str, ...]
     """Phase of each tick."""
-    h: float
-    """Time between ticks [s]."""
+    end: float
+    """End of the motion [s]."""
     began: float
     """Time zero on the run's clock [s]."""
 
@@ -72,7 +69,7 @@ class Motion(NamedTuple):
                 "the times of the ticks in the log do not increase; give the log as it was written"
             )
         if conditions.simulated:
-            true = true_rows(run)
+            true = run.tables["truth"] if len(run.tables["truth"]) else tick
             q, x, phi, late = true["q"], true["x"], true["phi"], np.full(len(time), np.nan)
         else:
             q = _measured_joints(run, time, began)
@@ -86,12 +83,7 @@ class Motion(NamedTuple):
         if np.isfinite(phi).all():  # upright at the release is zero
             phi -= 2.0 * pi * np.round(phi[int(np.searchsorted(time, 0.0))] / (2.0 * pi))
         u = np.nan_to_num(tick["u"])
-        return cls(time, q, x, phi, u, late, phases, conditions.h, began)
-
-    @property
-    def end(self) -> float:
-        """End of the motion [s]."""
-        return float(self.time[-1]) + self.h
+        return cls(time, q, x, phi, u, late, phases, float(time[-1]) + conditions.h, began)
 
     def part(self, begin: float | None = None, end: float | None = None) -> tuple[float, float]:
         """Return start and end of a part [s].
@@ -119,7 +111,6 @@ class Motion(NamedTuple):
         row = max(int(np.searchsorted(self.time, time + 1e-9, side="right")) - 1, 0)
         phi = float(np.interp(time, self.time, self.phi))
         return Pose(
-            time=time,
             q=np.array([np.interp(time, self.time, angles) for angles in self.q.T]),
             x=float(np.interp(time, self.time, self.x)),
             phi=float(np.remainder(phi + pi, 2.0 * pi) - pi) if isfinite(phi) else phi,
@@ -162,13 +153,3 @@ def _measured_phi(run: RunLog, at: Array, began: float) -> Array:
     counts = np.interp(at, encoder["time"] - began, encoder["counts"])
     turns = (counts - zero) / (run.conditions.counts_per_rev or 1)
     return np.remainder(-2.0 * np.pi * turns, 2.0 * np.pi) - np.pi
-
-
-def true_rows(run: RunLog) -> Rows:
-    """Return the true states at all ticks if the log has them, else the ticks themselves."""
-    return run.tables["truth"] if len(run.tables["truth"]) else run.tables["tick"]
-
-
-def truth(run: RunLog) -> Any:
-    """Return the true state while balancing if the log has it, else observations and commands."""
-    return run.truth if len(run.truth.phi) else run

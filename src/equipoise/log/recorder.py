@@ -6,8 +6,8 @@ writer and one reader and needs no lock. A full ring drops new rows and counts t
 The memory of a run in real time is a file without a disk behind it, in a folder that only this
 user can enter. A console maps the same file: it reads rows without taking them, and writes to one
 ring of words, so that the run never waits for an observer and cannot tell whether one is alive. Two
-file locks, which the system releases when a process ends in any way, mark the run as alive and its
-ring of words as taken.
+file locks, which the system releases when a process ends in any way, mark the run as alive and, on
+the memory, its ring of words as taken by a console.
 """
 
 import mmap
@@ -18,18 +18,17 @@ import tempfile
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
-from equipoise.arm.arm import Arm
 from equipoise.control.ticks import OperatorMessage, TickInputs, TickOutput
 from equipoise.errors import OutsideError
-from equipoise.files import Name, Value, lock, write_atomically
+from equipoise.files import lock, write_atomically
 from equipoise.log.columns import tables, unknown_rows
-from equipoise.outcomes import Phase, describe
+from equipoise.log.conditions import RunConditions
+from equipoise.outcomes import describe
 
 RATES: Final[Mapping[str, float]] = {
     "tick": 100.0,
@@ -60,21 +59,6 @@ FOLDER: Final = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile
 """Folder for files without a disk on Linux; elsewhere that of temporary files."""
 PREFIX: Final = f"equipoise-{os.getuid() if hasattr(os, 'getuid') else 0}-"
 """Begin of the names of this user's runs."""
-CONSOLE: Final = "console"
-"""File that the console with the ring of words has locked."""
-
-
-class LoggedEvent(NamedTuple):
-    """A change of the phase, a prompt or a fault, as text."""
-
-    time: float
-    """Time on the run's clock [s]."""
-    name: str
-    """Name of the phase that began, or kind of message."""
-    answers: tuple[str, ...]
-    """Words expected from the operator: one of them."""
-    text: str
-    """Sentence for the operator."""
 
 
 class Ring:
@@ -192,16 +176,16 @@ class Recorder:
         """Return the rows of each table since the last call."""
         return {name: ring.take() for name, ring in self.rings.items()}
 
-    def ask(self, time: float, question: OperatorMessage | None) -> None:
-        """Publish the open question, which its time [s] identifies; None without one."""
+    def ask(self, question: OperatorMessage | None) -> None:
+        """Publish the open question, which its time identifies; None withdraws it."""
         row = self._question
         row["time"] = 0.0  # an observer ignores a row that is being written
         if question is not None:
             for name, text in _texts(question).items():
                 row[name] = text
-            row["time"] = time
+            row["time"] = question.time
 
-    def question(self) -> LoggedEvent | None:
+    def question(self) -> OperatorMessage | None:
         """Return the open question; None without one."""
         (question,) = read_events(self._question.copy())
         open_ = question.time == self._question["time"][0] != 0.0
@@ -230,12 +214,13 @@ def push_event(ring: Ring, time: float, event: OperatorMessage) -> None:
     ring.push(time=time, **_texts(event))
 
 
-def read_events(rows: npt.NDArray[Any]) -> list[LoggedEvent]:
-    """Return the events in rows of the table `event`."""
-    events: list[LoggedEvent] = []
+def read_events(rows: npt.NDArray[Any]) -> list[OperatorMessage]:
+    """Return the events in rows of the table `event`, with their times."""
+    events: list[OperatorMessage] = []
     for time, *texts in rows.tolist():
         name, answers, text = (value.decode("utf-8", "ignore") for value in texts)
-        events.append(LoggedEvent(time, name, tuple(filter(None, answers.split("|"))), text))
+        words = tuple(filter(None, answers.split("|")))
+        events.append(OperatorMessage(name, text, words, time))
     return events
 
 
@@ -248,24 +233,9 @@ def _texts(event: OperatorMessage) -> dict[str, bytes]:
 # The memory of a run.
 
 
-class RunInfo(Value):
-    """Description of a run for its observers."""
-
-    title: Name
-    """Robot, policy or world, for the heading."""
-    pid: int
-    """Process that owns the run."""
-    arm: Arm
-    """The arm."""
-    phases: Annotated[tuple[Phase, ...], Field(max_length=64)] = ()
-    """Phases by their number in the ticks' column `state`."""
-    duration: float | None = None
-    """Requested duration of the balancing [s]."""
-
-
 @contextmanager
-def share(info: RunInfo) -> Generator[Path]:
-    """Create the memory of a run, and remove it at the end.
+def share(conditions: RunConditions) -> Generator[Path]:
+    """Create the memory of a run, with its conditions for observers, and remove it at the end.
 
     Yields:
         The folder, for `open_recorder` in this process and in others.
@@ -280,12 +250,11 @@ def share(info: RunInfo) -> Generator[Path]:
     try:
         with (folder / "alive").open("wb") as alive:
             lock(alive)
-            size = memory_layout(len(info.arm.joints)).itemsize
+            size = memory_layout(len(conditions.joints)).itemsize
             try:
                 (folder / "memory").write_bytes(bytes(size))  # not sparse: a full disk shows here
-                (folder / CONSOLE).touch()
                 # An observer waits for this file.
-                write_atomically(folder / "run.json", info.model_dump_json())
+                write_atomically(folder / "run.json", conditions.model_dump_json())
             except OSError as error:
                 message = f"cannot create {size} bytes of shared memory in {FOLDER}: {error}"
                 raise OutsideError(message) from None
@@ -294,28 +263,20 @@ def share(info: RunInfo) -> Generator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def open_recorder(folder: Path, joints: int) -> Recorder:
-    """Map the rings of a run into this process.
+def open_recorder(folder: Path) -> tuple[RunConditions, Recorder]:
+    """Map the rings of a run into this process; return its conditions and the rings.
 
     Args:
         folder: Folder from `share`.
-        joints: Number of joints of the arm.
-
-    Raises:
-        OSError: The run has ended.
-    """
-    with (folder / "memory").open("r+b") as file:
-        return Recorder(joints, memoryview(mmap.mmap(file.fileno(), 0)))
-
-
-def read_info(folder: Path) -> RunInfo:
-    """Return the description of a run.
 
     Raises:
         OSError: The run has ended.
         ValueError: The run is one of another version of Equipoise.
     """
-    return RunInfo.model_validate_json((folder / "run.json").read_text(encoding="utf-8"))
+    conditions = RunConditions.model_validate_json((folder / "run.json").read_bytes(), strict=True)
+    with (folder / "memory").open("r+b") as file:
+        memory = memoryview(mmap.mmap(file.fileno(), 0))
+    return conditions, Recorder(len(conditions.joints), memory)
 
 
 def live_runs() -> list[Path]:

@@ -1,9 +1,9 @@
 """Log of a run: the tables of the whole run, and the columns of the balancing.
 
 `tables`, `events` and `end` hold the whole run: on a rig from the connection to rest, in simulation
-from its first tick on. The other attributes hold the balancing, during which the policy acts: a
-value per tick, with the time since the first, the release. On a rig the encoder's counts are then
-relative to the hanging pendulum, and the true state is unknown.
+from its first tick on. `ticks`, `truth`, `stream`, `replies` and `encoder` hold the balancing,
+during which the policy acts; `time` is that of each tick since the first, the release. On a rig the
+encoder's counts are then relative to the hanging pendulum, and the true state is unknown.
 
 A truncated or damaged log is read up to the first damage, on request: a chunk counts only with its
 checksum, messages only with consecutive sequence numbers.
@@ -17,27 +17,18 @@ from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from io import BytesIO
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from equipoise.arrays import Array, IntArray
+from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.files import DIGEST_PREFIX, Provenance, StrPath, shortened, write_atomically
-from equipoise.log.columns import (
-    TABLES,
-    Rows,
-    canonical,
-    from_messages,
-    plain,
-    tables,
-    unknown_rows,
-)
+from equipoise.log.columns import Rows, canonical, from_messages, tables, to_csv, unknown_rows
 from equipoise.log.conditions import RunConditions, RunEnd
-from equipoise.log.recorder import LoggedEvent, read_events
+from equipoise.log.recorder import read_events
 from equipoise.log.writer import FORMAT, LogEncoder
 from equipoise.outcomes import End, Outcome, Phase
 
@@ -52,7 +43,7 @@ def _read_mcap(path: Path) -> tuple[Mapping[str, str], Mapping[str, list[bytes]]
     from mcap.stream_reader import StreamReader
 
     try:
-        file = BytesIO(path.read_bytes())
+        file = io.BytesIO(path.read_bytes())
     except OSError as error:
         raise ArtefactError(f"cannot read {path}: {error.strerror}; check the path") from None
     entries: dict[str, str] = {}
@@ -99,16 +90,6 @@ def _without_partial_ticks(rows: Mapping[str, Rows], h: float) -> dict[str, Rows
     return dict(rows) | {name: rows[name][:complete] for name in ("tick", "truth")}
 
 
-class _TickColumn:
-    """Column of the ticks of the balancing, as an attribute of a run with the column's name."""
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self._name = name
-
-    def __get__(self, run: "RunLog", owner: type) -> npt.NDArray[Any]:
-        return run.ticks[self._name]
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class RunLog:
     """One run."""
@@ -151,7 +132,7 @@ class RunLog:
         return End(Outcome.BROKEN_OFF, {"text": stops[-1]} if stops else {})
 
     @cached_property
-    def events(self) -> tuple[LoggedEvent, ...]:
+    def events(self) -> tuple[OperatorMessage, ...]:
         """Changes of the phase, prompts and faults, in order."""
         return tuple(read_events(self.tables["event"]))
 
@@ -179,17 +160,21 @@ class RunLog:
         return np.flatnonzero(np.isin(self.tables["tick"]["state"], states))
 
     @cached_property
-    def ticks(self) -> Rows:
-        """Rows of the balancing without unknown numbers, shape (n,)."""
+    def ticks(self) -> Any:
+        """Ticks of the balancing without unknown numbers: attributes as the columns of `tick`.
+
+        With an encoder, `x`, `x_dot`, `phi` and `phi_dot` are predictions for the time at which the
+        command takes effect.
+        """
         rows = self.tables["tick"][self.phase_ticks(Phase.BALANCING)]
         known = [np.isfinite(rows[name]) for name in ("x", "x_dot", "phi", "phi_dot", "u")]
         known += [np.isfinite(rows[name]).all(axis=1) for name in ("q", "dq")]
-        return rows[np.all(known, axis=0)]
+        return rows[np.all(known, axis=0)].view(np.recarray)
 
     @property
     def release(self) -> float:
         """Time of the release on the run's clock [s]; zero without balancing."""
-        return float(self.ticks["time"][0]) if len(self.ticks) else 0.0
+        return float(self.ticks.time[0]) if len(self.ticks) else 0.0
 
     def require_balancing(self) -> None:
         """Reject a run without balancing.
@@ -208,41 +193,12 @@ class RunLog:
         phases = (self.conditions.phases[state] for state in states)
         return next((phase for phase in phases if phase is not Phase.STOPPING), None)
 
-    # Columns of the balancing.
+    # Rows of the balancing.
 
     @cached_property
     def time(self) -> Array:
         """Start of each tick since the release [s], shape (n,)."""
-        return self.ticks["time"] - self.release
-
-    x = _TickColumn()
-    """Displacement of the flange from home along base x, as observed by the policy [m], shape (n,).
-
-    With an encoder, this and the next three columns are predictions for the time at which the
-    command takes effect.
-    """
-    x_dot = _TickColumn()
-    """Velocity of the flange, as observed by the policy [m/s], shape (n,)."""
-    phi = _TickColumn()
-    """Angle of the pendulum from upright, as observed by the policy [rad], shape (n,)."""
-    phi_dot = _TickColumn()
-    """Angular velocity of the pendulum, as observed by the policy [rad/s], shape (n,)."""
-    box = _TickColumn()
-    """Box of the table that contains the state, shape (n,)."""
-    u = _TickColumn()
-    """Commanded acceleration of the flange along x [m/s^2], shape (n,)."""
-    q = _TickColumn()
-    """Joint positions commanded for the end of the tick [rad], shape (n, joints)."""
-    dq = _TickColumn()
-    """Joint velocities commanded for the end of the tick [rad/s], shape (n, joints)."""
-    estimated_phi = _TickColumn()
-    """Estimate of phi at the tick, without prediction [rad], shape (n,)."""
-    estimated_x_dot = _TickColumn()
-    """Estimate of x_dot at the tick, without prediction [m/s], shape (n,)."""
-    estimated_x = _TickColumn()
-    """Estimate of x at the tick, without prediction [m], shape (n,)."""
-    bias = _TickColumn()
-    """Estimate of the encoder's zero error [rad], shape (n,)."""
+        return self.ticks.time - self.release
 
     @cached_property
     def truth(self) -> Any:
@@ -285,7 +241,7 @@ class RunLog:
         """
         rows, h = self.tables[table], self.conditions.h
         if len(self.tables["tick"]) or not self.conditions.simulated:
-            first, last = self.ticks["time"][[0, -1]] if len(self.ticks) else (np.inf, -np.inf)
+            first, last = self.ticks.time[[0, -1]] if len(self.ticks) else (np.inf, -np.inf)
             rows = rows[(rows["time"] >= first - h) & (rows["time"] <= last + h)]
         rows = rows.copy()
         rows["time"] -= self.release
@@ -353,22 +309,12 @@ class RunLog:
         for name, rows in self.tables.items():
             if not len(rows) and (self.conditions.simulated or name == "truth"):
                 continue
-            columns: dict[str, list[Any]] = {}
-            for column in TABLES[name]:
-                if column.kind == "joints":
-                    for joint, values in zip(
-                        self.conditions.joints, rows[column.name].T, strict=True
-                    ):
-                        header = column._replace(name=f"{column.name}_{joint}").header
-                        columns[header] = plain(values)
-                else:
-                    columns[column.header] = plain(rows[column.name])
-            text = io.StringIO()
+            columns, text = to_csv(name, rows, self.conditions.joints), io.StringIO()
             writer = csv.writer(text, lineterminator="\n")
             writer.writerow(columns)
             writer.writerows(zip(*columns.values(), strict=True))
             made.append(folder / f"{name}.csv")
-            write_atomically(made[-1], text.getvalue().encode())
+            write_atomically(made[-1], text.getvalue())
         return made
 
     @classmethod
@@ -418,33 +364,17 @@ class RunLog:
 
 
 def simulated_log(
-    conditions: RunConditions,
-    end: RunEnd,
-    ticks: Mapping[str, Any],
-    *,
-    truth: Mapping[str, Any] | None = None,
-    stream: Mapping[str, Any] | None = None,
-    replies: Mapping[str, Any] | None = None,
-    encoder: Mapping[str, Any] | None = None,
+    conditions: RunConditions, end: RunEnd, columns_of: Mapping[str, Mapping[str, Any]]
 ) -> RunLog:
-    """Create a simulated run from the columns of its tables; columns that are missing are unknown.
+    """Create a simulated run from the columns of its tables, by the names of both.
 
-    The names are those of `equipoise.log.columns`. The times of `ticks` hold for `truth`, too;
-    `replies` need only `time` and `q`.
+    Tables may be missing; so may columns except `time`, whose values are then unknown.
     """
-    columns_of: dict[str, Mapping[str, Any] | None] = {
-        "tick": {"late": 0.0, "compute": 0.0, **ticks},
-        "truth": truth and {"time": ticks["time"], **truth},
-        "stream": stream,
-        "reply": replies and {**replies, "sent": replies["time"]},
-        "encoder": encoder,
-    }
     kinds, filled = tables(len(conditions.joints)), dict[str, Rows]()
     for name, columns in columns_of.items():
-        if columns:
-            filled[name] = unknown_rows(kinds[name], len(columns.get("time", ())))
-            for column, values in columns.items():
-                filled[name][column] = values
+        filled[name] = unknown_rows(kinds[name], len(columns["time"]))
+        for column, values in columns.items():
+            filled[name][column] = values
     return RunLog(conditions, filled, end)
 
 

@@ -5,25 +5,23 @@ Every function returns a matplotlib figure; `equipoise.report.style.save` writes
 
 from itertools import pairwise
 from math import inf
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
 
 from equipoise import paper
 from equipoise.arrays import Array
 from equipoise.control.policy import TabularPolicy
 from equipoise.identification.recording import Trajectory, fitted_curve
-from equipoise.log.motion import Motion, true_rows, truth
+from equipoise.log.motion import Motion
 from equipoise.log.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
 from equipoise.outcomes import Outcome, Phase
 from equipoise.report import style
 from equipoise.report.style import edges, new_figure, plain, styled, typeset
 from equipoise.simulation.evaluation import Evaluation, TrialResults
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 TRIAL_LINES: Final[tuple[dict[str, Any], ...]] = (
     {"color": style.BLUE, "linewidth": 3.2},
@@ -42,7 +40,7 @@ JOINT_COLOURS: Final = (
 
 
 @styled()
-def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
+def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> Figure:
     """Draw a recorded swing with its fit, and the residual.
 
     As in the paper's figure 2 the recording is a continuous line and the fit a dashed one.
@@ -81,7 +79,7 @@ def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
 
 
 @styled()
-def learning_curve(policy: TabularPolicy) -> "Figure":
+def learning_curve(policy: TabularPolicy) -> Figure:
     """Draw the mean duration of the training episodes, and mark the selected table.
 
     Args:
@@ -107,7 +105,7 @@ def learning_curve(policy: TabularPolicy) -> "Figure":
 
 
 @styled()
-def survival(evaluation: Evaluation) -> "Figure":
+def survival(evaluation: Evaluation) -> Figure:
     """Draw survival against time, and the final survival rates with their intervals.
 
     Args:
@@ -158,15 +156,15 @@ def _survival_curve(results: TrialResults, begin: float, end: float) -> tuple[Ar
 
 
 @styled()
-def run_figure(recipe: str, run: RunLog, beside: RunLog) -> "Figure":
+def run_figure(recipe: str, run: RunLog, beside: RunLog) -> Figure:
     """Draw a run as in the paper's figures 4 to 7: the first 5 s, as there.
 
     The rows are command, joints, pendulum and flange, with the edges of the boxes and the failure
-    limits. Where a simulation has the true state beside the policy's observation, both are drawn.
+    limits. The true state is drawn beside the policy's observation.
 
     Args:
         recipe: Title: the recipe of the policy.
-        run: A run with a policy.
+        run: A simulated run with a policy.
         beside: The run of the figure beside it, which gets the same axes.
 
     Raises:
@@ -187,7 +185,7 @@ def run_figure(recipe: str, run: RunLog, beside: RunLog) -> "Figure":
     edges = np.append(time, time[-1] + run.conditions.h)
     figure = new_figure(8.8, f"{recipe}: {run.outcome} after {run.survival:g} s")
     axes: Any = figure.subplots(6, 1, sharex=True, height_ratios=(3, 2, 2, 2, 2, 2))
-    axes[0].stairs(run.u[run.time < until], edges, baseline=None, **observed_line)
+    axes[0].stairs(run.ticks.u[run.time < until], edges, baseline=None, **observed_line)
     axes[0].set_yticks(paper.ACTIONS, [typeset(f"{action:+g}") for action in paper.ACTIONS])
     axes[0].set_ylabel("u [m/s²]")
     joints, *states = _curves(run, until)
@@ -223,18 +221,18 @@ def _curves(run: RunLog, until: float) -> list[Array]:
     They are the change of the joints [deg], then the true and the observed phi [deg], phi_dot
     [deg/s], x [m] and x_dot [m/s].
     """
-    shown, true, deg = run.time < until, truth(run), np.rad2deg
+    shown, true, seen, deg = run.time < until, run.truth, run.ticks, np.rad2deg
     return [
-        deg(run.q - run.q[0])[shown],
-        np.column_stack((deg(true.phi), deg(run.phi)))[shown],
-        np.column_stack((deg(true.phi_dot), deg(run.phi_dot)))[shown],
-        np.column_stack((true.x, run.x))[shown],
-        np.column_stack((true.x_dot, run.x_dot))[shown],
+        deg(seen.q - seen.q[0])[shown],
+        np.column_stack((deg(true.phi), deg(seen.phi)))[shown],
+        np.column_stack((deg(true.phi_dot), deg(seen.phi_dot)))[shown],
+        np.column_stack((true.x, seen.x))[shown],
+        np.column_stack((true.x_dot, seen.x_dot))[shown],
     ]
 
 
 @styled()
-def swing_up(run: RunLog) -> "Figure":
+def swing_up(run: RunLog) -> Figure:
     """Draw a swing-up: the pendulum in the phase plane; angle, flange and command against time.
 
     Args:
@@ -243,13 +241,11 @@ def swing_up(run: RunLog) -> "Figure":
     Raises:
         RecordingError: The run has no ticks.
     """
-    from matplotlib.ticker import MultipleLocator
-
     motion = Motion.of(run)
     first, h = len(run.phase_ticks(Phase.SWINGING_UP)), run.conditions.h
     taken, last = first * h, first + round(2.0 / h)  # the first 2 s of the policy
     time = motion.time - motion.time[0]
-    phi, phi_dot = np.rad2deg(motion.phi), np.rad2deg(true_rows(run)["phi_dot"])
+    phi, phi_dot = np.rad2deg(motion.phi), np.rad2deg(run.tables["truth"]["phi_dot"])
     title = f"handed over after {taken:.2f} s" if len(run.ticks) else str(run.outcome)
     figure = new_figure(3.8, f"Swing-up: {title}")
     rows: Any = {"φ [°]": phi, "x [m]": motion.x, "u [m/s²]": motion.u}
@@ -281,7 +277,7 @@ def swing_up(run: RunLog) -> "Figure":
 
 
 @styled()
-def policy_picture(policy: TabularPolicy) -> "Figure":
+def policy_picture(policy: TabularPolicy) -> Figure:
     """Draw the commanded acceleration per box: a panel per x and x_dot, with phi and phi_dot axes.
 
     Boxes without a number were never visited in the training.

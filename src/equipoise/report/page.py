@@ -9,17 +9,17 @@ import re
 from collections.abc import Callable, Iterator
 from importlib.metadata import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import jinja2
 import numpy as np
 from markupsafe import Markup, escape
+from matplotlib.figure import Figure
 
 from equipoise import paper
 from equipoise.errors import OutsideError
 from equipoise.files import Provenance, Value, write_atomically
 from equipoise.film import write_film
-from equipoise.log.motion import truth
 from equipoise.model.worlds import MODEL, TwinSettings
 from equipoise.outcomes import Outcome
 from equipoise.printable import as_text, label, plus_minus, printable
@@ -29,11 +29,8 @@ from equipoise.reproduction.results import SWING, RecipeResults, Results
 from equipoise.settings import BoxSettings, Settings
 from equipoise.simulation.evaluation import Evaluation, exact_interval
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 PAGE: Final = "report.html"
-FIGURES: Final[dict[str, Callable[[Results], "Figure"]]] = {
+FIGURES: Final[dict[str, Callable[[Results], Figure]]] = {
     "swing": lambda r: figures.free_swing(r.swing, r.pendulum),
     "learning-curve": lambda r: figures.learning_curve(r.default.policy),
     "survival": lambda r: figures.survival(r.default.evaluation),
@@ -159,7 +156,7 @@ def comparison(results: Results) -> dict[str, dict[str, Any]]:
 
 def _figures(recipe: RecipeResults) -> dict[str, Any]:
     """Return the figures of a recipe; without a twin, none of its trials there."""
-    run, true, on_twin = recipe.run, truth(recipe.run), recipe.twin_evaluation
+    run, true, on_twin = recipe.run, recipe.run.truth, recipe.twin_evaluation
     there = _trials("robot_or_twin", on_twin, paper.SECONDS_BALANCED) if on_twin else {}
     return {
         "delay_in_training_ms": round(1e3 * recipe.policy.actuator.delay.value, 1),

@@ -166,7 +166,7 @@ def _local_fits(time: Array, values: Array, at: Array, half: float) -> tuple[Arr
 
 def _u_max(log: RunLog) -> float:
     """Return the policy's maximum u [m/s^2]; where it is unknown, that of the run."""
-    return log.conditions.u_max or float(np.abs(log.u).max())
+    return log.conditions.u_max or float(np.abs(log.ticks.u).max())
 
 
 def _missed(log: RunLog) -> str:
@@ -184,7 +184,7 @@ def _outside(log: RunLog) -> Cause | None:
     """Detect the time after which no command could hold the pendulum."""
     pendulum = log.conditions.pendulum
     u_max = _u_max(log)
-    diverging = diverging_angle(log.phi, log.phi_dot, pendulum)
+    diverging = diverging_angle(log.ticks.phi, log.ticks.phi_dot, pendulum)
     bound, mu = recoverable_angle(pendulum, u_max), fall_rate(pendulum) + pendulum.c
     beyond = np.abs(diverging) > bound
     inside = np.flatnonzero(~beyond)
@@ -217,7 +217,7 @@ def response_delay(log: RunLog, moved: ModelMotion) -> float | None:
     time = np.arange(max(end - LATE, float(moved.time[0])), end - SPAN, GRID_STEP)
     if len(time) < 30:
         return None
-    v = np.cumsum(np.append(0.0, h * log.u))
+    v = np.cumsum(np.append(0.0, h * log.ticks.u))
     x = np.cumsum(np.append(0.0, 0.5 * h * (v[1:] + v[:-1])))
     commanded = np.append(log.time, log.time[-1] + h)
     measured = _second_difference(time, moved.time, moved.x)
@@ -237,8 +237,8 @@ def _delay(log: RunLog, moved: ModelMotion) -> Cause | None:
     """Detect a delay of the flange that is longer than the controller's prediction."""
     delay = response_delay(log, moved)
     # By the trapezoidal rule, the predicted change of phi is the mean rate times the horizon.
-    rate = 0.5 * (log.phi_dot + log.ticks["estimated_phi_dot"])
-    horizon = float(rate @ (log.phi - log.estimated_phi) / (rate @ rate))
+    rate = 0.5 * (log.ticks.phi_dot + log.ticks.estimated_phi_dot)
+    horizon = float(rate @ (log.ticks.phi - log.ticks.estimated_phi) / (rate @ rate))
     # A prediction from the identified actuator is 5 ms too long at least (`controller.margin`).
     if delay is None or not delay - horizon > 0.002:
         return None
@@ -254,7 +254,7 @@ def _delay(log: RunLog, moved: ModelMotion) -> Cause | None:
 
 def _pause(log: RunLog) -> Cause | None:
     """Detect the largest speed that the flange lost at once in the last part."""
-    lost = np.append(0.0, -np.diff(log.x_dot))
+    lost = np.append(0.0, -np.diff(log.ticks.x_dot))
     lost[log.time < log.survival - LATE] = 0.0
     i = int(np.argmax(np.abs(lost)))
     u_max = _u_max(log)
@@ -311,6 +311,6 @@ def _zero(log: RunLog, time: Array, rate: Array) -> Cause | None:
     text = (
         f"over the last {seconds:.1f} s the encoder read {degrees(error):+.1f} deg from upright "
         f"while gravity pulled as upright (the observer's estimate: "
-        f"{degrees(float(log.bias[-1])):+.1f} deg)"
+        f"{degrees(float(log.ticks.bias[-1])):+.1f} deg)"
     )
     return Cause(RootCause.ZERO, score, log.survival, text)

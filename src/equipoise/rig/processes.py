@@ -31,7 +31,6 @@ from equipoise.log.recorder import (
     CONNECTING,
     ENDED,
     Recorder,
-    RunInfo,
     open_recorder,
     push_event,
     read_events,
@@ -95,13 +94,11 @@ def run_in_processes(
     """
     with user_code(f"sending {request.policy.name} to another process", "give it as MODULE:NAME"):
         data = pickle.dumps(request)
-    arm = request.settings.described_arm
-    title = f"{request.policy.name} on {request.robot}"[:1024]
-    info = RunInfo(title=title, pid=os.getpid(), arm=arm, phases=PHASES, duration=request.duration)
+    conditions = request.conditions()
     signalled: list[str] = []
-    with share(info) as memory, handled_signals(SIGNALS, lambda *_: signalled.append(STOP)):
-        recorder = open_recorder(memory, len(arm.joints))
-        logs = RunLogs(out, request.conditions(), request.runs, time.monotonic())
+    with share(conditions) as memory, handled_signals(SIGNALS, lambda *_: signalled.append(STOP)):
+        _, recorder = open_recorder(memory)
+        logs = RunLogs(out, conditions, request.runs, time.monotonic())
         over, following = threading.Event(), SimpleQueue[Following]()
         drains = threading.Thread(
             target=_drain, args=(logs, recorder, over, following), daemon=True
@@ -109,7 +106,7 @@ def run_in_processes(
         drains.start()
         context = multiprocessing.get_context("spawn")
         results, loop_end = context.Pipe()
-        loop = context.Process(target=_loop, args=(data, memory, len(arm.joints), loop_end))
+        loop = context.Process(target=_loop, args=(data, memory, loop_end))
         end = RunEnd()
         try:
             blocked = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # until it is ready
@@ -198,7 +195,7 @@ def _attend(
             person.notify(OperatorMessage("fault", text))
         silent = streams and not beats
         for event in read_events(recorder.notices.take()):
-            person.notify(OperatorMessage(event.name, event.text, event.answers))
+            person.notify(event)
         if logs.problem is not None and not warned:
             warned = True
             person.notify(log_warning(logs.problem))
@@ -223,9 +220,9 @@ def _attend(
 # The loop's process.
 
 
-def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
+def _loop(data: bytes, memory: Path, pipe: Any) -> None:
     """Run the loop's process for a pickled request, whose policy is imported here anew."""
-    recorder = open_recorder(memory, joints)
+    _, recorder = open_recorder(memory)
     operator = OperatorProxy(recorder)
     for number in SIGNALS:
         signal.signal(number, lambda *_: operator.signals.append(STOP))
@@ -299,7 +296,6 @@ class OperatorProxy:
     def __init__(self, recorder: Recorder) -> None:
         """Connect to the rings of a run."""
         self._recorder = recorder
-        self._open = 0.0  # time of the open question [s]; 0 without one
         self._parent = os.getppid()
         self.signals: list[str] = []
         """Stops that signals to this process request."""
@@ -309,20 +305,19 @@ class OperatorProxy:
         now = time.monotonic()
         push_event(self._recorder.notices, now, event)
         if event.answers:
-            self._open = now
-            self._recorder.ask(now, event)
+            self._recorder.ask(event._replace(time=now))
         elif event.name not in ("warning", "nudge"):  # these come beside an open question
-            self._close()
+            self._recorder.ask(None)
 
     def read_input(self) -> list[str]:
         """Return the words of the operators, the oldest first."""
         words = [word.decode("utf-8", "ignore") for word in self._recorder.typed.take()["word"]]
         if any(words):  # Enter alone may be no answer
-            self._close()
+            self._recorder.ask(None)
         for question, data in self._recorder.console.take().tolist():
-            word = data.decode("utf-8", "ignore")
-            if word == STOP or question == self._open > 0.0:
-                self._close()
+            word, asked = data.decode("utf-8", "ignore"), self._recorder.question()
+            if word == STOP or (asked is not None and question == asked.time):
+                self._recorder.ask(None)
                 words.append(word)
                 self.notify(OperatorMessage("console", f"Console: {word}"))
         words += self.signals
@@ -331,9 +326,3 @@ class OperatorProxy:
             self._parent = os.getppid()
             words.append(ALONE)
         return words
-
-    def _close(self) -> None:
-        """Withdraw the open question."""
-        if self._open:
-            self._open = 0.0
-            self._recorder.ask(0.0, None)

@@ -81,9 +81,10 @@ def simulate_run(
         evidence = dict(zip(state, rows.state[-1].tolist(), strict=True))
     measured: dict[str, Any] = {}
     if twin is not None:
+        joints, measured_at = _all_joints(arm, rows.measured[:, :-1]), rows.measured[:, -1]
         measured = {
             "stream": {"time": sent, "q": _all_joints(arm, setpoints)},
-            "replies": {"time": rows.measured[:, -1], "q": _all_joints(arm, rows.measured[:, :-1])},
+            "reply": {"time": measured_at, "sent": measured_at, "q": joints},
             "encoder": {"time": rows.encoder[:, 1], "counts": rows.encoder[:, 0]},
         }
     boxes = make_grid(settings.boxes, pendulum.parameters().k)
@@ -113,18 +114,23 @@ def simulate_run(
             upright=round(end.upright * h, 9) if end.steps and end.upright else None,
         ),
         {
-            "time": time,
-            "state": np.arange(len(time)) < end.upright,  # swinging up, in the conditions' phases
-            **dict(zip(TickRecord._fields, decided, strict=False)),
-            "q": _all_joints(arm, rows.q),
-            "dq": _all_joints(arm, rows.dq, held=0.0),
+            "tick": {
+                "time": time,
+                "late": 0.0,
+                "compute": 0.0,
+                "state": np.arange(len(time)) < end.upright,  # swinging up, of the phases
+                **dict(zip(TickRecord._fields, decided, strict=False)),
+                "q": _all_joints(arm, rows.q),
+                "dq": _all_joints(arm, rows.dq, held=0.0),
+            },
+            "truth": {
+                "time": time,
+                **dict(zip(state, rows.state.T, strict=True)),
+                "tracked": rows.tracked,
+                "q": rows.joints,
+            },
+            **measured,
         },
-        truth={
-            **dict(zip(state, rows.state.T, strict=True)),
-            "tracked": rows.tracked,
-            "q": rows.joints,
-        },
-        **measured,
     )
 
 
@@ -183,10 +189,11 @@ def excite(
             **_twin_conditions(twin.settings),
         ),
         RunEnd(outcome=Outcome.EXCITED),
-        {},
-        stream={"time": time, "q": _all_joints(arm, sent)},
-        replies={"time": measured_at, "q": _all_joints(arm, measured)},
-        encoder={"time": counted_at, "counts": counts},
+        {
+            "stream": {"time": time, "q": _all_joints(arm, sent)},
+            "reply": {"time": measured_at, "sent": measured_at, "q": _all_joints(arm, measured)},
+            "encoder": {"time": counted_at, "counts": counts},
+        },
     )
 
 
