@@ -44,20 +44,24 @@ def test_servo_is_acknowledged_before_it_exists_and_then_forgets_its_target(benc
     assert float(bench.say(ASK).split(b"_")[0]) == pytest.approx(0.3)
 
 
-def test_main_thread_is_deaf_while_a_servo_runs(servo):
-    assert servo.say(START, wait=0.5) == b""
+@pytest.mark.parametrize("command", ["doPTPinJS", START])
+def test_main_thread_is_deaf_while_a_servo_runs(servo, command):
+    assert servo.say(command, wait=0.5) == b""
     assert servo.say(moved("jp", 0.0)) == b"done\n"
     assert servo.say(STOP, wait=0.5) == b"done\n", "what waited has been erased"
 
 
+TORQUES = b"0.0_-12.5_0.0_8.25_0.0_0.5_0.0_\n"
 EXTERNAL = b"0.5_-1.25_1.0E-4_0.0_0.0_0.0_0.125_\n"
 
 
 @pytest.mark.parametrize(
     ("command", "reply"),
     [
-        *(("blueOn", b"done\n"), ("blueOff", b"done\n")),
-        (moved("jpExT", 0.0), EXTERNAL),
+        *((command, b"done\n") for command in ("blueOn", "blueOff", "jRelVel_0.1_")),
+        *(("Torques_ext_J", EXTERNAL), ("Torques_m_J", TORQUES)),
+        *((moved("jpExT", 0.0), EXTERNAL), (moved("jpMT", 0.0), TORQUES)),
+        ("jRelVel_fast_", b"nak\n"),
         # Silent in the real server: unknown, or misspelt by a client.
         *((command, b"") for command in ("hello", "pin1", "DcSeCarW_1_2_")),
         ("startSmartImpedanceJoints_1.0_0.0_0.0_0.0_900_80_50_", b""),
@@ -90,7 +94,7 @@ def test_client_that_vanishes_leaves_the_servo_on_and_nobody_is_served_again(ser
 
 
 COMMANDS = st.sampled_from(
-    [START, STOP, "hello", ASK, "jp_0.1_", "jpJP_NaN_", "jp_nan_", "end", ""]
+    [START, STOP, "doPTPinJS", ASK, "jp_0.1_", "jpJP_NaN_", "jp_nan_", "end", "jRelVel_0.1_", ""]
 )
 
 

@@ -45,6 +45,14 @@ def test_session():
     assert ask(bench, b"stopDirectServoJoints\n") == b"done\n"
     bench.wait(0.3)
     assert not bench.body.running
+    start = bench.body.measured()[0]
+    for command in (b"jRelVel_0.1_\n", b"jp_" + numbers(HOME) + b"\n\n", b"doPTPinJS\n"):
+        assert ask(bench, command) == b"done\n"
+        bench.wait(0.05)
+    assert bench.body.measured()[0] == pytest.approx(start), "the second receive is for the end"
+    assert ask(bench, b"") == b"done\n"
+    assert bench.body.measured() == pytest.approx(HOME, abs=1e-4)
+    assert ask(bench, b"Torques_m_J\n").count(b"_") == 7
     bench.client.write(b"end\n")
     bench.wait(1.0)
     with pytest.raises(LinkError):

@@ -1,22 +1,25 @@
-"""Emulator of a cabinet with its KST server: its joint servo, with the server's faults.
+"""Emulator of a cabinet with its KST server: joint servo and motions, with the server's faults.
 
 The server (`KstServer`) serves a link in memory or on a TCP port (`KstHardware`). As in the real
 one, two threads share one string. The *reader* receives each line, and handles targets,
 `getJointsPositions`, stop and end itself. Any other line waits in that string for the *main*
-thread, which ignores it while a servo runs. Hence:
+thread, which ignores it while a servo or a motion runs. Hence:
 
 - A servo is acknowledged before it exists; its target is then overwritten with the measured joints.
+- A point-to-point motion is acknowledged twice, at its start and at its end. It keeps its own goal:
+  targets in between are acknowledged, and nothing stops it.
 - A command for the main thread that arrives while a servo runs is not answered, and the next line
-  erases it. An unknown command is never answered.
+  erases it; so does the end of a motion. An unknown command is never answered.
+- A motion that the controller cannot plan is acknowledged, then refused: `nak`.
 - A number that Java cannot parse (`nan`; but `NaN` becomes the target) kills the reader: all later
   lines are ignored, stop and end included, and the servo continues.
 - Fewer than seven joints change the first ones only; further ones are ignored.
 - The client is not supervised: if it vanishes, the servo continues, and no other client is ever
   served.
 
-Not modelled, and not answered: everything but the joint servo with its joints and external torques
-(motions, poses, forces, tools, pins, Cartesian, impedance and velocity servos). The server does not
-end when no client connects for 60 s.
+Not modelled, and not answered: everything but joints and their torques (poses, forces, tools, pins,
+Cartesian, impedance and velocity servos), and motions that end at a torque (`doPTP!`). The server
+does not end when no client connects for 60 s.
 """
 
 import socket
@@ -24,6 +27,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Final
 
+from equipoise.control.minimum_jerk import path_within
 from equipoise.errors import InputError, LinkError, OutsideError
 from equipoise.rig.interfaces import Transport
 from equipoise.rig.simulated_rig import Bodies, SimulatedRig
@@ -35,7 +39,18 @@ HOST: Final = "127.0.0.1"
 """Address of the emulated cabinet: this machine."""
 DONE: Final = b"done\n"
 """Acknowledgement of the server."""
-READER: Final = ("jp_", "jpJP_", "jpExT_", codec.GET_JOINTS, codec.STOP_SERVO, "blueOn", "blueOff")
+NAK: Final = b"nak\n"
+"""Reply of the server after an error in its main thread."""
+PLANNING_TIME: Final = 0.1
+"""Time from the acknowledgement of a motion until it starts or is refused [s]. Assumed. A client
+that receives both replies in one segment waits for the second without end."""
+SETTLING_TIME: Final = 0.35
+"""Time from the end of a motion's path until its second acknowledgement [s]: the emulated arm
+follows by the law of the servo, which takes this for the last milliradian."""
+READER: Final = (
+    *("jp_", "jpJP_", "jpExT_", "jpMT_"),  # targets
+    *(codec.GET_JOINTS, codec.STOP_SERVO, "blueOn", "blueOff"),
+)
 """Starts of the lines that the reader answers."""
 
 
@@ -53,15 +68,18 @@ class KstServer:
         """Whether the server's program has ended; it closes the connection then."""
         self.deserted = False
         """Whether the client left without an `end`; no other is ever served."""
+        self._farewell = False
         self._body, self._link, self._target = body, link, [0.0] * len(body.arm.joints)
         self._measure = body.measured  # of the servo, which no fault of a reply reaches
         self._rest, self._reads = b"", True
+        self._now = self._speed = 0.0
         self._waiting = ""
         self._requested = self._runs = False  # the servo
         self._main = self._run_main()
 
-    def advance(self, _: float) -> None:
-        """Run the server's threads for a millisecond; the time does not matter."""
+    def advance(self, now: float) -> None:
+        """Run the server's threads until a time [s]."""
+        self._now = now
         try:
             self._receive(self._link.read())
         except LinkError:  # the servo continues to its last target
@@ -91,7 +109,8 @@ class KstServer:
         """
         self._waiting = ""
         if command.startswith("end"):
-            self._requested, self.ended, self._reads = False, True, False
+            self._requested = self._reads = False
+            self._farewell = True
         elif command.startswith(READER):
             if command.startswith("jp"):
                 self._read_target(command)
@@ -104,8 +123,10 @@ class KstServer:
     def _answer(self, command: str) -> bytes:
         if command.startswith(("jpJP_", codec.GET_JOINTS)):
             return codec.numbers_reply(self._body.measured())
-        if command.startswith("jpExT_"):
+        if command.startswith(("jpExT_", "Torques_ext_J")):
             return codec.numbers_reply(self._body.torques(external=True))
+        if command.startswith(("jpMT_", "Torques_m_J")):
+            return codec.numbers_reply(self._body.torques(external=False))
         return DONE
 
     def _read_target(self, command: str) -> None:
@@ -120,28 +141,61 @@ class KstServer:
     # The main thread; each `yield` waits for the next `advance`.
 
     def _run_main(self) -> Iterator[None]:
-        while not self.ended:
+        while not self._farewell:
             command, self._waiting = self._waiting, ""
-            if command.startswith(codec.START_SERVO):
-                yield from self._serve()
+            try:
+                if command.startswith("Torques_"):
+                    self._say(self._answer(command))
+                elif command.startswith(codec.START_SERVO):
+                    yield from self._serve()
+                elif command.startswith("doPTPinJS"):
+                    yield from self._move()
+                elif command.startswith("jRelVel"):  # fraction of the speed limits, for motions
+                    self._speed = codec.java_double("".join(command.split("_")[1:2]))
+                    self._say(DONE)
+            except InputError:
+                self._say(NAK)
+            yield
+        self.ended = True
+
+    def _sleep(self, duration: float) -> Iterator[None]:
+        until = self._now + duration - 1e-9  # [s]: rounding
+        while self._now < until:
             yield
 
     def _serve(self) -> Iterator[None]:
         """Run a servo, which begins and ends "a few milliseconds" after its acknowledgements."""
         self._requested = True
         self._say(DONE)
-        for _ in range(5):  # [ms]
-            yield
+        yield from self._sleep(5e-3)
         self._runs = True
         self._body.servo(True)
         self._target[:] = self._measure()
         self._body.target(tuple(self._target))
         while self._requested:
             yield
-        for _ in range(3):  # [ms]
-            yield
+        yield from self._sleep(3e-3)
         self._body.servo(False)
         self._runs = False
+
+    def _move(self) -> Iterator[None]:
+        """Move to the target along a minimum-jerk path, at the set speed."""
+        body, joints, goal = self._body, self._body.arm.joints, tuple(self._target)
+        self._say(DONE)
+        yield from self._sleep(PLANNING_TIME)
+        within = all(a.lower <= q <= a.upper for a, q in zip(joints, goal, strict=True))
+        if body.stopped or not within or not 0.0 < self._speed <= 1.0:
+            raise InputError("the controller cannot plan this motion")
+        speeds = [self._speed * joint.velocity for joint in joints]
+        path = path_within(body.measured(), goal, speeds, [joint.acceleration for joint in joints])
+        start = self._now
+        body.servo(True)
+        while self._now < start + path.duration + SETTLING_TIME:
+            body.target(path.at(self._now - start).q)
+            yield
+        body.servo(False)
+        self._say(NAK if body.stopped else DONE)
+        self._waiting = ""
 
 
 class KstHardware:
