@@ -17,12 +17,17 @@ from tests.rig.test_run import POLICY, Scripted, request
 pytestmark = pytest.mark.compiled_only
 
 
-def run(out, **acts):
-    """Run a series of two, with the acts of its operator."""
+def run(out, *, after_run=None, **acts):
+    """Run a series of two, with the acts of its operator, and a word that it types in between."""
     wanted = request(duration=1.0, start="hanging", runs=2)
     rig, ends = connect(wanted), []
     operator = Scripted(rig.bench, **acts)
-    end = run_virtually(wanted, out, operator, rig=rig, ended=ends.append)
+
+    def ended(end):
+        ends.append(end)
+        operator.typed += [after_run] if after_run else []
+
+    end = run_virtually(wanted, out, operator, rig=rig, ended=ended)
     return [*ends, end], operator.names
 
 
@@ -63,15 +68,19 @@ def test_the_summary_holds_the_ends_and_counts_them(fallen):
     assert counted["outcomes"] == {"angle": 1, "survived": 1}
 
 
-@pytest.mark.parametrize("when", ["stopping", "run"])
-def test_a_key_after_the_stop_or_between_two_runs_ends_the_series(tmp_path, when):
-    if when == "stopping":
-        ends, names = run(tmp_path / "run.mcap", stopping="x")
-        assert [end.outcome for end in ends] == ["survived"]
-        assert names.count("homing") == 1
-    else:
-        ends, _ = run(tmp_path / "run.mcap", run="x")  # before the first run moves
-        assert [end.outcome for end in ends] == ["operator"]
+@pytest.mark.parametrize(
+    ("when", "outcomes"),
+    [
+        ("run", ["operator"]),  # before the first run moves
+        ("stopping", ["survived"]),
+        ("after_run", ["survived", "operator"]),
+    ],
+)
+def test_a_key_after_the_stop_or_between_two_runs_ends_the_series(tmp_path, when, outcomes):
+    ends, names = run(tmp_path / "run.mcap", **{when: "x"})
+    assert [end.outcome for end in ends] == outcomes
+    assert names.count("homing") <= 1
+    assert [RunLog.load(path).end for path in sorted(tmp_path.glob("*.mcap"))] == ends
 
 
 @pytest.mark.full

@@ -80,7 +80,7 @@ class OperatorChannel:
             LinkError: A device has failed.
         """
         self.tell(event)
-        while (word := self._read_word()) not in (*event.answers, "n", "no", STOP, ALONE):
+        while (word := self._wait_for_word()) not in (*event.answers, "n", "no", STOP, ALONE):
             expected = " or ".join(event.answers)
             self.tell(event._replace(text=f"{word!r} is not {expected}. {event.text}"))
         return word
@@ -90,11 +90,17 @@ class OperatorChannel:
         self._rig.robot.measured()
         self._rig.sensor.samples()
 
-    def _read_word(self) -> str:
-        while not (lines := self.read_input()):
+    def _wait_for_word(self) -> str:
+        while (word := self.read_word()) is None:
             until = self._clock.now() + 0.02
             self.check_links()
             self._clock.wait_until(until)
+        return word
+
+    def read_word(self) -> str | None:
+        """Return the first pending line, which is logged; None without one."""
+        if not (lines := self.read_input()):
+            return None
         word, *self._pending = lines
         push_event(self._recorder.event, self._clock.now(), OperatorMessage(WORD_TYPED, word))
         return word.strip().lower()
@@ -183,8 +189,8 @@ def run_on_rig(
             gc.collect()  # in real time nothing is collected while the arm moves
             results, max_speed = preflight(request, rig, granted)
             require(results, OutsideError)
-            if words := operator.read_input():
-                return _unmoved(Outcome.OPERATOR, typed=printable(words[0].strip() or "Enter"))
+            if (word := operator.read_word()) is not None:
+                return _unmoved(Outcome.OPERATOR, typed=printable(word or "Enter"))
     finally:
         rig.robot.close()
         rig.sensor.close()
