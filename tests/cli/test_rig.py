@@ -54,7 +54,7 @@ def test_an_arm_that_fits_no_policy_leads_to_a_training_for_it(equipoise, pendul
 
 
 def test_a_driver_that_sleeps_ends_a_run_on_a_twin(equipoise, monkeypatch):
-    monkeypatch.setattr(clocks, "STALL", 0.5)
+    monkeypatch.setattr(clocks, "DEVICE_TIMEOUT", 0.5)
     monkeypatch.setattr(KstRobot, "_wait", lambda robot, duration: time.sleep(1e-3))
     ran = equipoise("deploy", "--robot", "twin:nominal")
     assert ran.code == 3, ran

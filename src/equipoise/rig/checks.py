@@ -40,7 +40,7 @@ the pace may then stop."""
 GOOD_ROUND_TRIP: Final = 0.0055
 """99th percentile of round trips that allows two setpoints per tick of 10 ms [s]. Over a slower
 link setpoints are sent only as replies arrive, and the flange's speed is limited."""
-MAX_ROUND_TRIP: Final = 0.009
+BAD_ROUND_TRIP: Final = 0.009
 """99th percentile of round trips beyond which a reply is overdue in every tick [s]."""
 
 
@@ -152,7 +152,7 @@ def check_link(trips: Array, *, paced: bool = False) -> Finding:
         "connect robot and computer by one direct cable, on a network card of their own (no "
         "USB adapter, no Wi-Fi), and switch other networks off; see docs/how-to/real-time.md",
         warning=p99 > GOOD_ROUND_TRIP,
-        bad=p99 > MAX_ROUND_TRIP,
+        bad=p99 > BAD_ROUND_TRIP,
     )
 
 

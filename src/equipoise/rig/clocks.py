@@ -21,7 +21,7 @@ TICK: Final = 0.001
 """Period of the functions attached to virtual time [s]."""
 ROUNDING: Final = 1e-9
 """Time by which a wait may end before a whole millisecond, and still reach it [s]."""
-STALL: Final = 10.0
+DEVICE_TIMEOUT: Final = 10.0
 """Real time in which a clock has to advance while a device is called [s]."""
 
 
@@ -99,7 +99,7 @@ def ended_stalls(clock: Clock, *devices: object) -> Generator[None]:
         devices: The devices, the clock among them if it runs a rig.
 
     Raises:
-        LinkError: The clock stalled for `STALL` real seconds; names call and line.
+        LinkError: The clock stalled for `DEVICE_TIMEOUT` real seconds; names call and line.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -118,13 +118,14 @@ def ended_stalls(clock: Clock, *devices: object) -> Generator[None]:
             if id(device := call.f_locals.get("self")) in watched:
                 where, line = stack[0].f_code.co_filename, stack[0].f_lineno
                 raise LinkError(
-                    f"{type(device).__name__}.{call.f_code.co_name} has waited for {STALL:g} s, "
-                    f"in which virtual time stalled at {seen:.3f} s ({where}, line {line}); "
+                    f"{type(device).__name__}.{call.f_code.co_name} has waited for "
+                    f"{DEVICE_TIMEOUT:g} s, in which virtual time stalled at {seen:.3f} s "
+                    f"({where}, line {line}); "
                     "a driver waits with the clock that it receives, never with time.sleep"
                 )
 
     with handled_signals([signal.SIGALRM], look):
-        before = signal.setitimer(signal.ITIMER_REAL, STALL, STALL)
+        before = signal.setitimer(signal.ITIMER_REAL, DEVICE_TIMEOUT, DEVICE_TIMEOUT)
         try:
             yield
         finally:
