@@ -45,8 +45,6 @@ class Summary(NamedTuple):
     """Exact (Clopper-Pearson) 95 % interval of the survival rate."""
     median: float
     """Median survival [s]."""
-    quantiles: tuple[float, float, float, float]
-    """Survival at 5, 25, 75 and 95 % of the trials [s]."""
     outcomes: dict[Outcome, int]
     """Number of trials by their outcome."""
     upright: tuple[float, float] | None
@@ -139,14 +137,13 @@ class TrialResults(Value):
         return self
 
     def summary(self) -> Summary:
-        """Return fraction, interval, quantiles and outcomes."""
+        """Return fraction, interval, median and outcomes."""
         trials, survived = len(self.survival), self.outcomes.count(Outcome.SURVIVED)
         rate, interval = survived / trials, exact_interval(survived, trials)
-        q05, q25, q50, q75, q95 = np.quantile(self.survival, [0.05, 0.25, 0.5, 0.75, 0.95]).tolist()
-        quantiles, outcomes = (q05, q25, q75, q95), dict(Counter(self.outcomes))
+        median, outcomes = float(np.median(self.survival)), dict(Counter(self.outcomes))
         times = [time for time, s in zip(self.upright, self.survival, strict=False) if s > 0.0]
         upright = (float(np.median(times)), max(times)) if times else None
-        return Summary(trials, survived, rate, interval, q50, quantiles, outcomes, upright)
+        return Summary(trials, survived, rate, interval, median, outcomes, upright)
 
 
 def trial_results(name: str, trials: Trials, h: float) -> TrialResults:
