@@ -18,7 +18,7 @@ from equipoise.rig.config import RigSettings
 from equipoise.rig.interfaces import Reply, Sample
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
-from equipoise.rig.script import Run, run_inline, script
+from equipoise.rig.script import Run, script
 
 JOBS = {"self-test", "actuator", "identified"}
 """Names of events in ticks in which a job has ended."""
@@ -48,11 +48,10 @@ class Jobs:
 
     def end(self):
         job, future = self.running.pop()
-        done = run_inline(job)
-        if error := done.exception():
+        try:
+            future.set_result(job())
+        except Exception as error:  # the run controller stops on it
             future.set_exception(error)
-        else:
-            future.set_result(done.result())
 
 
 def replay(run, policy):

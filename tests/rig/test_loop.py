@@ -235,9 +235,7 @@ def test_a_link_that_breaks_on_the_way_to_rest_is_told_as_well():
 
 @pytest.mark.parametrize(
     ("what", "since"),
-    [
-        *(("replies", 24), ("read_input", 24), ("tell", 25), ("record", 25), ("idle", 26)),
-    ],
+    [("replies", 24), ("read_input", 24), ("tell", 25), ("record", 25), ("idle", 26)],
 )
 def test_whatever_fails_in_a_tick_the_arm_comes_to_rest(what, since):
     calls = iter(range(1000))

@@ -70,11 +70,7 @@ def test_the_summary_holds_the_ends_and_counts_them(fallen):
 
 @pytest.mark.parametrize(
     ("when", "outcomes"),
-    [
-        ("run", ["operator"]),  # before the first run moves
-        ("stopping", ["survived"]),
-        ("after_run", ["survived", "operator"]),
-    ],
+    [("run", ["operator"]), ("stopping", ["survived"]), ("after_run", ["survived", "operator"])],
 )
 def test_a_key_after_the_stop_or_between_two_runs_ends_the_series(tmp_path, when, outcomes):
     ends, names = run(tmp_path / "run.mcap", **{when: "x"})
