@@ -97,8 +97,8 @@ def test_a_fall_lowers_the_value_of_its_last_action_and_every_other_step_moves_t
     tables = on_robot["new_tables"](270, 0)
     tables.Q[:] = np.linspace(0.0, 1.0, 270)[:, None]
     before = tables.Q.copy()
-    ending = SimpleNamespace(outcome="angle")
-    log = SimpleNamespace(box=np.array([10, 11, 12]), u=np.array([-2.0, 2.0, 2.0]), ending=ending)
+    ticks = SimpleNamespace(box=np.array([10, 11, 12]), u=np.array([-2.0, 2.0, 2.0]))
+    log = SimpleNamespace(ticks=ticks, ending=SimpleNamespace(outcome="angle"))
     on_robot["learn"](tables, [log], settings)
     alpha, gamma = settings.learning.alpha_initial, settings.learning.gamma
     towards = (1 - alpha) * before[10, 0] + alpha * gamma * before[11, 0]
