@@ -153,7 +153,7 @@ def exploration(episode: int, config: TrainingConfig) -> float:
     return config.epsilon_initial * max(0.0, 1.0 - done)
 
 
-@compilable
+@inlined
 def draw_episode(config: TrainingConfig, episode: int) -> Trial:
     """Return the conditions of an episode."""
     seed, spread = config.seed, config.spread
