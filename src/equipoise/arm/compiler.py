@@ -69,7 +69,6 @@ class Symbol:
     ) -> None:
         self.tape, self.operation, self.operands, self.number = tape, operation, operands, number
         self.order = len(tape.symbols)
-        self.name = ""
         self.fused = False
         """Whether it is a term of the one sum that needs it."""
 
@@ -116,34 +115,26 @@ class Symbol:
         return self + -other
 
     def __str__(self) -> str:
-        """Return the name, or the formula of an unnamed symbol."""
-        return self.name or self.formula()
+        """Return the number, or the name that holds the result."""
+        if self.operation == "number":
+            return repr(self.number)
+        if self.operation == "neg":
+            return f"-{self.operands[0]}"
+        return f"t{self.order}" if self.operands else self.operation
 
     def formula(self) -> str:
-        """Return the expression itself as Python."""
-        match self.operation, self.operands:
-            case "number", _:
-                return repr(self.number)
-            case formula, ():
-                return formula
-            case "neg", (a,):
-                return f"-{a._inside()}"
-            case "*", (a, b):
-                return f"{a._inside()} * {b._inside()}"
-            case _:
-                return self._sum()
-
-    def _sum(self) -> str:
-        """Return a sum or difference, with one fused multiply-add for each of its products."""
+        """Return a product or a sum as Python; a fused product of a sum is a multiply-add."""
+        if self.operation == "*":
+            return "{} * {}".format(*self.operands)
         terms = sorted(self._terms(), key=lambda term: term[0])  # positive ones first
         rest = [(sign, term) for sign, term in terms if not term.fused]
         products = [(sign, term) for sign, term in terms if term.fused]
         (sign, first), *rest = rest or [products.pop(0)]
-        text = f"{sign}{first._inside() if sign else first}"
-        text += "".join(f" {sign or '+'} {term._inside()}" for sign, term in rest)
+        text = f"{sign}{first.formula() if first.fused else first}"
+        text += "".join(f" {sign or '+'} {term}" for sign, term in rest)
         for sign, product in products:
             a, b = product.operands
-            text = f"fma({sign}{a._inside() if sign else a}, {b}, {text})"
+            text = f"fma({sign}{a}, {b}, {text})"
         return text
 
     def _terms(self, sign: str = "") -> "Iterator[tuple[str, Symbol]]":
@@ -155,11 +146,6 @@ class Symbol:
                 yield from term._terms(own)
             else:
                 yield own, term
-
-    def _inside(self) -> str:
-        """Return the text as an operand, in brackets where it is a sum."""
-        bare = self.name or self.operation not in "+-" or str(self).startswith("fma(")
-        return str(self) if bare else f"({self})"
 
 
 class Tape:
@@ -191,15 +177,10 @@ class Tape:
                     term.fused = True
 
     def python(self, record: Record) -> Iterator[str]:
-        """Yield the lines that compute a record.
-
-        Expressions with several uses get a line of their own; unused ones are left out.
-        """
-        users = _users(record)
-        for symbol in sorted(users, key=lambda symbol: symbol.order):
-            if symbol.operation in "+-*" and (users[symbol] > 1 or symbol.name):
-                symbol.name = f"t{symbol.order}"
-                yield f"{symbol.name} = {symbol.formula()}"
+        """Yield the lines that compute a record, without expressions that it does not need."""
+        for symbol in sorted(_users(record), key=lambda symbol: symbol.order):
+            if symbol.operation in "+-*" and not symbol.fused:
+                yield f"{symbol} = {symbol.formula()}"
         yield from (f"{target} = {symbol}" for target, symbol in record.items())
 
 
