@@ -8,6 +8,7 @@ below any error of a formula.
 import numpy as np
 import pytest
 
+from equipoise.arm.arm import compiled
 from equipoise.arm.compiler import FRAME_SIZE, J_DOT_DQ, JACOBIAN, POSITION, ROTATION, TWIST
 from equipoise.elementary import BATCH_SIZE
 from equipoise.jit import call, kernel
@@ -47,14 +48,14 @@ def case(request):
     arm, urdf = ARMS[request.param]
     q, dq = random_states(arm)
     frames = np.zeros((STATES, FRAME_SIZE))
-    frames_of(arm.compiled(), q, dq, frames)
+    frames_of(compiled(arm), q, dq, frames)
     return arm, urdf, q, dq, frames
 
 
 def test_the_motion_is_the_same_bits_without_jacobian_and_bias(case):
     arm, _, q, dq, frames = case
     motions = np.full_like(frames, np.nan)
-    frames_of(arm.compiled()._replace(kinematics=arm.compiled().motion), q, dq, motions)
+    frames_of(compiled(arm)._replace(kinematics=compiled(arm).motion), q, dq, motions)
     np.testing.assert_array_equal(motions[:, :J_DOT_DQ], frames[:, :J_DOT_DQ])
     assert not motions[:, J_DOT_DQ:].any()
 
@@ -86,7 +87,7 @@ def test_python_and_compiled_kinematics_agree(case):
 def test_the_wrist_centre_is_where_the_last_three_joints_leave_a_point():
     for name in ("iiwa7", "iiwa14"):
         arm = ARMS[name][0]
-        wrist = arm.compiled().wrist
+        wrist = compiled(arm).wrist
         assert wrist == pytest.approx([0.0, 0.0, -0.126], abs=1e-15)
         q, dq = random_states(arm, 50)
         dq[:, :3] = 0.0
@@ -94,4 +95,4 @@ def test_the_wrist_centre_is_where_the_last_three_joints_leave_a_point():
             flange = arm.kinematics(q_i, dq_i)
             at_wrist = flange.twist[:3] + np.cross(flange.twist[3:], flange.rotation @ wrist)
             assert at_wrist == pytest.approx(np.zeros(3), abs=1e-13)
-    assert np.isnan(ARMS["elbow6"][0].compiled().wrist).all()
+    assert np.isnan(compiled(ARMS["elbow6"][0]).wrist).all()

@@ -266,10 +266,6 @@ class Arm(_Described):
             )
         return links
 
-    def compiled(self) -> ArmKernel:
-        """Return the arm for kernels; the first call compiles or loads its kinematics."""
-        return _compiled(self)
-
 
 def check_free(names: Sequence[str], held: int | None) -> None:
     """Check the number of free joints of a chain.
@@ -291,7 +287,8 @@ def check_free(names: Sequence[str], held: int | None) -> None:
 
 
 @functools.cache
-def _compiled(arm: Arm) -> ArmKernel:
+def compiled(arm: Arm) -> ArmKernel:
+    """Return an arm for kernels; the first call compiles or loads its kinematics."""
     kinematics, motion = map(_address, load(arm))
     x, y, z = wrist_centre(links(arm)).tolist()
     return ArmKernel(kinematics, motion, (x, y, z))
@@ -299,10 +296,10 @@ def _compiled(arm: Arm) -> ArmKernel:
 
 def _address(function: KinematicsFunction) -> int:
     """Return the address of the compiled kinematics of an arm."""
-    compiled = compilable(function)
+    generated = compilable(function)
 
     def kinematics(q: Array, dq: Array, frame: Array, lanes: int) -> None:
-        compiled(q, dq, frame, lanes)
+        generated(q, dq, frame, lanes)
 
     block = np.zeros(1)
     return pointer(kinematics, block, block, block, 0)

@@ -30,7 +30,7 @@ from typing import Annotated, Final, NamedTuple, Protocol
 
 import numpy as np
 
-from equipoise.arm.arm import FREE_JOINTS, Arm
+from equipoise.arm.arm import FREE_JOINTS, Arm, compiled
 from equipoise.arm.clik import (
     GAMMA,
     REFERENCE_SIZE,
@@ -251,10 +251,10 @@ def make_controller_params(
         ArmError: Home is a singular posture.
         SettingsError: The delay is longer than the history.
     """
-    compiled = arm.compiled()
+    kernel = compiled(arm)
     q, dq, frame = np.zeros(ROWS), np.zeros(ROWS), np.zeros((FRAME_SIZE, BATCH_SIZE))
     q[:, 0] = arm.home_free
-    kinematics(compiled.kinematics, q, dq, frame, 1)
+    kinematics(kernel.kinematics, q, dq, frame, 1)
     w = float(manipulability(frame, 0))
     if w < 1e-6:  # [m^3]: an iiwa at home has 0.09
         raise ArmError(
@@ -270,9 +270,9 @@ def make_controller_params(
     own, clik = settings.controller, settings.clik
     counts_per_rev = counts_per_rev or settings.plant.counts_per_rev
     params = ControllerParams(
-        code=ControllerCode(compiled.kinematics, compiled.motion),
+        code=ControllerCode(kernel.kinematics, kernel.motion),
         # The inverse is damped below a twentieth of the manipulability at home.
-        clik=ClikParameters(clik.K_p, clik.K_d, 0.05 * w, lambda_0=0.05, wrist=compiled.wrist),
+        clik=ClikParameters(clik.K_p, clik.K_d, 0.05 * w, lambda_0=0.05, wrist=kernel.wrist),
         limits=tuple(zip(*limits, strict=True)),
         home=tuple(arm.home_free.tolist()),
         home_reference=tuple(frame[:REFERENCE_SIZE, 0].tolist()),
