@@ -121,8 +121,8 @@ def mirrored_box(box: Box, count: int) -> Box:
     return count - 1 - box
 
 
-def greedy_actions(Q: Array) -> IntArray:
-    """Return the index of the best action of each box, ties broken mirror-symmetrically.
+def greedy_accelerations(Q: Array) -> Array:
+    """Return the best acceleration of each box [m/s^2], ties broken mirror-symmetrically.
 
     Of equal values the lowest action wins in a box of the lower half (phi < 0) and the highest in
     its mirror image, so that a symmetric table gives a symmetric policy.
@@ -131,8 +131,8 @@ def greedy_actions(Q: Array) -> IntArray:
         Q: State-action values, shape (boxes, 8).
 
     Returns:
-        Indices of actions, shape (boxes,).
+        Accelerations, shape (boxes,).
     """
     box = np.arange(len(Q))
     lowest, highest = np.argmax(Q, axis=1), Q.shape[1] - 1 - np.argmax(Q[:, ::-1], axis=1)
-    return np.where(box < mirrored_box(box, len(Q)), lowest, highest)
+    return np.array(paper.ACTIONS)[np.where(box < mirrored_box(box, len(Q)), lowest, highest)]
