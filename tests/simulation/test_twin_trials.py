@@ -121,7 +121,7 @@ def test_a_recorded_trial_is_the_loop_as_python_writes_it():
         assert rows.measured[row] == pytest.approx([*measured, measured_at], abs=1e-12)
         assert rows.state[row] == pytest.approx(twin.truth(), abs=1e-12)
         assert rows.joints[row] == pytest.approx(twin.data.qpos[:7], abs=1e-12)
-        controller.command_tick(params, records)
+        controller.call_alone(params.code.command, params, records)
         setpoints = memory.setpoints[:, :, 0]
         assert rows.setpoints[row] == pytest.approx(setpoints.ravel(), abs=1e-12)
         assert rows.q[row] == pytest.approx(memory.q[:, 0], abs=1e-12)

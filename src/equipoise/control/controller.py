@@ -66,15 +66,9 @@ def observe_tick(params: ControllerParams, states: Records, ages: tuple[float, f
 
 
 @kernel
-def command_tick(params: ControllerParams, states: Records) -> None:
-    """Compute the setpoints from u; see `control_step.command`."""
-    call(params.code.command, (params, states[0], 1))
-
-
-@kernel
-def hold_tick(params: ControllerParams, states: Records) -> None:
-    """Advance the model of the arm towards the last setpoints."""
-    call(params.code.advance_arm_model, (params, states[0], 1))
+def call_alone(function: int, params: ControllerParams, states: Records) -> None:
+    """Call `command` or `advance_arm_model` of the controller's code in the first lane."""
+    call(function, (params, states[0], 1))
 
 
 @kernel
@@ -199,7 +193,7 @@ class Controller:
 
     def hold(self) -> None:
         """Advance the model of the arm by a tick, towards the last setpoints."""
-        hold_tick(self._params, self._states)
+        call_alone(self._params.code.advance_arm_model, self._params, self._states)
 
     @property
     def observation(self) -> Observation:
@@ -230,11 +224,15 @@ class Controller:
         return box_index(*self.observation, self._boxes)
 
     def command(self, u: float) -> tuple[tuple[float, ...], ...]:
-        """Accelerate the flange by u [m/s^2] over a tick, and return its setpoints [rad]."""
+        """Accelerate the flange by u [m/s^2] over a tick.
+
+        Returns:
+            The setpoints of the tick, all joints [rad]: half a tick later, and at its end.
+        """
         state = self._state
         self._model[0][:], self._model[1][:] = state.model.q, state.model.dq
         state.u[0] = u
-        command_tick(self._params, self._states)
+        call_alone(self._params.code.command, self._params, self._states)
         return tuple(self._all_joints(self._arm.home, free) for free in state.setpoints)
 
     @property
@@ -243,13 +241,8 @@ class Controller:
         return bool(self._state.limit_exceeded[0])
 
     @property
-    def q(self) -> tuple[float, ...]:
-        """Commanded joints at the end of the tick, all of them [rad]."""
-        return self._all_joints(self._arm.home, self._state.q)
-
-    @property
     def dq(self) -> tuple[float, ...]:
-        """Their velocities [rad/s]."""
+        """Commanded velocities of all joints at the end of the tick [rad/s]."""
         return self._all_joints((0.0,) * len(self._arm.joints), self._state.dq)
 
     @property
