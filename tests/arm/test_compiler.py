@@ -42,8 +42,8 @@ def test_what_is_printed_computes_what_was_written(data):
     symbol, value = data.draw(expressions(tape, leaves))
     record = {}
     entries = {"record['out']": symbol}
-    tape.fuse(entries)
-    exec("\n".join(tape.python(entries)), {**INPUTS, "record": record, "fma": fma})
+    compiler.fuse(entries)
+    exec("\n".join(compiler.statements(entries)), {**INPUTS, "record": record, "fma": fma})
     # Terms are added in another order: rounding of values that may reach 1e6 and cancel.
     assert record["out"] == pytest.approx(value, rel=1e-9, abs=1e-9)
 
