@@ -87,7 +87,7 @@ class ExternalLoop(ClosedLoop):
             draw_noise(controller.noise, simulation.seed, tick, number, simulation.stream, 1)
             controller.noise[:, 0] *= self._sigmas
         controller.u[0] = u
-        call_alone(self.params.code.command, self.params, self._controllers)
+        call_alone(self.params.command, self.params, self._controllers)
         with user_code(f"the world {simulation.world}"):
             for q in controller.setpoints[:, :, 0]:
                 self.send(q)
