@@ -50,11 +50,11 @@ def test_what_is_printed_computes_what_was_written(data):
 
 OTHER_ARM = """
 import numpy as np
-from equipoise.arm.arm import compiled
+from equipoise.arm.compiler import addresses
 from equipoise.arm.iiwa import iiwa
 arm = iiwa(7).model_copy(update={"flange_xyz": (0.0, 0.0, 0.2)})
 height = arm.kinematics(np.zeros(6)).position[2]
-compiled(arm)
+addresses(arm)
 print(round(height, 12))
 """
 

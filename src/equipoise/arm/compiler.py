@@ -36,6 +36,7 @@ import numpy as np
 from equipoise.arm.chain import FREE_JOINTS, Link, links
 from equipoise.arrays import Array
 from equipoise.elementary import BATCH_SIZE
+from equipoise.jit import compilable, pointer
 
 if TYPE_CHECKING:
     from equipoise.arm.arm import Arm
@@ -279,6 +280,26 @@ def load(arm: "Arm") -> tuple[KinematicsFunction, KinematicsFunction]:
         sys.modules[name] = module  # where Numba looks when it loads the machine code again
     module = sys.modules[name]
     return module.kinematics, module.motion
+
+
+@functools.cache
+def addresses(arm: "Arm") -> tuple[int, int]:
+    """Return the addresses of `kinematics` and `motion` of an arm, compiled or loaded, for kernels.
+
+    Blocks are flat arrays there: of 6, 6 and `FRAME_SIZE` rows.
+    """
+    kinematics, motion = map(_address, load(arm))
+    return kinematics, motion
+
+
+def _address(function: KinematicsFunction) -> int:
+    generated = compilable(function)
+
+    def kinematics(q: Array, dq: Array, frame: Array, lanes: int) -> None:
+        generated(q, dq, frame, lanes)
+
+    block = np.zeros(1)
+    return pointer(kinematics, block, block, block, 0)
 
 
 def _entry(row: int) -> str:

@@ -30,7 +30,8 @@ from typing import Annotated, Final, NamedTuple, Protocol
 
 import numpy as np
 
-from equipoise.arm.arm import FREE_JOINTS, Arm, compiled
+from equipoise.arm.arm import FREE_JOINTS, Arm
+from equipoise.arm.chain import wrist_centre
 from equipoise.arm.clik import (
     GAMMA,
     REFERENCE_SIZE,
@@ -40,7 +41,7 @@ from equipoise.arm.clik import (
     pose_error,
     solve,
 )
-from equipoise.arm.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST
+from equipoise.arm.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST, addresses
 from equipoise.arrays import Array, IntArray
 from equipoise.control.linear import Gains, observer_gains
 from equipoise.control.policy import Observation
@@ -245,10 +246,10 @@ def make_controller_params(
         ArmError: Home is a singular posture.
         SettingsError: The delay is longer than the history.
     """
-    kernel = compiled(arm)
+    whole, motion = addresses(arm)
     q, dq, frame = np.zeros(ROWS), np.zeros(ROWS), np.zeros((FRAME_SIZE, BATCH_SIZE))
     q[:, 0] = arm.home_free
-    kinematics(kernel.kinematics, q, dq, frame, 1)
+    kinematics(whole, q, dq, frame, 1)
     w = float(manipulability(frame, 0))
     if w < 1e-6:  # [m^3]: an iiwa at home has 0.09
         raise ArmError(
@@ -264,10 +265,10 @@ def make_controller_params(
     own, clik = settings.controller, settings.clik
     counts_per_rev = counts_per_rev or settings.plant.counts_per_rev
     params = ControllerParams(
-        kinematics=kernel.kinematics,
-        motion=kernel.motion,
+        kinematics=whole,
+        motion=motion,
         # The inverse is damped below a twentieth of the manipulability at home.
-        clik=ClikParameters(clik.K_p, clik.K_d, 0.05 * w, lambda_0=0.05, wrist=kernel.wrist),
+        clik=ClikParameters(clik.K_p, clik.K_d, 0.05 * w, lambda_0=0.05, wrist=wrist_centre(arm)),
         limits=tuple(zip(*limits, strict=True)),
         home=tuple(arm.home_free.tolist()),
         home_reference=tuple(frame[:REFERENCE_SIZE, 0].tolist()),
