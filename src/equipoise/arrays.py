@@ -74,6 +74,11 @@ def fields(records: Records, declared: type[R]) -> R:
     return own
 
 
+def first_lane(record: Any) -> Array:
+    """Return the entries of a record of lanes, from `fields`, in the first lane."""
+    return np.array([entry[0] for entry in vars(record).values()])
+
+
 def rows_of(records: Records, lanes: int) -> IntArray:
     """Return the bits of a record as rows of lanes, shape (rows, lanes), to copy whole lanes.
 

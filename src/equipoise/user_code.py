@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from equipoise.errors import EquipoiseError, InputError
+from equipoise.files import shortened
 from equipoise.printable import printable
 
 
@@ -108,7 +109,5 @@ def format_error(error: BaseException) -> str:
         text = str(error)
     except BaseException:  # a user's own `__str__`
         text = "without a text"
-    text = " ".join(text.splitlines())
-    if len(text) > 500:  # characters: a few lines of a terminal
-        text = f"{text[:500]}..."
-    return printable(f"{type(error).__name__}: {text}{where}")
+    short = shortened(text, 500)  # characters: a few lines of a terminal
+    return printable(f"{type(error).__name__}: {short}{where}")

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from equipoise.arm.chain import wrist_centre
 from equipoise.arm.clik import ClikParameters, solve
-from equipoise.arm.compiler import FRAME_SIZE
+from equipoise.arm.compiler import FRAME_SIZE, addresses
 from equipoise.arm.iiwa import iiwa
 from equipoise.control.control_step import kinematics
 from equipoise.elementary import BATCH_SIZE
@@ -26,7 +27,7 @@ def parameters(wrist, w_0=1e-9, lambda_0=0.05):
 
 def record(arm, q, dq, lane=0):
     frame = np.zeros((FRAME_SIZE, BATCH_SIZE))
-    kinematics(arm.compiled().kinematics, column(q, lane), column(dq, lane), frame, lane + 1)
+    kinematics(addresses(arm)[0], column(q, lane), column(dq, lane), frame, lane + 1)
     return frame
 
 
@@ -46,7 +47,7 @@ def test_both_solvers_equal_a_library_solver(size, lane):
         frame = record(arm, q, np.zeros(6), lane)
         J = arm.kinematics(q).jacobian
         expected = np.linalg.solve(J, rhs)
-        for wrist in (arm.compiled().wrist, np.full(3, np.nan)):
+        for wrist in (wrist_centre(arm), np.full(3, np.nan)):
             y = np.zeros((6, BATCH_SIZE))
             # Lanes below `lane` hold zeros, whose J is singular; they are damped, this one not.
             solved(frame, column(rhs, lane), parameters(wrist), y, lane + 1)
@@ -59,7 +60,7 @@ def test_near_a_singularity_the_inverse_is_damped_least_squares():
     q = arm.home_free.copy()
     q[3 + 1] = 0.0  # the sixth joint at zero: axes five and seven fall together
     J = arm.kinematics(q).jacobian
-    clik = parameters(arm.compiled().wrist, w_0=1e-3, lambda_0=0.1)
+    clik = parameters(wrist_centre(arm), w_0=1e-3, lambda_0=0.1)
     w = abs(np.linalg.det(J))
     rhs = np.array([0.1, 0.0, 0.0, 0.3, 0.0, 0.2])
     y = np.zeros((6, BATCH_SIZE))

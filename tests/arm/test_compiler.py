@@ -42,18 +42,19 @@ def test_what_is_printed_computes_what_was_written(data):
     symbol, value = data.draw(expressions(tape, leaves))
     record = {}
     entries = {"record['out']": symbol}
-    tape.fuse(entries)
-    exec("\n".join(tape.python(entries)), {**INPUTS, "record": record, "fma": fma})
+    compiler.fuse(entries)
+    exec("\n".join(compiler.statements(entries)), {**INPUTS, "record": record, "fma": fma})
     # Terms are added in another order: rounding of values that may reach 1e6 and cancel.
     assert record["out"] == pytest.approx(value, rel=1e-9, abs=1e-9)
 
 
 OTHER_ARM = """
 import numpy as np
+from equipoise.arm.compiler import addresses
 from equipoise.arm.iiwa import iiwa
 arm = iiwa(7).model_copy(update={"flange_xyz": (0.0, 0.0, 0.2)})
 height = arm.kinematics(np.zeros(6)).position[2]
-arm.compiled()
+addresses(arm)
 print(round(height, 12))
 """
 

@@ -8,7 +8,16 @@ below any error of a formula.
 import numpy as np
 import pytest
 
-from equipoise.arm.compiler import FRAME_SIZE, J_DOT_DQ, JACOBIAN, POSITION, ROTATION, TWIST
+from equipoise.arm.chain import wrist_centre
+from equipoise.arm.compiler import (
+    FRAME_SIZE,
+    J_DOT_DQ,
+    JACOBIAN,
+    POSITION,
+    ROTATION,
+    TWIST,
+    addresses,
+)
 from equipoise.elementary import BATCH_SIZE
 from equipoise.jit import call, kernel
 from tests.arm.witnesses import ARMS, MuJoCo, Pinocchio
@@ -18,7 +27,7 @@ TOLERANCE = 1e-9
 
 
 @kernel
-def frames_of(arm, q, dq, frames):
+def frames_of(kinematics, q, dq, frames):
     """Fill one record per state, a block of lanes at a time; the last block may be part full."""
     q_block, dq_block = np.zeros(6 * BATCH_SIZE), np.zeros(6 * BATCH_SIZE)
     frame_block = np.zeros(FRAME_SIZE * BATCH_SIZE)
@@ -28,7 +37,7 @@ def frames_of(arm, q, dq, frames):
             for i in range(6):
                 q_block[i * BATCH_SIZE + n] = q[first + n, i]
                 dq_block[i * BATCH_SIZE + n] = dq[first + n, i]
-        call(arm.kinematics, (q_block, dq_block, frame_block, lanes))
+        call(kinematics, (q_block, dq_block, frame_block, lanes))
         for n in range(lanes):
             for i in range(FRAME_SIZE):
                 frames[first + n, i] = frame_block[i * BATCH_SIZE + n]
@@ -47,14 +56,14 @@ def case(request):
     arm, urdf = ARMS[request.param]
     q, dq = random_states(arm)
     frames = np.zeros((STATES, FRAME_SIZE))
-    frames_of(arm.compiled(), q, dq, frames)
+    frames_of(addresses(arm)[0], q, dq, frames)
     return arm, urdf, q, dq, frames
 
 
 def test_the_motion_is_the_same_bits_without_jacobian_and_bias(case):
     arm, _, q, dq, frames = case
     motions = np.full_like(frames, np.nan)
-    frames_of(arm.compiled()._replace(kinematics=arm.compiled().motion), q, dq, motions)
+    frames_of(addresses(arm)[1], q, dq, motions)
     np.testing.assert_array_equal(motions[:, :J_DOT_DQ], frames[:, :J_DOT_DQ])
     assert not motions[:, J_DOT_DQ:].any()
 
@@ -86,7 +95,7 @@ def test_python_and_compiled_kinematics_agree(case):
 def test_the_wrist_centre_is_where_the_last_three_joints_leave_a_point():
     for name in ("iiwa7", "iiwa14"):
         arm = ARMS[name][0]
-        wrist = arm.compiled().wrist
+        wrist = wrist_centre(arm)
         assert wrist == pytest.approx([0.0, 0.0, -0.126], abs=1e-15)
         q, dq = random_states(arm, 50)
         dq[:, :3] = 0.0
@@ -94,4 +103,4 @@ def test_the_wrist_centre_is_where_the_last_three_joints_leave_a_point():
             flange = arm.kinematics(q_i, dq_i)
             at_wrist = flange.twist[:3] + np.cross(flange.twist[3:], flange.rotation @ wrist)
             assert at_wrist == pytest.approx(np.zeros(3), abs=1e-13)
-    assert np.isnan(ARMS["elbow6"][0].compiled().wrist).all()
+    assert np.isnan(wrist_centre(ARMS["elbow6"][0])).all()

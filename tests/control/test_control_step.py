@@ -10,9 +10,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from equipoise.arm.iiwa import iiwa
-from equipoise.arrays import fields, new_records
+from equipoise.arrays import fields, first_lane, new_records
 from equipoise.control.control_step import ControllerState, horizon, make_controller_params
-from equipoise.control.controller import command_tick, estimate_of, observe_tick, start
+from equipoise.control.controller import call_alone, observe_tick, start
 from equipoise.control.linear import lqr_gains
 from equipoise.control.policy import Observation
 from equipoise.elementary import BATCH_SIZE
@@ -91,11 +91,11 @@ def swinging(age, revolutions, counts=FINE, ticks=300):
     estimates = []
     for time in times[1:]:
         memory.u[0] = 0.0
-        command_tick(controller, records)
+        call_alone(controller.command, controller, records)
         theta = pi - swing(time - age)[0] + 2.0 * pi * revolutions
         memory.counts[0] = np.floor(theta * counts / (2.0 * pi) + 0.5)
         observe_tick(controller, records, (age, 0.0))
-        estimates.append(estimate_of(memory)[:3])
+        estimates.append(first_lane(memory.estimate)[:3])
     return np.array(estimates), swing(times[1:]).T
 
 
@@ -124,7 +124,7 @@ def offsets_of(reply_age, actuator, believed_age):
     offsets = []
     for tick in range(60):
         memory.u[0] = 1.0 if tick < 20 else 0.0
-        command_tick(controller, records)
+        call_alone(controller.command, controller, records)
         setpoints = memory.setpoints[:, :, 0].copy()
         sent += [(10 * tick, setpoints[0]), (10 * tick + 5, setpoints[1])]
         for ms in range(10 * tick, 10 * tick + 10):

@@ -6,7 +6,7 @@ from scipy.stats import binomtest
 
 from equipoise import paper
 from equipoise.arm.iiwa import iiwa
-from equipoise.control.policy import KernelPolicy, shipped_policy, table_kernel
+from equipoise.control.policy import TABLE, KernelPolicy, PolicyKernel, shipped_policy
 from equipoise.learning.train import measure_survival, score_tables
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.grid import make_grid
@@ -45,7 +45,8 @@ def test_a_result_is_that_of_the_policy_alone_on_the_common_trials(setup):
     for (_, table), result in zip(field, score_tables(setup, field, seed=3), strict=True):
         simulation = PlantSimulation("model", setup, seed=3, stream=SELECTION)
         trials = simulation.draw(24)
-        kernel = table_kernel(table, make_grid(setup.settings.boxes, setup.pendulum.parameters().k))
+        boxes = make_grid(setup.settings.boxes, setup.pendulum.parameters().k)
+        kernel = PolicyKernel(TABLE, table, boxes=boxes)
         simulation.run(KernelPolicy(kernel), trials, duration=3.0)
         assert (result.trials, result.survived) == (24, np.sum(trials.cause == 0))
         assert result.mean_duration == pytest.approx(0.01 * np.mean(trials.steps), rel=1e-12)

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from equipoise import paper
 from equipoise.arm.iiwa import iiwa
 from equipoise.control.linear import lqr_gains
-from equipoise.control.policy import KernelPolicy, shipped_policy, table_kernel
+from equipoise.control.policy import TABLE, KernelPolicy, PolicyKernel, shipped_policy
 from equipoise.errors import ArmError
 from equipoise.files import Estimate
 from equipoise.model import grid
@@ -34,8 +33,7 @@ def leaning_table():
     """Return a random table that leans towards the fall."""
     rng = np.random.default_rng(0)
     Q = rng.normal(size=(270, grid.ACTIONS))
-    u_of_box = np.array(paper.ACTIONS)[grid.greedy_actions(Q)]
-    return KernelPolicy(table_kernel(u_of_box, BOXES))
+    return KernelPolicy(PolicyKernel(TABLE, grid.greedy_accelerations(Q), boxes=BOXES))
 
 
 @ARMS

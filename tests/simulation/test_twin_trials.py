@@ -7,7 +7,7 @@ import pytest
 
 from equipoise.arm.compiler import TWIST
 from equipoise.arm.iiwa import iiwa
-from equipoise.arrays import fields, new_records
+from equipoise.arrays import fields, first_lane, new_records
 from equipoise.control import controller
 from equipoise.control.control_step import ControllerState
 from equipoise.control.linear import lqr_gains
@@ -111,17 +111,17 @@ def test_a_recorded_trial_is_the_loop_as_python_writes_it():
     shown = pi - counts * 2 * pi / 8192 - stamp * phi_dot
     controller.start(params, records, Observation(0.0, 0.0, shown, phi_dot))
     for row in range(steps):
-        observation = controller.observation_of(memory)
+        observation = first_lane(memory.observation)
         memory.u[0] = act(LQR, observation, 0.0)
         measured, measured_at = twin.measured()
         assert rows.observation[row] == pytest.approx(observation, abs=1e-12)
         assert rows.u[row] == pytest.approx(memory.u[0], abs=1e-12)
-        assert rows.estimate[row] == pytest.approx(controller.estimate_of(memory))
+        assert rows.estimate[row] == pytest.approx(first_lane(memory.estimate))
         assert rows.encoder[row] == pytest.approx(twin.encoder(), abs=1e-12)
         assert rows.measured[row] == pytest.approx([*measured, measured_at], abs=1e-12)
         assert rows.state[row] == pytest.approx(twin.truth(), abs=1e-12)
         assert rows.joints[row] == pytest.approx(twin.data.qpos[:7], abs=1e-12)
-        controller.command_tick(params, records)
+        controller.call_alone(params.command, params, records)
         setpoints = memory.setpoints[:, :, 0]
         assert rows.setpoints[row] == pytest.approx(setpoints.ravel(), abs=1e-12)
         assert rows.q[row] == pytest.approx(memory.q[:, 0], abs=1e-12)

@@ -6,7 +6,6 @@ in the last. An arm of seven joints holds one at a fixed angle, which becomes pa
 kernels see the six *free* joints only, so that J is 6x6 (Safeea & Neto, section 3.1).
 """
 
-import functools
 from collections.abc import Sequence
 from math import hypot, isclose
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self, TypeVar
@@ -14,13 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self, TypeV
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from equipoise.arm.chain import FREE_JOINTS, Triple, links, wrist_centre
-from equipoise.arm.compiler import FRAME_SIZE, PARTS, KinematicsFunction, load
+from equipoise.arm.chain import FREE_JOINTS
+from equipoise.arm.compiler import FRAME_SIZE, PARTS, load
 from equipoise.arrays import Array
 from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import ArmError
 from equipoise.files import Name, Number, Value, first_fault, shortened, value_digest
-from equipoise.jit import compilable, pointer
 
 T = TypeVar("T")
 
@@ -135,18 +133,6 @@ class Kinematics(NamedTuple):
     """J_dot dq: linear [m/s^2] and angular [rad/s^2], shape (6,)."""
     jacobian: Array
     """J, linear rows first, shape (6, 6)."""
-
-
-class ArmKernel(NamedTuple):
-    """Kinematics of an arm for compiled kernels."""
-
-    kinematics: int
-    """Address of the function kinematics(q, dq, frame, lanes), compiled for blocks of 6, 6 and
-    `FRAME_SIZE` rows."""
-    motion: int
-    """That of the same without J and J_dot dq."""
-    wrist: Triple
-    """Point in which the last three axes meet, in the flange frame [m]; NaN without one."""
 
 
 class Arm(_Described):
@@ -266,10 +252,6 @@ class Arm(_Described):
             )
         return links
 
-    def compiled(self) -> ArmKernel:
-        """Return the arm for kernels; the first call compiles or loads its kinematics."""
-        return _compiled(self)
-
 
 def check_free(names: Sequence[str], held: int | None) -> None:
     """Check the number of free joints of a chain.
@@ -288,21 +270,3 @@ def check_free(names: Sequence[str], held: int | None) -> None:
         remedy = {6: "leave out held", 7: "hold one with held"}.get(n, "choose another tip or arm")
         chain = shortened(", ".join(names), 300)
         raise ArmError(f"{free} free joints, expected six; {remedy} ({chain})")
-
-
-@functools.cache
-def _compiled(arm: Arm) -> ArmKernel:
-    kinematics, motion = map(_address, load(arm))
-    x, y, z = wrist_centre(links(arm)).tolist()
-    return ArmKernel(kinematics, motion, (x, y, z))
-
-
-def _address(function: KinematicsFunction) -> int:
-    """Return the address of the compiled kinematics of an arm."""
-    compiled = compilable(function)
-
-    def kinematics(q: Array, dq: Array, frame: Array, lanes: int) -> None:
-        compiled(q, dq, frame, lanes)
-
-    block = np.zeros(1)
-    return pointer(kinematics, block, block, block, 0)

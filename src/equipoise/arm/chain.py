@@ -4,7 +4,7 @@ A held joint is folded into the constants, and each frame is turned so that its 
 the frame's own z axis. The result is six free joints of one kind and seven constant steps.
 """
 
-from collections.abc import Sequence
+from math import nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -86,15 +86,15 @@ def turned_to(axis: Array) -> Array:
     return rotation_about(across if there else np.eye(3)[0], np.arctan2(np.hypot(x, y), z))
 
 
-def wrist_centre(steps: Sequence[Link]) -> Array:
-    """Return the point in which the last three axes meet, in the flange frame; NaN without one.
+def wrist_centre(arm: "Arm") -> Triple:
+    """Return the point in which the last three axes meet, in the flange frame [m]; NaN without one.
 
     Axes that meet in one posture meet in all: the point lies on the fifth and on the sixth axis,
     and neither rotation moves it. A distance below 1e-12 m counts as meeting.
     """
     rotation, origin = np.eye(3), np.zeros(3)  # in the frame of the fourth axis
     axes, origins = [rotation[:, 2]], [origin]
-    for step in steps[4:]:
+    for step in links(arm)[4:]:
         origin = origin + rotation @ step.translation
         rotation = rotation @ step.rotation
         axes.append(rotation[:, 2])
@@ -103,4 +103,5 @@ def wrist_centre(steps: Sequence[Link]) -> Array:
     offsets = [P @ origin for P, origin in zip(across, origins[:3], strict=True)]
     point = np.linalg.lstsq(np.vstack(across), np.concatenate(offsets))[0]
     missed = [np.linalg.norm(P @ point - o) for P, o in zip(across, offsets, strict=True)]
-    return rotation.T @ (point - origin) if max(missed) < 1e-12 else np.full(3, np.nan)
+    x, y, z = (rotation.T @ (point - origin)).tolist()
+    return (x, y, z) if max(missed) < 1e-12 else (nan, nan, nan)

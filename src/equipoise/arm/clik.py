@@ -21,12 +21,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from equipoise.arm.chain import Triple
 from equipoise.arm.compiler import J_DOT_DQ, JACOBIAN, POSITION, ROTATION, TWIST
 from equipoise.arrays import Array
 from equipoise.elementary import BATCH_SIZE, fma
 from equipoise.jit import compilable, inlined
 
-Point = tuple[float, float, float]
 Twist = tuple[float, float, float, float, float, float]
 
 GAMMA: Final = J_DOT_DQ
@@ -47,7 +47,7 @@ class ClikParameters(NamedTuple):
     """Manipulability below which the inverse is damped [m^3]."""
     lambda_0: float
     """Damping at a singularity."""
-    wrist: Point
+    wrist: Triple
     """Intersection of the last three axes, in the flange frame [m]; NaN if they do not meet."""
 
 
@@ -122,7 +122,7 @@ def solve(frame: Array, rhs: Array, parameters: ClikParameters, y: Array, lanes:
 
 
 @inlined
-def _solve_at_wrist(frame: Array, rhs: Array, wrist: Point, y: Array, n: int) -> float:
+def _solve_at_wrist(frame: Array, rhs: Array, wrist: Triple, y: Array, n: int) -> float:
     """Solve J y = rhs where the last three axes meet, and return the manipulability.
 
     The last three joints do not move the wrist centre, so J = [[A, 0], [B, C]] there, and
@@ -163,13 +163,13 @@ def _solve_at_wrist(frame: Array, rhs: Array, wrist: Point, y: Array, n: int) ->
 
 
 @inlined
-def _axis(frame: Array, row: int, n: int) -> Point:
+def _axis(frame: Array, row: int, n: int) -> Triple:
     """Return half a column of J in lane `n`, from its first row in the record."""
     return frame[row, n], frame[row + 6, n], frame[row + 12, n]
 
 
 @inlined
-def _velocity_at(p: Point, v: Point, omega: Point) -> Point:
+def _velocity_at(p: Triple, v: Triple, omega: Triple) -> Triple:
     """Return the velocity v + omega x p of a point at p from one with velocity v."""
     return (
         fma(-omega[2], p[1], fma(omega[1], p[2], v[0])),
@@ -179,7 +179,7 @@ def _velocity_at(p: Point, v: Point, omega: Point) -> Point:
 
 
 @inlined
-def _cramer(a: Point, b: Point, c: Point, g: Point) -> tuple[float, float, float, float]:
+def _cramer(a: Triple, b: Triple, c: Triple, g: Triple) -> tuple[float, float, float, float]:
     """Solve x a + y b + z c = g; return x, y, z (zero if there is no solution), determinant."""
     # Rows of the adjugate are cross products of the columns.
     n0, n1, n2 = _cross(b, c), _cross(c, a), _cross(a, b)
@@ -189,7 +189,7 @@ def _cramer(a: Point, b: Point, c: Point, g: Point) -> tuple[float, float, float
 
 
 @inlined
-def _cross(a: Point, b: Point) -> Point:
+def _cross(a: Triple, b: Triple) -> Triple:
     return (
         fma(a[1], b[2], -(a[2] * b[1])),
         fma(a[2], b[0], -(a[0] * b[2])),
@@ -198,7 +198,7 @@ def _cross(a: Point, b: Point) -> Point:
 
 
 @inlined
-def dot(a: Point, b: Point) -> float:
+def dot(a: Triple, b: Triple) -> float:
     """Return the product a . b."""
     return fma(a[2], b[2], fma(a[1], b[1], a[0] * b[0]))
 

@@ -11,8 +11,8 @@ The module of an arm is named by the digest of its geometry and has no file: see
 
 A `Tape` records sums and products of inputs and numbers. Numbers are folded, signs are moved
 outwards and cancelled, and the operands of + and * are kept in one order. Equal expressions are one
-object, so each is computed once. `Tape.fuse` joins products that one sum needs to it, as fused
-multiply-adds. `Tape.python` prints the expressions that the outputs need.
+object, so each is computed once. `fuse` joins products that one sum needs to it, as fused
+multiply-adds. `statements` prints the expressions that the outputs need.
 
 The kinematics writes one record of `FRAME_SIZE` rows for each lane of a block (see
 `equipoise.elementary`), all in base axes::
@@ -27,6 +27,7 @@ The kinematics writes one record of `FRAME_SIZE` rows for each lane of a block (
 import functools
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
@@ -35,6 +36,7 @@ import numpy as np
 from equipoise.arm.chain import FREE_JOINTS, Link, links
 from equipoise.arrays import Array
 from equipoise.elementary import BATCH_SIZE
+from equipoise.jit import compilable, pointer
 
 if TYPE_CHECKING:
     from equipoise.arm.arm import Arm
@@ -61,17 +63,22 @@ Record = Mapping[str, "Symbol"]
 """Symbol of each target, such as an entry of the record."""
 
 
+@dataclass(eq=False)
 class Symbol:
     """A number, an input, or an operation on other symbols."""
 
-    def __init__(
-        self, tape: "Tape", operation: str, operands: "tuple[Symbol, ...]", number: float = 0.0
-    ) -> None:
-        self.tape, self.operation, self.operands, self.number = tape, operation, operands, number
-        self.order = len(tape.symbols)
-        self.name = ""
-        self.fused = False
-        """Whether it is a term of the one sum that needs it."""
+    tape: "Tape"
+    """Symbols of the same computation."""
+    operation: str
+    """`number`, `neg`, `*`, `+` or `-`; of an input its name."""
+    operands: "tuple[Symbol, ...]"
+    """Symbols that the operation takes."""
+    number: float
+    """Value of a number."""
+    order: int
+    """Place in the order of creation."""
+    fused: bool = False
+    """Whether it is a term of the one sum that needs it."""
 
     def __neg__(self) -> "Symbol":
         if self.operation == "number":
@@ -89,8 +96,6 @@ class Symbol:
                 return b
             if a.number < 0.0:
                 return -(-a * b)
-            if b.operation == "*" and b.operands[0].operation == "number":
-                return (a * b.operands[0]) * b.operands[1]
         if a.operation == "neg":
             return -(a.operands[0] * b)
         if b.operation == "neg":
@@ -108,42 +113,32 @@ class Symbol:
         if "neg" not in (a.operation, b.operation):
             return self.tape.symbol("+", a, b)
         plus, minus = (a, -b) if b.operation == "neg" else (b, -a)
-        if plus is minus:
-            return self.tape.number(0.0)
         return self.tape.symbol("-", plus, minus)
 
     def __sub__(self, other: "Symbol") -> "Symbol":
         return self + -other
 
     def __str__(self) -> str:
-        """Return the name, or the formula of an unnamed symbol."""
-        return self.name or self.formula()
+        """Return the number, or the name that holds the result."""
+        if self.operation == "number":
+            return repr(self.number)
+        if self.operation == "neg":
+            return f"-{self.operands[0]}"
+        return f"t{self.order}" if self.operands else self.operation
 
     def formula(self) -> str:
-        """Return the expression itself as Python."""
-        match self.operation, self.operands:
-            case "number", _:
-                return repr(self.number)
-            case formula, ():
-                return formula
-            case "neg", (a,):
-                return f"-{a._inside()}"
-            case "*", (a, b):
-                return f"{a._inside()} * {b._inside()}"
-            case _:
-                return self._sum()
-
-    def _sum(self) -> str:
-        """Return a sum or difference, with one fused multiply-add for each of its products."""
+        """Return a product or a sum as Python; a fused product of a sum is a multiply-add."""
+        if self.operation == "*":
+            return "{} * {}".format(*self.operands)
         terms = sorted(self._terms(), key=lambda term: term[0])  # positive ones first
         rest = [(sign, term) for sign, term in terms if not term.fused]
         products = [(sign, term) for sign, term in terms if term.fused]
         (sign, first), *rest = rest or [products.pop(0)]
-        text = f"{sign}{first._inside() if sign else first}"
-        text += "".join(f" {sign or '+'} {term._inside()}" for sign, term in rest)
+        text = f"{sign}{first.formula() if first.fused else first}"
+        text += "".join(f" {sign or '+'} {term}" for sign, term in rest)
         for sign, product in products:
             a, b = product.operands
-            text = f"fma({sign}{a._inside() if sign else a}, {b}, {text})"
+            text = f"fma({sign}{a}, {b}, {text})"
         return text
 
     def _terms(self, sign: str = "") -> "Iterator[tuple[str, Symbol]]":
@@ -156,11 +151,6 @@ class Symbol:
             else:
                 yield own, term
 
-    def _inside(self) -> str:
-        """Return the text as an operand, in brackets where it is a sum."""
-        bare = self.name or self.operation not in "+-" or str(self).startswith("fma(")
-        return str(self) if bare else f"({self})"
-
 
 class Tape:
     """Symbols of one computation, in order of creation."""
@@ -170,37 +160,31 @@ class Tape:
 
     def number(self, value: float) -> Symbol:
         """Return a constant."""
-        key = ("number", float(value) + 0.0)  # no negative zero
+        return self.symbol("number", number=float(value) + 0.0)  # no negative zero
+
+    def symbol(self, operation: str, *operands: Symbol, number: float = 0.0) -> Symbol:
+        """Return the one symbol of this operation on these operands; an input's is its name."""
+        key = (operation, number, *operands)
         if key not in self.symbols:
-            self.symbols[key] = Symbol(self, "number", (), key[1])
+            self.symbols[key] = Symbol(self, operation, operands, number, len(self.symbols))
         return self.symbols[key]
 
-    def symbol(self, operation: str, *operands: Symbol) -> Symbol:
-        """Return the one symbol of this operation on these operands; a variable's is its name."""
-        key = (operation, *operands)
-        if key not in self.symbols:
-            self.symbols[key] = Symbol(self, operation, operands)
-        return self.symbols[key]
 
-    def fuse(self, record: Record) -> None:
-        """Make sums and products that only one sum of a record needs terms of that sum."""
-        users = _users(record)
-        for symbol in users:
-            for term in symbol.operands if symbol.operation in ("+", "-") else ():
-                if users[term] == 1 and term.operation in ("+", "-", "*"):
-                    term.fused = True
+def fuse(record: Record) -> None:
+    """Make sums and products that only one sum of a record needs terms of that sum."""
+    users = _users(record)
+    for symbol in users:
+        for term in symbol.operands if symbol.operation in ("+", "-") else ():
+            if users[term] == 1 and term.operation in ("+", "-", "*"):
+                term.fused = True
 
-    def python(self, record: Record) -> Iterator[str]:
-        """Yield the lines that compute a record.
 
-        Expressions with several uses get a line of their own; unused ones are left out.
-        """
-        users = _users(record)
-        for symbol in sorted(users, key=lambda symbol: symbol.order):
-            if symbol.operation in "+-*" and (users[symbol] > 1 or symbol.name):
-                symbol.name = f"t{symbol.order}"
-                yield f"{symbol.name} = {symbol.formula()}"
-        yield from (f"{target} = {symbol}" for target, symbol in record.items())
+def statements(record: Record) -> Iterator[str]:
+    """Yield the lines that compute a record, without expressions that it does not need."""
+    for symbol in sorted(_users(record), key=lambda symbol: symbol.order):
+        if symbol.operation in "+-*" and not symbol.fused:
+            yield f"{symbol} = {symbol.formula()}"
+    yield from (f"{target} = {symbol}" for target, symbol in record.items())
 
 
 def _users(record: Record) -> dict[Symbol, int]:
@@ -215,7 +199,7 @@ def _users(record: Record) -> dict[Symbol, int]:
     return users
 
 
-def trace(steps: Sequence[Link]) -> tuple[Tape, Record]:
+def trace(steps: Sequence[Link]) -> Record:
     """Run the kinematics of a chain on symbols.
 
     Must equal Pinocchio and MuJoCo.
@@ -224,7 +208,7 @@ def trace(steps: Sequence[Link]) -> tuple[Tape, Record]:
         steps: Steps to the six free joints and to the flange.
 
     Returns:
-        The tape, and the symbols of the entries of the record.
+        The symbols of the entries of the record.
     """
     tape, joints = Tape(), range(FREE_JOINTS)
     pairs = [(tape.symbol(f"s{i}"), tape.symbol(f"c{i}")) for i in joints]
@@ -264,19 +248,19 @@ def trace(steps: Sequence[Link]) -> tuple[Tape, Record]:
     rotation = [axis[row] for row in range(3) for axis in axes]
     J = [column[row] for row in range(6) for column in columns]
     entries = [*(r[0] + reach), *rotation, *v, *w, *v_dot, *w_dot, *J]
-    return tape, {f"frame[{_entry(row)}]": symbol for row, symbol in enumerate(entries)}
+    return {f"frame[{_entry(row)}]": symbol for row, symbol in enumerate(entries)}
 
 
 def source(arm: "Arm") -> str:
     """Return the module of an arm as text."""
-    tape, record = trace(links(arm))
-    tape.fuse(record)
+    record = trace(links(arm))
+    fuse(record)
     moving = dict(list(record.items())[:J_DOT_DQ])
     inputs = [f"s{i}, c{i} = sincos(q[{_entry(i)}])" for i in range(FREE_JOINTS)]
     inputs += [f"dq{i} = dq[{_entry(i)}]" for i in range(FREE_JOINTS)]
     text = "from equipoise.elementary import fma, sincos\n"
     for name, entries in (("kinematics", record), ("motion", moving)):
-        body = "\n".join(f"        {line}" for line in (*inputs, *tape.python(entries)))
+        body = "\n".join(f"        {line}" for line in (*inputs, *statements(entries)))
         text += FUNCTION.format(name=name, body=body)
     return text
 
@@ -296,6 +280,26 @@ def load(arm: "Arm") -> tuple[KinematicsFunction, KinematicsFunction]:
         sys.modules[name] = module  # where Numba looks when it loads the machine code again
     module = sys.modules[name]
     return module.kinematics, module.motion
+
+
+@functools.cache
+def addresses(arm: "Arm") -> tuple[int, int]:
+    """Return the addresses of `kinematics` and `motion` of an arm, compiled or loaded, for kernels.
+
+    Blocks are flat arrays there: of 6, 6 and `FRAME_SIZE` rows.
+    """
+    kinematics, motion = map(_address, load(arm))
+    return kinematics, motion
+
+
+def _address(function: KinematicsFunction) -> int:
+    generated = compilable(function)
+
+    def kinematics(q: Array, dq: Array, frame: Array, lanes: int) -> None:
+        generated(q, dq, frame, lanes)
+
+    block = np.zeros(1)
+    return pointer(kinematics, block, block, block, 0)
 
 
 def _entry(row: int) -> str:

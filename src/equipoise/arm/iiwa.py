@@ -15,6 +15,7 @@ KUKA publishes no inertias either. Masses and inertias (`data/iiwa7-links.csv`) 
 beside them, and are parallel to the base at zero. The base, link 0, does not move and is left out.
 """
 
+from functools import partial
 from math import radians
 from typing import Final, Literal
 
@@ -109,11 +110,5 @@ def iiwa(size: Literal[7, 14, "iiwa7", "iiwa14"]) -> Arm:
     )
 
 
-def iiwa7() -> Arm:
-    """Return the iiwa 7, as the entry point of that name."""
-    return iiwa(7)
-
-
-def iiwa14() -> Arm:
-    """Return the iiwa 14, as the entry point of that name."""
-    return iiwa(14)
+iiwa7, iiwa14 = partial(iiwa, 7), partial(iiwa, 14)
+"""The arms as entry points of their names."""

@@ -48,11 +48,8 @@ def condition(arm: Arm, q: Array) -> float:
 
 def limit_margin(arm: Arm, q: Array) -> float:
     """Return the distance to the nearest limit of a joint [rad] at the free joints `q` [rad]."""
-    joints = arm.free_joints
-    return min(
-        min(angle - joint.lower, joint.upper - angle)
-        for angle, joint in zip(q.tolist(), joints, strict=True)
-    )
+    lower, upper = np.array([(joint.lower, joint.upper) for joint in arm.free_joints]).T
+    return float(np.minimum(q - lower, upper - q).min())
 
 
 @functools.lru_cache(maxsize=16)

@@ -151,7 +151,7 @@ def read_urdf(
         return arm
     flange = arm.kinematics(arm.home_free)
     outward = copysign(PIVOT_OUTWARD, float(flange.position[1]))
-    return arm.model_copy(update={"pivot": _triple(outward * flange.rotation[1])})
+    return arm.model_copy(update={"pivot": tuple((outward * flange.rotation[1]).tolist())})
 
 
 def _chain(spec: Any, tip: str | None, path: Path) -> list[Any]:
@@ -235,15 +235,15 @@ def _placed(
         joints.append(
             Joint(
                 name=shortened(joint.name),
-                xyz=_triple(body.pos),
+                xyz=body.pos.tolist(),
                 rpy=rpy_from_rotation(rotation_from_quaternion(body.quat)),
-                axis=_triple(joint.axis),
+                axis=joint.axis.tolist(),
                 acceleration=acceleration,
                 link=link,
                 **limits[joint.name],
             )
         )
-    return joints, (_triple(site.pos), rpy_from_rotation(rotation_from_quaternion(site.quat)))
+    return joints, (site.pos.tolist(), rpy_from_rotation(rotation_from_quaternion(site.quat)))
 
 
 def rotation_from_quaternion(quaternion: Array) -> Array:
@@ -251,8 +251,3 @@ def rotation_from_quaternion(quaternion: Array) -> Array:
     matrix = np.zeros(9)
     mujoco().mju_quat2Mat(matrix, quaternion)
     return matrix.reshape(3, 3)
-
-
-def _triple(vector: Array) -> Triple:
-    x, y, z = vector.tolist()
-    return x, y, z

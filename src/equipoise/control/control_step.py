@@ -31,6 +31,7 @@ from typing import Annotated, Final, NamedTuple, Protocol
 import numpy as np
 
 from equipoise.arm.arm import FREE_JOINTS, Arm
+from equipoise.arm.chain import wrist_centre
 from equipoise.arm.clik import (
     GAMMA,
     REFERENCE_SIZE,
@@ -40,7 +41,7 @@ from equipoise.arm.clik import (
     pose_error,
     solve,
 )
-from equipoise.arm.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST
+from equipoise.arm.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST, addresses
 from equipoise.arrays import Array, IntArray
 from equipoise.control.linear import Gains, observer_gains
 from equipoise.control.policy import Observation
@@ -77,21 +78,6 @@ LANES: Final = (BATCH_SIZE,)
 """Shape of a field with one number for each lane."""
 
 
-class ControllerCode(NamedTuple):
-    """Addresses of compiled functions: each is compiled once, for all loops."""
-
-    kinematics: int
-    """Kinematics of the arm."""
-    motion: int
-    """The same without J and J_dot dq."""
-    follow_setpoint: int = 0
-    """`equipoise.model.actuator.follow_setpoint`."""
-    start_controller: int = 0
-    observe: int = 0
-    command: int = 0
-    advance_arm_model: int = 0
-
-
 class ControllerParams(NamedTuple):
     """Constants of the controller, from `make_controller_params`.
 
@@ -99,8 +85,10 @@ class ControllerParams(NamedTuple):
     which takes as long as a formula.
     """
 
-    code: ControllerCode
-    """Compiled functions."""
+    kinematics: int
+    """Address of the arm's compiled kinematics."""
+    motion: int
+    """That of the same without J and J_dot dq."""
     clik: ClikParameters
     """Gains and damping."""
     limits: tuple[tuple[float, ...], ...]
@@ -131,6 +119,13 @@ class ControllerParams(NamedTuple):
     """Angle of one encoder count, with the encoder's sign [rad]."""
     correction: float
     """Fraction of the difference between measured and modelled q that is corrected per tick [-]."""
+    follow_setpoint: int = 0
+    """Address of the compiled `equipoise.model.actuator.follow_setpoint`: each function is compiled
+    once, for all loops. Those of this module follow."""
+    start_controller: int = 0
+    observe: int = 0
+    command: int = 0
+    advance_arm_model: int = 0
 
 
 class Motion(Protocol):
@@ -251,10 +246,10 @@ def make_controller_params(
         ArmError: Home is a singular posture.
         SettingsError: The delay is longer than the history.
     """
-    compiled = arm.compiled()
+    whole, motion = addresses(arm)
     q, dq, frame = np.zeros(ROWS), np.zeros(ROWS), np.zeros((FRAME_SIZE, BATCH_SIZE))
     q[:, 0] = arm.home_free
-    kinematics(compiled.kinematics, q, dq, frame, 1)
+    kinematics(whole, q, dq, frame, 1)
     w = float(manipulability(frame, 0))
     if w < 1e-6:  # [m^3]: an iiwa at home has 0.09
         raise ArmError(
@@ -270,9 +265,10 @@ def make_controller_params(
     own, clik = settings.controller, settings.clik
     counts_per_rev = counts_per_rev or settings.plant.counts_per_rev
     params = ControllerParams(
-        code=ControllerCode(compiled.kinematics, compiled.motion),
+        kinematics=whole,
+        motion=motion,
         # The inverse is damped below a twentieth of the manipulability at home.
-        clik=ClikParameters(clik.K_p, clik.K_d, 0.05 * w, lambda_0=0.05, wrist=compiled.wrist),
+        clik=ClikParameters(clik.K_p, clik.K_d, 0.05 * w, lambda_0=0.05, wrist=wrist_centre(arm)),
         limits=tuple(zip(*limits, strict=True)),
         home=tuple(arm.home_free.tolist()),
         home_reference=tuple(frame[:REFERENCE_SIZE, 0].tolist()),
@@ -289,14 +285,13 @@ def make_controller_params(
         correction=CORRECTION,
     )
     state, measured = ControllerState, Observation(0.0, 0.0, 0.0, 0.0)
-    code = params.code._replace(
+    return params._replace(
         follow_setpoint=pointer(follow_setpoint, Servos, params.actuator, 0, False, 0),
         start_controller=pointer(start_controller, params, state, measured, 0),
         observe=pointer(observe, params, state, (0.0, 0.0), 0),
         command=pointer(command, params, state, 0),
         advance_arm_model=pointer(advance_arm_model, params, state, 0),
     )
-    return params._replace(code=code)
 
 
 def horizon(arm: Arm, actuator: Actuator, margin: float) -> float:
@@ -357,7 +352,7 @@ def place_command(
     for i in range(FREE_JOINTS):
         q[i, 0] = controller.home[i]
     for _ in range(20):  # Newton's iteration to the posture
-        kinematics(controller.code.kinematics, q, dq, frame, 1)
+        kinematics(controller.kinematics, q, dq, frame, 1)
         error = pose_error(frame, reference, 0)
         largest = 0.0
         for i in range(6):
@@ -371,7 +366,7 @@ def place_command(
     for i in range(6):
         e[i, 0] = x_dot if i == 0 else 0.0
     solve(frame, e, controller.clik, dq, 1)
-    kinematics(controller.code.kinematics, q, dq, frame, 1)
+    kinematics(controller.kinematics, q, dq, frame, 1)
     reference[TWIST, 0] = x_dot
     for i in range(FREE_JOINTS):
         state.q[i, n], state.dq[i, n], state.ddq[i, n] = q[i, 0], dq[i, 0], 0.0
@@ -555,9 +550,9 @@ def command(controller: ControllerParams, state: ControllerState, lanes: int) ->
             within &= (lower[i] <= q[i, n]) & (q[i, n] <= upper[i])
             within &= (abs(dq[i, n]) <= max_velocity[i]) & (abs(ddq[i, n]) <= max_acceleration[i])
         limit_exceeded[n] = 0 if within else 1
-    kinematics(controller.code.kinematics, q, dq, frame, lanes)
+    kinematics(controller.kinematics, q, dq, frame, lanes)
     if controller.has_sensor:
-        call(controller.code.advance_arm_model, (controller, state, lanes))
+        call(controller.advance_arm_model, (controller, state, lanes))
 
 
 def advance_arm_model(controller: ControllerParams, state: ControllerState, lanes: int) -> None:
@@ -574,7 +569,7 @@ def advance_arm_model(controller: ControllerParams, state: ControllerState, lane
         for i in range(FREE_JOINTS):
             for n in range(BATCH_SIZE):
                 model.target[i, n] = state.setpoints[s, i, n]
-        call(controller.code.follow_setpoint, (model, controller.actuator, cycles, False, lanes))
+        call(controller.follow_setpoint, (model, controller.actuator, cycles, False, lanes))
     newest = (state.newest[0] + 1) % HISTORY_TICKS
     for n in range(BATCH_SIZE):
         state.newest[n] = newest
@@ -584,7 +579,7 @@ def advance_arm_model(controller: ControllerParams, state: ControllerState, lane
     velocity = motion_of(model, controller.actuator)
     if controller.actuator.kind == IDEAL:
         velocity = state.dq  # it jumps to each setpoint and then rests
-    kinematics(controller.code.motion, corrected, velocity, frame, lanes)
+    kinematics(controller.motion, corrected, velocity, frame, lanes)
     home_x = controller.home_reference[POSITION]
     now = tick_before(state, 0)
     for n in range(BATCH_SIZE):

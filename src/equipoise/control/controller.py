@@ -13,7 +13,7 @@ import numpy as np
 from equipoise.arm.arm import Arm
 from equipoise.arm.clik import manipulability
 from equipoise.arm.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST
-from equipoise.arrays import Array, Records, fields, new_records
+from equipoise.arrays import Array, Records, fields, first_lane, new_records
 from equipoise.control.control_step import (
     HISTORY_TICKS,
     ControllerParams,
@@ -62,37 +62,19 @@ class FlangePose(NamedTuple):
 @kernel
 def observe_tick(params: ControllerParams, states: Records, ages: tuple[float, float]) -> None:
     """Compute the observation; see `control_step.observe`."""
-    call(params.code.observe, (params, states[0], ages, 1))
+    call(params.observe, (params, states[0], ages, 1))
 
 
 @kernel
-def command_tick(params: ControllerParams, states: Records) -> None:
-    """Compute the setpoints from u; see `control_step.command`."""
-    call(params.code.command, (params, states[0], 1))
-
-
-@kernel
-def hold_tick(params: ControllerParams, states: Records) -> None:
-    """Advance the model of the arm towards the last setpoints."""
-    call(params.code.advance_arm_model, (params, states[0], 1))
+def call_alone(function: int, params: ControllerParams, states: Records) -> None:
+    """Call `command` or `advance_arm_model` in the first lane, by its address in `params`."""
+    call(function, (params, states[0], 1))
 
 
 @kernel
 def start(params: ControllerParams, states: Records, measured: Observation) -> None:
     """Start the first lane; see `control_step.start_controller`."""
-    call(params.code.start_controller, (params, states[0], measured, 0))
-
-
-def estimate_of(state: ControllerState) -> Array:
-    """Return the estimate in the first lane, the entries of `StateEstimate`, shape (5,)."""
-    e = state.estimate
-    return np.array([e.phi[0], e.phi_dot[0], e.bias[0], e.pivot_v[0], e.x[0]])
-
-
-def observation_of(state: ControllerState) -> Array:
-    """Return the observation in the first lane, the entries of `Observation`, shape (4,)."""
-    seen = state.observation
-    return np.array([seen.x[0], seen.x_dot[0], seen.phi[0], seen.phi_dot[0]])
+    call(params.start_controller, (params, states[0], measured, 0))
 
 
 class Controller:
@@ -193,23 +175,23 @@ class Controller:
             self._blind += 1
             self.hold()
         state.q[:, 0], state.dq[:], state.ddq[:] = held, 0.0, 0.0
-        kinematics(self._params.code.kinematics, state.q, state.dq, state.frame, 1)
+        kinematics(self._params.kinematics, state.q, state.dq, state.frame, 1)
         state.reference[POSITION, 0] = state.frame[POSITION, 0]
         state.reference[TWIST, 0] = 0.0
 
     def hold(self) -> None:
         """Advance the model of the arm by a tick, towards the last setpoints."""
-        hold_tick(self._params, self._states)
+        call_alone(self._params.advance_arm_model, self._params, self._states)
 
     @property
     def observation(self) -> Observation:
         """Observation of the policy."""
-        return Observation(*observation_of(self._state).tolist())
+        return Observation(*first_lane(self._state.observation).tolist())
 
     @property
     def estimate(self) -> StateEstimate:
         """Estimate of the observer."""
-        return StateEstimate(*estimate_of(self._state).tolist())
+        return StateEstimate(*first_lane(self._state.estimate).tolist())
 
     @property
     def balancing(self) -> bool:
@@ -222,7 +204,7 @@ class Controller:
 
     def decide(self, policy: Policy) -> float:
         """Return the policy's u [m/s^2] for the observation."""
-        return policy.act(observation_of(self._state))
+        return policy.act(first_lane(self._state.observation))
 
     @property
     def box(self) -> int:
@@ -230,11 +212,15 @@ class Controller:
         return box_index(*self.observation, self._boxes)
 
     def command(self, u: float) -> tuple[tuple[float, ...], ...]:
-        """Accelerate the flange by u [m/s^2] over a tick, and return its setpoints [rad]."""
+        """Accelerate the flange by u [m/s^2] over a tick.
+
+        Returns:
+            The setpoints of the tick, all joints [rad]: half a tick later, and at its end.
+        """
         state = self._state
         self._model[0][:], self._model[1][:] = state.model.q, state.model.dq
         state.u[0] = u
-        command_tick(self._params, self._states)
+        call_alone(self._params.command, self._params, self._states)
         return tuple(self._all_joints(self._arm.home, free) for free in state.setpoints)
 
     @property
@@ -243,13 +229,8 @@ class Controller:
         return bool(self._state.limit_exceeded[0])
 
     @property
-    def q(self) -> tuple[float, ...]:
-        """Commanded joints at the end of the tick, all of them [rad]."""
-        return self._all_joints(self._arm.home, self._state.q)
-
-    @property
     def dq(self) -> tuple[float, ...]:
-        """Their velocities [rad/s]."""
+        """Commanded velocities of all joints at the end of the tick [rad/s]."""
         return self._all_joints((0.0,) * len(self._arm.joints), self._state.dq)
 
     @property
@@ -276,7 +257,7 @@ class Controller:
 
 @kernel
 def _measured_pose(params: ControllerParams, q: Array, dq: Array, frame: Array) -> FlangePose:
-    kinematics(params.code.kinematics, q, dq, frame, 1)
+    kinematics(params.kinematics, q, dq, frame, 1)
     return flange_pose(frame, params.home_reference)
 
 

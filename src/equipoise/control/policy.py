@@ -11,7 +11,6 @@ import functools
 import hashlib
 import numbers
 from dataclasses import dataclass
-from importlib import resources
 from math import floor, isfinite, nan
 from typing import Annotated, Any, ClassVar, NamedTuple, Protocol, Self, runtime_checkable
 
@@ -23,10 +22,9 @@ from equipoise.arm.arm import Arm
 from equipoise.arrays import Array
 from equipoise.errors import InputError
 from equipoise.files import DIGEST_PREFIX, Artefact, Count, Fraction, Number, Seed, Value
-from equipoise.jit import inlined
-from equipoise.model import grid
+from equipoise.jit import PACKAGE, inlined
 from equipoise.model.actuator import Actuator
-from equipoise.model.grid import Grid, box_index
+from equipoise.model.grid import ACTIONS, Grid, box_index, greedy_accelerations, make_grid
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import DEPLOYMENT, philox, uniform
 from equipoise.outcomes import Outcome
@@ -72,7 +70,7 @@ class PolicyKernel(NamedTuple):
     """Acceleration of each box [m/s^2]; for TABLE."""
     gains: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     """Gains of u = gains . (x, x_dot, phi, phi_dot); for LINEAR and SNAPPED."""
-    boxes: Grid = grid.make_grid(BoxSettings(), 1.0)
+    boxes: Grid = make_grid(BoxSettings(), 1.0)
     """Edges of the boxes."""
 
 
@@ -108,16 +106,6 @@ def nearest_action(u: float, nearest: float, actions: tuple[float, ...]) -> floa
         if abs(actions[i] - u) < abs(nearest - u):
             nearest = actions[i]
     return nearest
-
-
-def table_kernel(u_of_box: Array, boxes: Grid) -> PolicyKernel:
-    """Return the kernel of a table.
-
-    Args:
-        u_of_box: Acceleration of each box [m/s^2]; copied.
-        boxes: The boxes.
-    """
-    return PolicyKernel(TABLE, np.array(u_of_box), boxes=boxes)
 
 
 class KernelPolicy:
@@ -256,7 +244,7 @@ class TabularPolicy(Artefact):
     def _fits_the_boxes(self) -> Self:
         if self.actions != paper.ACTIONS:
             raise ValueError("the actions are not the ones of this Equipoise (the paper's eight)")
-        shape = (self.settings.boxes.count, grid.ACTIONS)
+        shape = (self.settings.boxes.count, ACTIONS)
         for name, table in (("Q", self.Q), ("visits", self.visits)):
             if len(table) != shape[0] or any(len(row) != shape[1] for row in table):
                 raise ValueError(f"{name} must have {shape[0]} rows of {shape[1]} numbers")
@@ -294,12 +282,12 @@ class TabularPolicy(Artefact):
     @property
     def kernel(self) -> PolicyKernel:
         """Greedy policy for compiled loops."""
-        return table_kernel(self.u_of_box, self.grid)
+        return PolicyKernel(TABLE, self.u_of_box, boxes=self.grid)
 
     @property
     def grid(self) -> Grid:
         """The boxes for kernels."""
-        return grid.make_grid(self.settings.boxes, self.pendulum.parameters().k)
+        return make_grid(self.settings.boxes, self.pendulum.parameters().k)
 
     def reset(self) -> None:
         """Do nothing: a table has no state."""
@@ -380,11 +368,6 @@ def _format_state(state: Array) -> str:
     return ", ".join(f"{name} = {value:.3g}" for name, value in named)
 
 
-def greedy_accelerations(Q: Array) -> Array:
-    """Return the greedy acceleration of each box [m/s^2], shape (boxes,), of a table."""
-    return np.array(paper.ACTIONS)[grid.greedy_actions(Q)]
-
-
 @functools.lru_cache(maxsize=16)
 def _greedy(Q: tuple[tuple[float, ...], ...]) -> tuple[float, ...]:
     """Return the greedy accelerations as Python numbers; cached, since every `act` needs them."""
@@ -394,5 +377,4 @@ def _greedy(Q: tuple[tuple[float, ...], ...]) -> tuple[float, ...]:
 @functools.cache
 def shipped_policy() -> TabularPolicy:
     """Return the policy that ships with Equipoise, trained for the shipped pendulum."""
-    with resources.as_file(resources.files("equipoise") / "data" / "policy.json") as path:
-        return TabularPolicy.load(path)
+    return TabularPolicy.load(PACKAGE / "data" / "policy.json")

@@ -23,13 +23,13 @@ from equipoise.arm.arm import Arm
 from equipoise.arm.urdf import read_arm
 from equipoise.arrays import Array
 from equipoise.control.policy import (
+    TABLE,
     Checkpoint,
     KernelPolicy,
     LearningPoint,
+    PolicyKernel,
     TabularPolicy,
     TargetTest,
-    greedy_accelerations,
-    table_kernel,
 )
 from equipoise.errors import InputError
 from equipoise.executors import Show, completed, counted
@@ -37,7 +37,7 @@ from equipoise.files import Fraction, Seed, StrPath
 from equipoise.learning.choice import with_digests
 from equipoise.learning.episodes import Training
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, read_actuator, shipped_actuator
-from equipoise.model.grid import TRUNCATED, make_grid
+from equipoise.model.grid import TRUNCATED, greedy_accelerations, make_grid
 from equipoise.model.pendulum import Pendulum, read_pendulum
 from equipoise.model.random import SELECTION, TARGET_TEST
 from equipoise.model.worlds import IDEAL, MODEL
@@ -166,8 +166,8 @@ def _score_table(simulation: PlantSimulation, candidate: tuple[int, Array]) -> C
     (episodes, u_of_box), setup = candidate, simulation.setup
     boxes = make_grid(setup.settings.boxes, simulation.pendulum.k)
     selection = setup.settings.selection
-    policy, trials = KernelPolicy(table_kernel(u_of_box, boxes)), simulation.draw(selection.trials)
-    simulation.run(policy, trials, duration=selection.duration)
+    kernel, trials = PolicyKernel(TABLE, u_of_box, boxes=boxes), simulation.draw(selection.trials)
+    simulation.run(KernelPolicy(kernel), trials, duration=selection.duration)
     mean_duration = float(np.mean(trials.steps)) * setup.h
     rms_x = float(np.sqrt(np.sum(trials.sum_x2) / np.sum(trials.steps)))
     score = mean_duration / selection.duration - RMS_X_WEIGHT * rms_x / paper.X_LIMIT

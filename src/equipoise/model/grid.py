@@ -9,7 +9,7 @@ Mirror symmetry (x, phi -> -x, -phi) is a map of *indices*. Re-binning -phi is n
 the intervals of phi are half open.
 """
 
-from math import radians
+from math import nextafter, radians
 from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
@@ -28,22 +28,13 @@ TRUNCATED, ANGLE, TRACK, JOINT_LIMIT, NOT_UPRIGHT, SAFETY_STOP = range(6)
 the lowest one of a safety rule."""
 
 
-class Axis(NamedTuple):
-    """The inner edges of one axis."""
-
-    edges: tuple[float, ...]
-    """Rising, in SI units."""
-    upper: tuple[bool, ...]
-    """Whether the edge itself belongs to the interval above it."""
-
-
 class Grid(NamedTuple):
-    """The four axes."""
+    """The four axes: the least number of each interval but the lowest, rising, in SI units."""
 
-    phi: Axis
-    phi_dot: Axis
-    x: Axis
-    x_dot: Axis
+    phi: tuple[float, ...]
+    phi_dot: tuple[float, ...]
+    x: tuple[float, ...]
+    x_dot: tuple[float, ...]
     x_per_x_dot: float
     """Time over which x is continued [s]."""
     x_per_phi_dot: float
@@ -61,7 +52,7 @@ def make_grid(settings: BoxSettings, k: float) -> Grid:
     """
     phi, phi_dot = (tuple(map(radians, ends)) for ends in (settings.phi_deg, settings.phi_dot_deg))
     return Grid(
-        phi=Axis(phi, (True,) * len(phi)),
+        phi=phi,
         phi_dot=_outward(phi_dot),
         x=_outward(settings.x),
         x_dot=_outward(settings.x_dot),
@@ -70,18 +61,17 @@ def make_grid(settings: BoxSettings, k: float) -> Grid:
     )
 
 
-def _outward(edges: tuple[float, ...]) -> Axis:
+def _outward(edges: tuple[float, ...]) -> tuple[float, ...]:
     """Return the axis whose edges belong to the intervals farther from zero."""
-    return Axis(edges, tuple(edge >= 0.0 for edge in edges))
+    return tuple(edge if edge >= 0.0 else nextafter(edge, 0.0) for edge in edges)
 
 
 @inlined
-def interval_index(value: float, axis: Axis) -> int:
+def interval_index(value: float, axis: tuple[float, ...]) -> int:
     """Return the interval of an axis that holds `value`."""
     index = 0
-    for i in range(len(axis.edges)):
-        edge = axis.edges[i]
-        index += (value > edge) | ((value == edge) & axis.upper[i])
+    for i in range(len(axis)):
+        index += value >= axis[i]
     return index
 
 
@@ -101,8 +91,8 @@ def box_index(x: float, x_dot: float, phi: float, phi_dot: float, boxes: Grid) -
     ahead = x + boxes.x_per_x_dot * x_dot + boxes.x_per_phi_dot * phi_dot
     k = interval_index(ahead, boxes.x)
     m = interval_index(x_dot, boxes.x_dot)
-    i = i * (len(boxes.phi_dot.edges) + 1) + j
-    return (i * (len(boxes.x.edges) + 1) + k) * (len(boxes.x_dot.edges) + 1) + m
+    i = i * (len(boxes.phi_dot) + 1) + j
+    return (i * (len(boxes.x) + 1) + k) * (len(boxes.x_dot) + 1) + m
 
 
 @kernel
@@ -131,8 +121,8 @@ def mirrored_box(box: Box, count: int) -> Box:
     return count - 1 - box
 
 
-def greedy_actions(Q: Array) -> IntArray:
-    """Return the index of the best action of each box, ties broken mirror-symmetrically.
+def greedy_accelerations(Q: Array) -> Array:
+    """Return the best acceleration of each box [m/s^2], ties broken mirror-symmetrically.
 
     Of equal values the lowest action wins in a box of the lower half (phi < 0) and the highest in
     its mirror image, so that a symmetric table gives a symmetric policy.
@@ -141,8 +131,8 @@ def greedy_actions(Q: Array) -> IntArray:
         Q: State-action values, shape (boxes, 8).
 
     Returns:
-        Indices of actions, shape (boxes,).
+        Accelerations, shape (boxes,).
     """
     box = np.arange(len(Q))
     lowest, highest = np.argmax(Q, axis=1), Q.shape[1] - 1 - np.argmax(Q[:, ::-1], axis=1)
-    return np.where(box < mirrored_box(box, len(Q)), lowest, highest)
+    return np.array(paper.ACTIONS)[np.where(box < mirrored_box(box, len(Q)), lowest, highest)]

@@ -27,7 +27,6 @@ from equipoise.files import Value, first_fault, quoted
 from equipoise.settings import MAX_COUNTS_PER_REV, QUARTER_TURN, read_toml
 
 if TYPE_CHECKING:
-    from equipoise.arrays import Array
     from equipoise.model.pendulum import Pendulum, PendulumParameters
 
 IDEAL: Final = "ideal"
@@ -131,8 +130,8 @@ def pendulum_on(
     return swings if settings.drag is None else swings._replace(drag=settings.drag)
 
 
-def rotor_inertias(settings: TwinSettings, n: int) -> "Array":
-    """Return the rotor inertia of each joint [kg m^2], shape (n,).
+def rotor_inertias(settings: TwinSettings, n: int) -> tuple[float, ...]:
+    """Return the rotor inertia of each joint [kg m^2].
 
     Args:
         settings: Parameters of the twin.
@@ -140,12 +139,10 @@ def rotor_inertias(settings: TwinSettings, n: int) -> "Array":
 
     Example:
         >>> rotor_inertias(TwinSettings(rotor_inertia=(3.0, 2.0)), 3)
-        array([3., 2., 2.])
+        (3.0, 2.0, 2.0)
     """
-    import numpy as np
-
     rotors = settings.rotor_inertia
-    return np.array([rotors[min(joint, len(rotors) - 1)] for joint in range(n)])
+    return rotors[:n] + rotors[-1:] * (n - len(rotors))
 
 
 class World(NamedTuple):

@@ -225,7 +225,7 @@ class Run:
             self.lost_speed -= gained
             u += gained / self.h
         setpoints = self.controller.command(u)
-        self.q, self.dq = self.controller.q, self.controller.dq
+        self.q, self.dq = setpoints[-1], self.controller.dq
         return setpoints
 
     def record_decision(self, u: float) -> None:
@@ -289,7 +289,7 @@ def confirm(run: Run) -> Steps[None]:
     question = "Is this home, the spindle level, the track free on both sides? y or n"
     run.enter(Phase.AT_HOME, "home", question, ("y", "n"))
     run.controller.begin(0.0, 0.0)
-    run.q = run.controller.q
+    run.q = run.arm.home
     answer = None
     while answer is None:
         answer = (yield run.still()).answer
@@ -312,7 +312,7 @@ def check_zero(run: Run) -> Steps[None]:
     while not run.encoder.samples:
         yield run.still()
     run.begin_hanging()
-    run.q = run.controller.q
+    run.q = run.arm.home
     yield from damp(run)
     while abs(v := run.controller.x_dot) > 1e-6:  # [m/s]
         yield run.accelerate(-min(max(v / run.h, -1.0), 1.0))  # [m/s^2]

@@ -126,7 +126,7 @@ def trial_violation(
     state.error_time = rules.next_error_time(state.error_time, error, params.h)
     if state.error_time > rules.FOLLOWING_TIME:
         return rules.FOLLOWING_CODE
-    kinematics(controller.code.kinematics, measurements.measured, state.still, state.frame, 1)
+    kinematics(controller.kinematics, measurements.measured, state.still, state.frame, 1)
     x, drift, tilt, w = flange_pose(state.frame, controller.home_reference)
     x_dot, phi = measurements.estimate.pivot_v[0], measurements.estimate.phi[0]
     code, _, _ = rules.broken_flange(params, x, x_dot, drift, tilt, w)

@@ -12,7 +12,7 @@ import numpy as np
 
 from equipoise.arrays import Array, fields, new_records
 from equipoise.control.control_step import ControllerState, make_controller_params, wrapped
-from equipoise.control.controller import command_tick, observe_tick, start
+from equipoise.control.controller import call_alone, observe_tick, start
 from equipoise.control.policy import Observation
 from equipoise.simulation.interface import ClosedLoop, Simulation
 from equipoise.simulation.plant import Trial, draw_noise, failure, scaled
@@ -87,7 +87,7 @@ class ExternalLoop(ClosedLoop):
             draw_noise(controller.noise, simulation.seed, tick, number, simulation.stream, 1)
             controller.noise[:, 0] *= self._sigmas
         controller.u[0] = u
-        command_tick(self.params, self._controllers)
+        call_alone(self.params.command, self.params, self._controllers)
         with user_code(f"the world {simulation.world}"):
             for q in controller.setpoints[:, :, 0]:
                 self.send(q)

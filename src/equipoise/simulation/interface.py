@@ -18,9 +18,8 @@ import numpy as np
 
 from equipoise.arguments import Workers
 from equipoise.arm.arm import Arm
-from equipoise.arrays import Array, fields
+from equipoise.arrays import Array, fields, first_lane
 from equipoise.control.control_step import ControllerParams, ControllerState
-from equipoise.control.controller import estimate_of, observation_of
 from equipoise.control.policy import KernelPolicy, Policy, PolicyKernel, TaskPolicy, tick_policy
 from equipoise.control.swing_up import SwingUpPolicy, compiled_for, make_swing_up, time_limit
 from equipoise.errors import InputError, SettingsError
@@ -317,7 +316,7 @@ def _set_up(inputs: bytes) -> Simulation:
 
 def predicted(loop: ClosedLoop) -> Array:
     """Return x, x_dot, phi, phi_dot at which u takes effect: the observation, shape (4,)."""
-    return observation_of(loop.controller)
+    return first_lane(loop.controller.observation)
 
 
 class TrialEnd(NamedTuple):
@@ -420,7 +419,7 @@ class TrialRecorder:
         estimate = np.array((*pendulum, 0.0, x_dot, x))
         encoder, joints = (nan, nan), np.full(7, nan)
         if measured is not None:
-            estimate = estimate_of(loop.controller)
+            estimate = first_lane(loop.controller.estimate)
             encoder = measured.counts, measured.counted_at
             joints = np.append(measured.q, measured.measured_at)
         self._before = predicted(loop), u, estimate, state, loop.joints(), encoder, joints

@@ -201,7 +201,7 @@ def reset(plant: LoopParams, batch: BatchState, trial: Trial, n: int) -> None:
     (x, x_dot, phi, phi_dot), variation = trial.start, trial.variation
     zero = variation.zero if params.has_sensor else 0.0
     measured = Observation(x, x_dot, phi + zero, phi_dot)
-    call(params.code.start_controller, (params, controller, measured, n))
+    call(params.start_controller, (params, controller, measured, n))
     own = scaled(params.pendulum, variation)
     pendula = batch.pendula
     pendula.w2[n], pendula.k[n], pendula.c[n] = own.w2, own.k, own.c
@@ -250,7 +250,7 @@ def step(plant: LoopParams, batch: BatchState, lanes: int) -> None:
     frame = batch.frame if params.has_sensor else controller.frame
     for n in range(BATCH_SIZE):
         batch.pivot_v[n] = pivot_velocity(frame, params.pivot, n)
-    call(params.code.command, (params, controller, lanes))
+    call(params.command, (params, controller, lanes))
     dry = False
     for n in range(lanes):
         dry = dry or batch.pendula.coulomb[n] > 0.0
@@ -275,7 +275,7 @@ def step(plant: LoopParams, batch: BatchState, lanes: int) -> None:
         cause[n] = failure(observed(state, n), exceeded, plant.max_speed, balancing)
     if params.has_sensor:
         measure(params, batch)
-        call(params.code.observe, (params, controller, (0.0, 0.0), lanes))
+        call(params.observe, (params, controller, (0.0, 0.0), lanes))
     else:
         seen = controller.observation
         for n in range(BATCH_SIZE):
@@ -307,9 +307,9 @@ def move_arms(params: ControllerParams, batch: BatchState, lanes: int) -> None:
     arm, cycles = batch.arm, round(params.h / SETPOINTS_PER_TICK / CYCLE)
     for s in range(SETPOINTS_PER_TICK):
         _send(batch, s, lanes)
-        call(params.code.follow_setpoint, (arm, params.actuator, cycles, True, lanes))
+        call(params.follow_setpoint, (arm, params.actuator, cycles, True, lanes))
     velocity = motion_of(arm, params.actuator)
-    kinematics(params.code.motion, arm.q, velocity, batch.frame, lanes)
+    kinematics(params.motion, arm.q, velocity, batch.frame, lanes)
 
 
 @inlined
@@ -323,7 +323,7 @@ def move_arms_and_pendula(params: ControllerParams, batch: BatchState, lanes: in
             for n in range(BATCH_SIZE):
                 batch.cycle_pivot_v[n] = pivot_velocity(frame, params.pivot, n)
             follow(arm, params.actuator, cycle, lanes)
-            kinematics(params.code.motion, arm.q, arm.dq, frame, lanes)
+            kinematics(params.motion, arm.q, arm.dq, frame, lanes)
             for n in range(BATCH_SIZE):
                 v = pivot_velocity(frame, params.pivot, n)
                 batch.cycle_u[n] = (v - batch.cycle_pivot_v[n]) * (1.0 / CYCLE)

@@ -84,7 +84,7 @@ def release(world: TwinWorld, trial: Trial, n: int) -> None:
     counts, stamp = encoder(twin)
     shown = pi - counts * params.resolution - stamp * phi_dot
     measured = Observation(0.0, 0.0, shown, phi_dot)
-    call(params.code.start_controller, (params, batch.controller, measured, n))
+    call(params.start_controller, (params, batch.controller, measured, n))
     reset_trial_monitor(world.monitor, params.home)
     _read_truth(world)
 
@@ -112,7 +112,7 @@ def step(world: TwinWorld, seed: IntArray, tick: IntArray, number: IntArray, lan
     twin, data, params, monitor = world.twins[0], world.arrays[0], world.params, world.monitor
     batch, q = world.states[0], world.q
     controller = batch.controller
-    call(params.code.command, (params, controller, 1))
+    call(params.command, (params, controller, 1))
     for s in range(SETPOINTS_PER_TICK):
         for i in range(FREE_JOINTS):
             q[i] = controller.setpoints[s, i, 0]
@@ -131,7 +131,7 @@ def step(world: TwinWorld, seed: IntArray, tick: IntArray, number: IntArray, lan
     for i in range(FREE_JOINTS):
         controller.measured[i, 0] = q[i]
     ages = now * TICK - counted, now * TICK - measured
-    call(params.code.observe, (params, controller, ages, 1))
+    call(params.observe, (params, controller, ages, 1))
     _read_truth(world)
     exceeded, balancing = controller.limit_exceeded[0] != 0, controller.balancing[0] != 0
     cause = failure(observed(batch.state, 0), exceeded, inf, balancing)
