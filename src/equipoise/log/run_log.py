@@ -73,7 +73,7 @@ def _read_mcap(path: Path) -> tuple[Mapping[str, str], Mapping[str, list[bytes]]
     return entries, messages, ""
 
 
-def _without_partial_ticks(rows: Mapping[str, Rows], h: float) -> dict[str, Rows]:
+def _without_partial_ticks(rows: Mapping[str, Rows], run: RunConditions) -> dict[str, Rows]:
     """Return tables without the last ticks, whose rows in other tables may be missing.
 
     Messages are in the order of time: a message one period after a tick proves that all rows of the
@@ -81,18 +81,21 @@ def _without_partial_ticks(rows: Mapping[str, Rows], h: float) -> dict[str, Rows
 
     Args:
         rows: Rows of each table.
-        h: Time between ticks [s].
+        run: Conditions of the run.
     """
     last = max((float(table["time"].max()) for table in rows.values() if len(table)), default=0.0)
-    complete = int(np.sum(rows["tick"]["time"] + h <= last + 1e-9))
-    if len(rows["truth"]):
+    complete = int(np.sum(rows["tick"]["time"] + run.h <= last + 1e-9))
+    if run.simulated:
         complete = min(complete, len(rows["truth"]))
     return dict(rows) | {name: rows[name][:complete] for name in ("tick", "truth")}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RunLog:
-    """One run."""
+    """One run.
+
+    The rows of the balancing raise `RecordingError` in a run that did not reach it.
+    """
 
     conditions: RunConditions
     """Place and settings of the run."""
@@ -237,11 +240,12 @@ class RunLog:
     def _while_balancing(self, table: str) -> Any:
         """Return the rows from one tick before the release to one after the last.
 
-        Their times count from the release.
+        Their times count from the release. Of an excitation, all rows are returned.
         """
         rows, h = self.tables[table], self.conditions.h
         if len(self.tables["tick"]) or not self.conditions.simulated:
-            first, last = self.ticks.time[[0, -1]] if len(self.ticks) else (np.inf, -np.inf)
+            self.require_balancing()
+            first, last = self.ticks.time[[0, -1]]
             rows = rows[(rows["time"] >= first - h) & (rows["time"] <= last + h)]
         rows = rows.copy()
         rows["time"] -= self.release
@@ -349,7 +353,7 @@ class RunLog:
             what = damage or f"is not a valid {FORMAT!r} file: {shortened(str(error), 200)}"
             raise ArtefactError(f"{path} {what}; record the run again") from None
         if end is None:
-            rows = _without_partial_ticks(rows, conditions.h)
+            rows = _without_partial_ticks(rows, conditions)
             ticks = len(rows["tick"])
             damage = (
                 f"the log {damage or 'lacks its end'}; sound before that: {ticks:,} ticks, "
@@ -376,16 +380,3 @@ def simulated_log(
         for column, values in columns.items():
             filled[name][column] = values
     return RunLog(conditions, filled, end)
-
-
-def load_run(path: Path) -> RunLog:
-    """Read a run for measurements, damaged or not.
-
-    Raises:
-        ArtefactError: The file is missing, not readable, or not a run log.
-        RecordingError: A run on a rig did not reach the balancing.
-    """
-    run = RunLog.load(path, damaged=True)
-    if not run.conditions.simulated:
-        run.require_balancing()
-    return run
