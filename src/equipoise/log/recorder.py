@@ -136,7 +136,7 @@ class Recorder:
         """Words of the operator, from another process."""
         self.console = Ring(memory["console"])
         """Words from a console."""
-        self._question: npt.NDArray[Any] = memory["question"]
+        self._questions = Ring(memory["questions"])
 
     def record_tick(
         self, now: float, compute: float, inputs: TickInputs, output: TickOutput
@@ -178,18 +178,14 @@ class Recorder:
 
     def ask(self, question: OperatorMessage | None) -> None:
         """Publish the open question, which its time identifies; None withdraws it."""
-        row = self._question
-        row["time"] = 0.0  # an observer ignores a row that is being written
-        if question is not None:
-            for name, text in _texts(question).items():
-                row[name] = text
-            row["time"] = question.time
+        self._questions.take()  # the last one counts
+        asked = question or OperatorMessage("")
+        push_event(self._questions, asked.time, asked)
 
     def question(self) -> OperatorMessage | None:
         """Return the open question; None without one."""
-        (question,) = read_events(self._question.copy())
-        open_ = question.time == self._question["time"][0] != 0.0
-        return question if open_ else None
+        rows, _ = self._questions.peek(0)
+        return next((asked for asked in read_events(rows[-1:]) if asked.answers), None)
 
     @property
     def lost(self) -> int:
@@ -198,15 +194,16 @@ class Recorder:
 
 
 def memory_layout(joints: int) -> np.dtype[Any]:
-    """Return the memory of a recorder: pulse, open question, and the rings."""
+    """Return the memory of a recorder: pulse, and the rings."""
     kinds = tables(joints)
     sizes = {name: (kinds[name], round(10.0 * rate)) for name, rate in RATES.items()}
-    sizes |= {"notices": (EVENT, 256), "typed": (WORD, 256), "console": (WORD, 256)}
+    sizes |= {"notices": (EVENT, 256), "questions": (EVENT, 16)}
+    sizes |= {"typed": (WORD, 256), "console": (WORD, 256)}
     rings = [
         (name, [("counters", np.int64, 3), ("rows", kind, size)])
         for name, (kind, size) in sizes.items()
     ]
-    return np.dtype([("pulse", PULSE), ("question", EVENT, 1), *rings])
+    return np.dtype([("pulse", PULSE), *rings])
 
 
 def push_event(ring: Ring, time: float, event: OperatorMessage) -> None:
