@@ -26,7 +26,7 @@ from equipoise.arrays import Array, IntArray
 from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.files import DIGEST_PREFIX, Provenance, StrPath, shortened, write_atomically
-from equipoise.log.columns import Rows, canonical, from_messages, tables, to_csv, unknown_rows
+from equipoise.log.columns import Rows, from_messages, tables, to_csv, unknown_rows
 from equipoise.log.conditions import RunConditions, RunEnd
 from equipoise.log.recorder import read_events
 from equipoise.log.writer import FORMAT, LogEncoder
@@ -109,10 +109,7 @@ class RunLog:
     def __post_init__(self) -> None:
         """Complete the tables."""
         kinds = tables(len(self.conditions.joints))
-        rows = {
-            name: canonical(self.tables.get(name, np.zeros(0, kind)))
-            for name, kind in kinds.items()
-        }
+        rows = {name: self.tables.get(name, np.zeros(0, kind)) for name, kind in kinds.items()}
         object.__setattr__(self, "tables", rows)
 
     def __repr__(self) -> str:
