@@ -167,23 +167,20 @@ def _add_mechanism(spec: Any, arm: Arm, inward: Array) -> None:
     spec.delete(spec.geom("bracket"))
     hand = [geom for geom in spec.geoms if geom.name.startswith("link")][-1]
     hand.type = mj.mjtGeom.mjGEOM_CYLINDER  # flat at the flange, on which the mechanism sits
-    # From the frame of the parts: X outward, Z out of the flange, or along the rod.
+    # Frames of the parts: X outward, Z out of the flange, or along the rod.
     yaw = {"flange": np.arctan2(y, x), "pendulum": np.arctan2(-inward[1], -inward[0])}
     origin = {"flange": [0.0, 0.0, z - height], "pendulum": np.zeros(3)}
     for number, shape in enumerate(drawn["shapes"]):
-        body = shape["body"]
-        c, s = np.cos(yaw[body]), np.sin(yaw[body])
-        R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        start, end = np.array(shape["ends"]) @ R.T + origin[body]
-        place: dict[str, Any] = {"name": f"bracket {number}"}
+        (start, end), name = np.array(shape["ends"]), shape["body"]
+        quat = [np.cos(0.5 * yaw[name]), 0.0, 0.0, np.sin(0.5 * yaw[name])]
+        geom = spec.body(name).add_geom(name=f"bracket {number}")
+        geom.set_frame(spec.body(name).add_frame(pos=origin[name], quat=quat))
         if shape["kind"] == "cylinder":
-            place |= {"type": mj.mjtGeom.mjGEOM_CYLINDER, "fromto": [*start, *end]}
-            place["size"] = [shape["radius"], 0.0, 0.0]
+            geom.type, geom.size = mj.mjtGeom.mjGEOM_CYLINDER, [shape["radius"], 0.0, 0.0]
+            geom.fromto = [*start, *end]
         else:
-            half = 0.5 * np.abs(np.subtract(*shape["ends"]))
-            place |= {"type": mj.mjtGeom.mjGEOM_BOX, "pos": 0.5 * (start + end), "size": half}
-            place["quat"] = [np.cos(0.5 * yaw[body]), 0.0, 0.0, np.sin(0.5 * yaw[body])]
-        spec.body(body).add_geom(**place)
+            geom.type, geom.size = mj.mjtGeom.mjGEOM_BOX, 0.5 * np.abs(end - start)
+            geom.pos = 0.5 * (start + end)
 
 
 class RigRenderer:
