@@ -57,7 +57,9 @@ FAILED: Final = "failed"
 
 FOLDER: Final = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())
 """Folder for files without a disk on Linux; elsewhere that of temporary files."""
-PREFIX: Final = f"equipoise-{os.getuid() if hasattr(os, 'getuid') else 0}-"
+USER: Final = os.getuid() if hasattr(os, "getuid") else 0
+"""Number of this user; 0 on Windows, as in the status of a file there."""
+PREFIX: Final = f"equipoise-{USER}-"
 """Begin of the names of this user's runs."""
 
 
@@ -207,8 +209,10 @@ def memory_layout(joints: int) -> np.dtype[Any]:
 
 
 def push_event(ring: Ring, time: float, event: OperatorMessage) -> None:
-    """Write an event into a ring; truncate its texts to their columns."""
-    ring.push(time=time, **_texts(event))
+    """Write an event into a ring, in UTF-8; truncate its texts to their columns."""
+    columns = {"name": event.name, "answers": "|".join(event.answers), "text": event.text}
+    texts = {name: text.encode(errors="backslashreplace") for name, text in columns.items()}
+    ring.push(time=time, **texts)
 
 
 def read_events(rows: npt.NDArray[Any]) -> list[OperatorMessage]:
@@ -219,12 +223,6 @@ def read_events(rows: npt.NDArray[Any]) -> list[OperatorMessage]:
         words = tuple(filter(None, answers.split("|")))
         events.append(OperatorMessage(name, text, words, time))
     return events
-
-
-def _texts(event: OperatorMessage) -> dict[str, bytes]:
-    """Return the texts of an event by their columns, in UTF-8."""
-    columns = {"name": event.name, "answers": "|".join(event.answers), "text": event.text}
-    return {name: text.encode(errors="backslashreplace") for name, text in columns.items()}
 
 
 # The memory of a run.
@@ -287,8 +285,8 @@ def _folders() -> list[Path]:
     for folder in FOLDER.glob(f"{PREFIX}*"):
         with suppress(OSError):
             status = folder.lstat()
-            own = not hasattr(os, "getuid") or status.st_uid == os.getuid()
-            if own and stat.S_ISDIR(status.st_mode) and not status.st_mode & 0o077:
+            private = stat.S_ISDIR(status.st_mode) and not status.st_mode & 0o077
+            if private and status.st_uid == USER:
                 folders.append((status.st_ctime, folder))
     return [folder for _, folder in sorted(folders, reverse=True)]
 
