@@ -106,12 +106,6 @@ class RunLog:
     damage: str = ""
     """Sentence on the damage and the sound part; empty for a complete log."""
 
-    def __post_init__(self) -> None:
-        """Complete the tables."""
-        kinds = tables(len(self.conditions.joints))
-        rows = {name: self.tables.get(name, np.zeros(0, kind)) for name, kind in kinds.items()}
-        object.__setattr__(self, "tables", rows)
-
     def __repr__(self) -> str:
         """Return one line: arm, world, duration and outcome."""
         where = f"{self.conditions.arm.name!r} in {self.conditions.world!r}"
@@ -371,9 +365,10 @@ def simulated_log(
 
     Tables may be missing; so may columns except `time`, whose values are then unknown.
     """
-    kinds, filled = tables(len(conditions.joints)), dict[str, Rows]()
-    for name, columns in columns_of.items():
-        filled[name] = unknown_rows(kinds[name], len(columns["time"]))
+    filled = dict[str, Rows]()
+    for name, kind in tables(len(conditions.joints)).items():
+        columns = columns_of.get(name, {"time": ()})
+        filled[name] = unknown_rows(kind, len(columns["time"]))
         for column, values in columns.items():
             filled[name][column] = values
     return RunLog(conditions, filled, end)
