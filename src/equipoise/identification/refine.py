@@ -118,7 +118,15 @@ def regress(time: Array, phi: Array, x: Array, *, g: float = GRAVITY) -> ClosedL
             f"the log has {len(time)} samples, expected at least 16 finite ones whose time "
             "increases; sort it and leave broken and repeated samples out"
         )
-    phi, length = np.unwrap(phi), float(np.ptp(time))
+    # A board sends every millisecond, with stamps that err by a third of that, which a spline
+    # through all samples would fit. The equation of the pendulum is nearly linear, so that averages
+    # of its terms over about 10 ms satisfy it.
+    every = max(round(0.01 / float(np.median(np.diff(time)))), 1)
+    used = len(time) // every * every
+    time, phi, x = (
+        part[:used].reshape(-1, every).mean(axis=1) for part in (time, np.unwrap(phi), x)
+    )
+    length = float(np.ptp(time))
     # A block of 2 s is longer than the correlation of the motion.
     blocks = max(round(length / 2.0), MIN_BLOCKS)
     # The latency is linearised, so x is shifted by the first estimate and solved again.
@@ -286,7 +294,7 @@ def inspect(policy: TabularPolicy, *logs: RunLog) -> RefinementFindings:
     for number, log in enumerate(logs, start=1):
         name = f"run {number}: " if len(logs) > 1 else ""
         try:
-            fit = read_fit(log, arm, pendulum.g)
+            fit = regress(*read_motion(log, arm), g=pendulum.g)
         except RecordingError as error:
             if len(logs) == 1:
                 raise
@@ -353,27 +361,6 @@ def combine(found: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate]:
             half = sqrt(max(scatter, 1.0) / float(weights.sum()))
             means[name] = Estimate.around(mean, half, first.source)
     return means
-
-
-def read_fit(log: RunLog, arm: Arm, g: float) -> ClosedLoopFit:
-    """Return the pendulum that a run identifies.
-
-    Args:
-        log: A run on a rig.
-        arm: Its arm.
-        g: Acceleration of gravity [m/s^2].
-
-    Raises:
-        ArtefactError: The log is of another arm.
-        RecordingError: The log identifies no pendulum.
-    """
-    motion = read_motion(log, arm)
-    # A board sends every millisecond, with stamps that err by a third of that, which a spline
-    # through all samples would fit. The equation of the pendulum is nearly linear, so that averages
-    # of its terms over about 10 ms satisfy it.
-    every = max(round(0.01 / float(np.median(np.diff(motion.time)))), 1)
-    used = len(motion.time) // every * every
-    return regress(*(part[:used].reshape(-1, every).mean(axis=1) for part in motion), g=g)
 
 
 def read_motion(log: RunLog, arm: Arm) -> ModelMotion:

@@ -94,7 +94,7 @@ def _without_partial_ticks(rows: Mapping[str, Rows], run: RunConditions) -> dict
 class RunLog:
     """One run.
 
-    The rows of the balancing raise `RecordingError` in a run that did not reach it.
+    `stream`, `replies` and `encoder` raise `RecordingError` in a run without balancing.
     """
 
     conditions: RunConditions
