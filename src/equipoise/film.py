@@ -167,23 +167,20 @@ def _add_mechanism(spec: Any, arm: Arm, inward: Array) -> None:
     spec.delete(spec.geom("bracket"))
     hand = [geom for geom in spec.geoms if geom.name.startswith("link")][-1]
     hand.type = mj.mjtGeom.mjGEOM_CYLINDER  # flat at the flange, on which the mechanism sits
-    # From the frame of the parts: X outward, Z out of the flange, or along the rod.
+    # Frames of the parts: X outward, Z out of the flange, or along the rod.
     yaw = {"flange": np.arctan2(y, x), "pendulum": np.arctan2(-inward[1], -inward[0])}
     origin = {"flange": [0.0, 0.0, z - height], "pendulum": np.zeros(3)}
     for number, shape in enumerate(drawn["shapes"]):
-        body = shape["body"]
-        c, s = np.cos(yaw[body]), np.sin(yaw[body])
-        R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        start, end = np.array(shape["ends"]) @ R.T + origin[body]
-        place: dict[str, Any] = {"name": f"bracket {number}"}
+        (start, end), name = np.array(shape["ends"]), shape["body"]
+        quat = [np.cos(0.5 * yaw[name]), 0.0, 0.0, np.sin(0.5 * yaw[name])]
+        geom = spec.body(name).add_geom(name=f"bracket {number}")
+        geom.set_frame(spec.body(name).add_frame(pos=origin[name], quat=quat))
         if shape["kind"] == "cylinder":
-            place |= {"type": mj.mjtGeom.mjGEOM_CYLINDER, "fromto": [*start, *end]}
-            place["size"] = [shape["radius"], 0.0, 0.0]
+            geom.type, geom.size = mj.mjtGeom.mjGEOM_CYLINDER, [shape["radius"], 0.0, 0.0]
+            geom.fromto = [*start, *end]
         else:
-            half = 0.5 * np.abs(np.subtract(*shape["ends"]))
-            place |= {"type": mj.mjtGeom.mjGEOM_BOX, "pos": 0.5 * (start + end), "size": half}
-            place["quat"] = [np.cos(0.5 * yaw[body]), 0.0, 0.0, np.sin(0.5 * yaw[body])]
-        spec.body(body).add_geom(**place)
+            geom.type, geom.size = mj.mjtGeom.mjGEOM_BOX, 0.5 * np.abs(end - start)
+            geom.pos = 0.5 * (start + end)
 
 
 class RigRenderer:
@@ -244,11 +241,23 @@ class RigRenderer:
         self._renderer.close()
 
 
+def film_format(path: Path) -> str:
+    """Return the suffix of a film, in lower case, once its encoder is found.
+
+    Raises:
+        InputError: The suffix is unknown.
+        MissingExtraError: An MP4 needs imageio-ffmpeg, which is not installed.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise InputError(f"a film ends in {' or '.join(FORMATS)}, got {suffix!r}; rename it")
+    for package in ("imageio", "imageio_ffmpeg") if suffix == MP4 else ():
+        import_optional(package, "video")
+    return suffix
+
+
 def write_film(
-    run: RunLog,
-    path: Path,
-    begin: float | None = None,
-    end: float | None = None,
+    run: RunLog, path: Path, begin: float | None = None, end: float | None = None
 ) -> None:
     """Write a part of a run as a film in real time, with its numbers below the picture.
 
@@ -264,58 +273,61 @@ def write_film(
         RecordingError: The run has nothing to show.
         OutsideError: OpenGL is not available, or encoding or writing fails.
     """
-    suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        raise InputError(f"a film ends in {' or '.join(FORMATS)}, got {suffix!r}; rename it")
-    for package in ("imageio", "imageio_ffmpeg") if suffix == MP4 else ():
-        import_optional(package, "video")
-    motion = Motion.of(run)
+    suffix, motion = film_format(path), Motion.of(run)
     begin, end = motion.part(begin, end)
     if suffix == WEBP and end - begin > MAX_WEBP:
         raise InputError(
             f"an animated WebP of {end - begin:g} s is too large, expected {MAX_WEBP:g} s or less; "
             "choose a shorter part, or an MP4"
         )
-    rate = FORMATS[suffix][2]
+    (width, height, rate), film = FORMATS[suffix], io.BytesIO()
     times = begin + np.arange(max(1, round((end - begin) * rate))) / rate
-    frames, film = _frames(run, motion, times, suffix), io.BytesIO()
-    if suffix == WEBP:
-        first, *others = frames
-        options: Any = {"append_images": others, "duration": round(1e3 / rate), "loop": 0}
-        first.save(film, "webp", save_all=True, quality=60, method=4, **options)
-    else:
-        import imageio
+    bar = height // 10  # for numbers
+    with closing(RigRenderer(run.conditions.arm, width, height - bar)) as renderer:
+        frames: Any = _frames(run, motion, times, renderer, bar)
+        if suffix == WEBP:
+            first, *others = frames
+            options: Any = {"append_images": others, "duration": round(1e3 / rate), "loop": 0}
+            first.save(film, "webp", save_all=True, quality=60, method=4, **options)
+        else:
+            from imageio.v3 import imwrite
 
-        try:
-            writer: Any = imageio.get_writer(film, MP4, fps=rate, quality=7)
-            with writer:
-                for frame in frames:
-                    writer.append_data(np.asarray(frame))
-        except OutsideError:  # an OSError whose message is complete
-            raise
-        except (OSError, RuntimeError) as error:
-            raise OutsideError(f"cannot write {path}, the encoder failed: {error}") from None
+            options = {"plugin": "FFMPEG", "fps": rate, "quality": 7, "is_batch": True}
+            try:
+                imwrite(film, frames, extension=MP4, **options)
+            except (OSError, RuntimeError) as error:
+                raise OutsideError(f"cannot write {path}, the encoder failed: {error}") from None
     write_atomically(path, film.getvalue())
 
 
-def _frames(run: RunLog, motion: Motion, times: Array, suffix: str) -> Iterator[Any]:
-    """Yield the pictures of a run at times [s], with two lines of numbers below, as PIL images."""
+def _frames(
+    run: RunLog, motion: Motion, times: Array, renderer: RigRenderer, bar: int
+) -> Iterator[Any]:
+    """Yield the pictures of a run at times [s] as PIL images.
+
+    Args:
+        run: The run.
+        motion: Its motion.
+        times: Times since the release [s].
+        renderer: Renderer of its arm.
+        bar: Height of two lines of numbers below each picture [px].
+    """
     from matplotlib import get_data_path
     from PIL import Image, ImageDraw, ImageFont
 
-    conditions, (width, height, _) = run.conditions, FORMATS[suffix]
-    bar = height // 10
+    conditions = run.conditions
     font = Path(get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
     large, small = (ImageFont.truetype(font, fraction * bar) for fraction in (0.3, 0.27))
-    with closing(RigRenderer(conditions.arm, width, height - bar)) as renderer:
-        for time in times.tolist():
-            pose = motion.at(time)
-            image = Image.new("RGB", (width, height), "white")
-            image.paste(Image.fromarray(renderer.draw(pose.q, pose.phi, pose.u)))
-            pen = ImageDraw.Draw(image)
-            phi = f"{np.degrees(pose.phi):+.1f}°" if np.isfinite(pose.phi) else "unknown"
-            text = f"t = {time:.2f} s   x = {pose.x:+.3f} m   φ = {phi}   u = {pose.u:+.1f} m/s²"
-            pen.text((0.03 * width, height - 0.72 * bar), text, "#222222", large, "lm")
-            note = " · ".join(filter(None, (conditions.arm.name, conditions.world, pose.phase)))
-            pen.text((0.03 * width, height - 0.27 * bar), note, "#767676", small, "lm")
-            yield image
+    for time in times.tolist():
+        pose = motion.at(time)
+        picture = renderer.draw(pose.q, pose.phi, pose.u)
+        height, width, _ = picture.shape
+        image = Image.new("RGB", (width, height + bar), "white")
+        image.paste(Image.fromarray(picture))
+        pen = ImageDraw.Draw(image)
+        phi = f"{np.degrees(pose.phi):+.1f}°" if np.isfinite(pose.phi) else "unknown"
+        text = f"t = {time:.2f} s   x = {pose.x:+.3f} m   φ = {phi}   u = {pose.u:+.1f} m/s²"
+        pen.text((0.03 * width, height + 0.28 * bar), text, "#222222", large, "lm")
+        note = " · ".join(filter(None, (conditions.arm.name, conditions.world, pose.phase)))
+        pen.text((0.03 * width, height + 0.73 * bar), note, "#767676", small, "lm")
+        yield image

@@ -91,7 +91,7 @@ def test_dry_friction_that_would_be_negative_is_kept_at_zero(recordings):
     assert coulomb.coulomb.value == coulomb.coulomb.low == 0.0
     assert coulomb.c.value == pytest.approx(viscous.c.value, rel=1e-5)
     assert coulomb.c.low == pytest.approx(viscous.c.low, rel=1e-3)
-    assert any("Coulomb friction is kept at zero" in warning for warning in coulomb.fit.warnings)
+    assert any("coulomb friction is kept at zero" in warning for warning in coulomb.fit.warnings)
 
 
 @pytest.mark.parametrize(

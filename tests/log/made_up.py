@@ -147,7 +147,9 @@ def balanced_on_a_rig():
     counts = RESTING + (theta + 4.0 * np.pi) * 8192 / (2.0 * np.pi)
     encoder["counts"] = np.round(counts)
     end = RunEnd(outcome=Outcome.SURVIVED, zero=RESTING)
-    return RunLog(rig_conditions(), {"tick": tick, "reply": reply, "encoder": encoder}, end)
+    none = {name: np.zeros(0, kind) for name, kind in kinds.items()}
+    rows = none | {"tick": tick, "reply": reply, "encoder": encoder}
+    return RunLog(rig_conditions(), rows, end)
 
 
 @contextmanager

@@ -8,7 +8,7 @@ import pytest
 from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import shipped_policy
 from equipoise.identification.refine import read_motion
-from equipoise.log.run_log import RunLog, load_run
+from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Outcome
 from equipoise.rig.config import RigSettings
 
@@ -23,7 +23,7 @@ def table(path):
 
 @pytest.mark.full
 def test_the_balancing_of_a_rig_is_a_run_log(rig_log):
-    log, whole = load_run(rig_log), RunLog.load(rig_log, damaged=True)
+    log = RunLog.load(rig_log)
     assert log.survival == pytest.approx(1.5)
     assert log.outcome == "survived"
     assert log.conditions.policy == shipped_policy().digest
@@ -32,14 +32,14 @@ def test_the_balancing_of_a_rig_is_a_run_log(rig_log):
     assert len(log.encoder.time) == pytest.approx(1520, abs=10)
     assert len(log.stream.time) == pytest.approx(304, abs=3)
     assert len(log.replies.time) == pytest.approx(274, abs=3)
-    assert len(whole.tables["tick"]) > 10 * len(log.time)
-    assert whole.conditions.pendulum == shipped_policy().pendulum.parameters()
-    assert whole.conditions.arm == RigSettings().described_arm
+    assert len(log.tables["tick"]) > 10 * len(log.time)
+    assert log.conditions.pendulum == shipped_policy().pendulum.parameters()
+    assert log.conditions.arm == RigSettings().described_arm
 
 
 def test_counts_and_joints_of_a_rig_tell_what_the_observer_believed(rig_log):
     # What refine reads, beside what the estimator made of the same counts at the ticks.
-    log = load_run(rig_log)
+    log = RunLog.load(rig_log)
     motion = read_motion(log, iiwa(7))
     phi = np.interp(log.time, motion.time, motion.phi)
     believed = log.ticks.estimated_phi + log.ticks.bias
@@ -49,8 +49,8 @@ def test_counts_and_joints_of_a_rig_tell_what_the_observer_believed(rig_log):
 
 
 def test_a_log_that_breaks_off_is_read_to_its_last_chunk(broken_off, rig_log):
-    log, whole = load_run(broken_off), load_run(rig_log)
-    assert RunLog.load(broken_off, damaged=True).ending.outcome is Outcome.BROKEN_OFF
+    log, whole = RunLog.load(broken_off, damaged=True), RunLog.load(rig_log)
+    assert log.ending.outcome is Outcome.BROKEN_OFF
     assert 10 < len(log.time) < len(whole.time)
     assert log.ticks.phi.tolist() == whole.ticks.phi[: len(log.time)].tolist()
     # Nobody said where the zero is: the last angle in the hand does.

@@ -91,9 +91,7 @@ def identify(
 
 
 def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:
-    from equipoise.log.run_log import load_run
-
-    run = load_run(log)
+    run = eq.RunLog.load(log, damaged=True)
     out = files.file(output, "actuator.json", log)
     with output.busy(f"fitting {len(run.replies.time):,} measured postures"):
         actuator = eq.identify_run(run)
@@ -116,10 +114,9 @@ def refine(output: Output, policy: Path, runs: list[Path], *, files: opt.Files) 
     interval: the pendulum (refined.json), and the actuator next to it.
     """
     from equipoise.identification.refine import inspect
-    from equipoise.log.run_log import load_run
 
     table = eq.TabularPolicy.load(policy)
-    logs = [load_run(run) for run in runs]
+    logs = [eq.RunLog.load(run, damaged=True) for run in runs]
     out = files.file(output, "refined.json", policy, *runs, beside=("-actuator.json",))
     for log in logs:
         output.warn(log.damage)

@@ -115,16 +115,17 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
     film begins shortly before the swing-up or the release; --from and --to
     select another part.
     """
-    from equipoise.film import write_film
+    from equipoise.film import film_format, write_film
 
     video, tables = film.video, None
+    suffix = film_format(video) if video else ""  # before the log, which takes longer
     if video is None and film != Film():
         raise InputError("--from and --to choose the part of a film; give --video FILE as well")
     log = eq.RunLog.load(run, damaged=True)
     if video is None:
         tables = log.export(files.folder(output, run.with_name(f"{run.stem}-csv")))
     else:
-        opt.Files(out=video, force=files.force).file(output, "", run, suffix=video.suffix.lower())
+        opt.Files(out=video, force=files.force).file(output, "", run, suffix=suffix)
         with output.busy("drawing the film"):
             write_film(log, video, film.from_, film.to)
     output.result(

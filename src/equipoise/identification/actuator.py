@@ -26,7 +26,6 @@ The delay runs from sending a setpoint to its mean effect, independent of the ph
 cycles. It includes the return path if the reply times are times of *arrival*.
 """
 
-from collections.abc import Mapping
 from functools import partial
 from hashlib import sha256
 from math import exp, sqrt
@@ -161,18 +160,10 @@ class Log(NamedTuple):
     """Measurement times of the positions [s], shape (p,)."""
     reply_q: Array
     """Measured positions [rad], shape (6, p)."""
-    settled: int
-    """Number of initial positions that are not fitted, while the simulation settles."""
-
-    @property
-    def time(self) -> Array:
-        """Times of the fitted positions [s], shape (n,)."""
-        return self.reply_time[self.settled :]
-
-    @property
-    def measured(self) -> Array:
-        """Fitted positions [rad], shape (6, n)."""
-        return self.reply_q[:, self.settled :]
+    time: Array
+    """The times that are fitted [s], shape (n,): the last ones, after the simulation settled."""
+    measured: Array
+    """The positions then [rad], shape (6, n)."""
 
     def residual(self, kind: Kind, unknowns: Array, spread: float = JITTER) -> Array:
         """Return measured minus predicted positions [rad], shape (6, n)."""
@@ -183,7 +174,11 @@ class Log(NamedTuple):
             response = JointResponse(delay, lag, servo, spread, bias)
             stream = self.stream_time, self.stream_q[joint]
             residual[joint] = q - track(*stream, self.reply_time, q, response)
-        return residual[:, self.settled :]
+        return residual[:, -len(self.time) :]
+
+    def unexplained(self, residual: Array) -> Array:
+        """Return the standard deviation of a residual over that of the motion, shape (6,)."""
+        return np.std(residual, axis=1) / np.std(self.measured, axis=1)
 
 
 class JointFit(NamedTuple):
@@ -198,11 +193,8 @@ class JointFit(NamedTuple):
     """Weights of the residuals of each joint [1/rad], shape (6,)."""
     residual: Array
     """Measured minus predicted positions [rad], shape (6, n)."""
-
-    @property
-    def rms(self) -> float:
-        """Root mean square residual, geometric mean over the joints [rad]."""
-        return _typical(_rms(self.residual))
+    rms: float
+    """Root mean square residual, geometric mean over the joints [rad]."""
 
 
 def identify_actuator(
@@ -224,20 +216,16 @@ def identify_actuator(
         RecordingError: The log is too short, has gaps, moves too little, or does not show an arm
             that follows its setpoints.
     """
-    log = _read(sent[:, 0], sent[:, 1:], measured[:, 0], measured[:, 1:])
+    log = _read(sent, measured)
     source = source or DIGEST_PREFIX + sha256(sent.tobytes() + measured.tobytes()).hexdigest()
     kinds: tuple[Kind, ...] = tuple(FITTED) if kind == "auto" else (kind,)
-    starts: dict[Kind, list[tuple[float, Array]]] = {
-        candidate: _search(log, candidate, FITTED[candidate]) for candidate in kinds
-    }
+    starts = {one: _search(log, one, FITTED[one]) for one in kinds}
     if kind == "auto":  # the fit of a law takes long: that of the less likely one is left out
         del starts[max(LAWS, key=lambda law: starts[law][0][0])]
-    fits: dict[Kind, JointFit] = {
-        candidate: _fit(log, candidate, FITTED[candidate], guesses)
-        for candidate, guesses in starts.items()
-    }
-    best = _choose(log, fits)
-    left = np.std(best.residual, axis=1) / np.std(log.measured, axis=1)
+    fits = [_fit(log, one, FITTED[one], starts[one]) for one in kinds if one in starts]
+    best, *servos = fits  # of `auto` the lag, and one servo
+    best = next((servo for servo in servos if _explains_more(log, servo, best)), best)
+    left = log.unexplained(best.residual)
     if np.max(left) > MAX_UNEXPLAINED:
         raise RecordingError(
             f"free joint {np.argmax(left) + 1} does not follow its setpoints: the best actuator "
@@ -272,7 +260,7 @@ def identify_actuator(
             duration=float(np.ptp(log.time)),
             rms=best.rms,
             noise=_typical(noise),
-            alternatives={other: fits[other].rms for other in fits if other != best.kind},
+            alternatives={other.kind: other.rms for other in fits if other.kind != best.kind},
             warnings=_warnings(log, best, noise),
         ),
     )
@@ -307,17 +295,18 @@ def speed_ranges(time: Array, q: Array) -> Array:
     return np.ptp(np.quantile(velocity, [0.02, 0.98], axis=0), axis=0)
 
 
-def _read(stream_time: Array, stream_q: Array, reply_time: Array, reply_q: Array) -> Log:
+def _read(sent: Array, replies: Array) -> Log:
     """Validate a log; return it without the replies that precede the first setpoints."""
-    for name, time, q in (("setpoints", stream_time, stream_q), ("replies", reply_time, reply_q)):
-        usable = q.shape == (len(time), FREE_JOINTS) and len(time) > 1 and np.all(np.isfinite(q))
-        if not usable or not np.all(np.isfinite(time)) or np.any(np.diff(time) <= 0.0):
+    for name, rows in (("setpoints", sent), ("replies", replies)):
+        usable = rows.shape[1] == 1 + FREE_JOINTS and len(rows) > 1 and np.all(np.isfinite(rows))
+        if not usable or np.any(np.diff(rows[:, 0]) <= 0.0):
             raise RecordingError(
-                f"the {name} have the shape {q.shape}, or values that are not finite, or times "
-                f"that do not increase; give {FREE_JOINTS} free joints at each time, and each once"
+                f"the {name} have the shape {rows.shape}, or values that are not finite, or times "
+                f"that do not increase; give a time and {FREE_JOINTS} free joints in each row"
             )
-    keep = (reply_time >= stream_time[0] + HIGH[DELAY]) & (reply_time <= stream_time[-1])
-    time, q = reply_time[keep], reply_q[keep].T
+    stream_time, stream_q = sent[:, 0], sent[:, 1:]
+    keep = (replies[:, 0] >= stream_time[0] + HIGH[DELAY]) & (replies[:, 0] <= stream_time[-1])
+    time, q = replies[keep, 0], replies[keep, 1:].T
     for name, times in (("setpoints", stream_time), ("replies", time)):
         duration = float(np.ptp(times)) if len(times) else 0.0
         gap = float(np.max(np.diff(times), initial=0.0))
@@ -338,8 +327,8 @@ def _read(stream_time: Array, stream_q: Array, reply_time: Array, reply_q: Array
             )
     # After a quarter of a second the initial state of the simulation has no effect.
     settled = int(np.searchsorted(time, time[0] + 0.25))
-    parts = map(np.ascontiguousarray, (stream_time, stream_q.T, time, q))
-    return Log(*parts, settled=settled)
+    stream_time, stream_q, time, q = map(np.ascontiguousarray, (stream_time, stream_q.T, time, q))
+    return Log(stream_time, stream_q, time, q, time[settled:], q[:, settled:])
 
 
 def _search(log: Log, kind: Kind, fitted: list[int]) -> list[tuple[float, Array]]:
@@ -354,7 +343,7 @@ def _search(log: Log, kind: Kind, fitted: list[int]) -> list[tuple[float, Array]
         row = list[tuple[float, Array]]()
         for delay in np.arange(0.0, HIGH[DELAY], 5e-3):  # [s]: a small part of any period
             start[[DELAY, T_C]] = delay, cycle
-            left = np.std(log.residual(kind, start), axis=1) / np.std(log.measured, axis=1)
+            left = log.unexplained(log.residual(kind, start))
             row.append((float(_rms(left)), start.copy()))
         guesses.append(min(row, key=itemgetter(0)))
     return sorted(guesses, key=itemgetter(0))
@@ -383,7 +372,8 @@ def _fit(log: Log, kind: Kind, fitted: list[int], starts: list[tuple[float, Arra
                 ftol=1e-7,
             )
             residual = log.residual(kind, unknowns)
-        fits.append(JointFit(kind, unknowns, fitted, weights, residual))
+        rms = _typical(_rms(residual))
+        fits.append(JointFit(kind, unknowns, fitted, weights, residual, rms))
     return min(fits, key=lambda fit: fit.rms)
 
 
@@ -392,21 +382,15 @@ def _weighted(log: Log, kind: Kind, weights: Array, unknowns: Array) -> Array:
     return (weights[:, None] * log.residual(kind, unknowns)).ravel()
 
 
-def _choose(log: Log, fits: Mapping[Kind, JointFit]) -> JointFit:
-    """Return the fit of the kind that explains a log.
+def _explains_more(log: Log, servo: JointFit, lag: JointFit) -> bool:
+    """Return whether a servo leaves less than a lag beyond chance.
 
-    A servo is chosen where it leaves less than a lag, beyond chance: by 2.5 standard errors over
-    blocks of time.
+    That is by 2.5 standard errors over blocks of time.
     """
-    first, *others = fits.values()
-    best, block = first, blocks_of_time(log.time, BLOCKS)
-    for richer in others:
-        weights = richer.weights[:, None]
-        squares = (weights * best.residual) ** 2 - (weights * richer.residual) ** 2
-        gains = np.bincount(block, weights=squares.sum(axis=0))
-        if np.mean(gains) > 2.5 * np.std(gains, ddof=1) / sqrt(BLOCKS):
-            best = richer
-    return best
+    weights = servo.weights[:, None]
+    squares = (weights * lag.residual) ** 2 - (weights * servo.residual) ** 2
+    gains = np.bincount(blocks_of_time(log.time, BLOCKS), weights=squares.sum(axis=0))
+    return bool(np.mean(gains) > 2.5 * np.std(gains, ddof=1) / sqrt(BLOCKS))
 
 
 def _half_widths(log: Log, fit: JointFit) -> Array:

@@ -122,15 +122,13 @@ def self_test(
         pivot_x: Place of the pivot along base x, from the measured joints [m], shape (m,).
         pendulum: The identified pendulum; k / w2 is 1 / g.
     """
-    if refusal := _refusal(time, pivot_time, pivot_x):
-        return SelfTest(*refusal)
-    answer = float(np.std(angle))
-    if answer < MIN_RESPONSE:
-        return SelfTest(
-            SelfTestVerdict.FAILED,
-            f"the encoder moved by {degrees(answer):.2f} deg (standard deviation), expected at "
-            f"least {degrees(MIN_RESPONSE):g} deg: is the pendulum free, the encoder connected?",
-        )
+    if fault := _fault_of_samples(time, angle, pivot_time, pivot_x):
+        return SelfTest(SelfTestVerdict.FAILED, fault)
+    gap = max(float(np.max(np.diff(times))) for times in (time, pivot_time))
+    if gap > 0.05:  # [s]: the pivot's motion is interpolated over it
+        reason = f"samples have a gap of {1e3 * gap:.0f} ms, expected 50 ms"
+        return SelfTest(SelfTestVerdict.REPEAT, reason)
+    response = np.std(angle)
     every = -(-len(time) // 2000)  # counts 2 ms apart suffice
     time, angle = time[::every], angle[::every]
     grid = np.arange(time[0] - 0.15, time[-1] + 0.15, MODEL_STEP)  # [s]: for the searched delays
@@ -154,41 +152,39 @@ def self_test(
     # About ten evaluations are usual.
     unknowns = fit_unknowns(misfit, start, fitted, SCALES, xtol=1e-5, ftol=1e-4, max_nfev=30)
     J, residual = sensitivities(misfit, unknowns, fitted, SCALES), misfit(unknowns)
-    spread = jackknife(J, residual, time, blocks)
-    gain, w2, tau, zero = unknowns[[GAIN, W2, TAU, ZERO]].tolist()
+    variance = float(jackknife(J, residual, time, blocks)[ZERO, ZERO])
     # Where two unknowns are indistinguishable, rounding may make a variance negative.
-    half = float(SCALES[ZERO]) * half_width(max(float(spread[ZERO, ZERO]), 0.0), blocks)
-    left = float(np.sqrt(np.mean(residual**2))) / answer
+    half = float(SCALES[ZERO]) * half_width(max(variance, 0.0), blocks)
+    left = float(np.sqrt(np.mean(residual**2)) / response)
+    gain, w2, tau, zero = unknowns[[GAIN, W2, TAU, ZERO]].tolist()
     result = SelfTest(SelfTestVerdict.PASSED, "", gain, w2, tau, zero, half, left)
-    verdict, reason = _verdict(result, pendulum.w2)
-    return result._replace(verdict=verdict, reason=reason)
+    return _judged(result, pendulum.w2)
 
 
-def _refusal(time: Array, pivot_time: Array, pivot_x: Array) -> tuple[SelfTestVerdict, str] | None:
-    """Return the verdict on samples that cannot be fitted; None if they can."""
+def _fault_of_samples(time: Array, angle: Array, pivot_time: Array, pivot_x: Array) -> str:
+    """Return why samples cannot be fitted; empty if they can."""
     for name, times in (("encoder", time), ("pivot", pivot_time)):
         if len(times) < 200 or not np.all(np.diff(times) > 0.0):
-            return SelfTestVerdict.FAILED, (
+            return (
                 f"the {name} gave {len(times)} samples, expected 200 or more, at times that "
                 "increase"
             )
     moved = float(np.ptp(pivot_x))
     if not 0.5 * MOVE_DISTANCE < moved < 2.0 * MOVE_DISTANCE:
-        return SelfTestVerdict.FAILED, (
-            f"the flange was measured to move by {1e3 * moved:.1f} mm, "
-            f"expected {1e3 * MOVE_DISTANCE:g} mm"
-        )
+        expected = f"expected {1e3 * MOVE_DISTANCE:g} mm"
+        return f"the flange was measured to move by {1e3 * moved:.1f} mm, {expected}"
     away = np.abs(pivot_x - np.median(pivot_x[-len(pivot_x) // 8 :])) > 0.02 * moved
     left = float(time[-1] - pivot_time[np.flatnonzero(away)[-1]])
     if left < 0.5 * SWING_TIME:
-        return SelfTestVerdict.FAILED, (
-            f"the pendulum was observed for {left:.1f} s after the move, expected {SWING_TIME:g} s"
+        expected = f"expected {SWING_TIME:g} s"
+        return f"the pendulum was observed for {left:.1f} s after the move, {expected}"
+    response = float(np.std(angle))
+    if response < MIN_RESPONSE:
+        return (
+            f"the encoder moved by {degrees(response):.2f} deg (standard deviation), expected at "
+            f"least {degrees(MIN_RESPONSE):g} deg: is the pendulum free, the encoder connected?"
         )
-    gap = max(float(np.max(np.diff(time))), float(np.max(np.diff(pivot_time))))
-    if gap > 0.05:  # [s]: the pivot's motion is interpolated over it
-        reason = f"samples have a gap of {1e3 * gap:.0f} ms, expected 50 ms"
-        return SelfTestVerdict.REPEAT, reason
-    return None
+    return ""
 
 
 def _acceleration(time: Array, x: Array, at: Array) -> Array:
@@ -225,42 +221,32 @@ def _guess(model: Callable[[Array], Array], angle: Array, pendulum: PendulumPara
     return best
 
 
-def _verdict(result: SelfTest, known_w2: float) -> tuple[SelfTestVerdict, str]:
-    """Return the first fault with its reason, or PASSED."""
+def _judged(result: SelfTest, known_w2: float) -> SelfTest:
+    """Return a result with the first fault of its numbers, or that they are sound."""
     _, _, gain, w2, tau, zero, zero_half, misfit = result
-    if not misfit < MAX_MISFIT:
-        return SelfTestVerdict.FAILED, (
-            f"the model leaves {misfit:.0%} of the answer, expected less than {MAX_MISFIT:.0%}: is "
-            "the pendulum free, and untouched?"
-        )
-    if gain < 0.0:
-        return SelfTestVerdict.FAILED, (
-            f"the counts fall where they should grow (G = {gain:.2f}, expected 1); change the "
-            "encoder's sign"
-        )
-    if abs(gain - 1.0) > COUNTS_TOLERANCE:
-        return SelfTestVerdict.FAILED, (
-            f"the encoder shows {gain:.3f} of the answer, expected 1 within {COUNTS_TOLERANCE:g}; "
-            "correct its counts per revolution"
-        )
-    if abs(w2 / known_w2 - 1.0) > W2_TOLERANCE:
-        return SelfTestVerdict.FAILED, (
-            f"w2 is {w2:.2f} 1/s^2, expected {known_w2:.2f} 1/s^2 within {W2_TOLERANCE:.0%}; "
-            "identify this pendulum"
-        )
-    if abs(tau) > DELAY_TOLERANCE:
-        return SelfTestVerdict.FAILED, (
-            f"the encoder is {1e3 * tau:.1f} ms behind the arm, expected 0.0 ms within "
-            f"{1e3 * DELAY_TOLERANCE:g} ms; look at its link and clock"
-        )
-    if abs(zero) > ZERO_TOLERANCE:
-        return SelfTestVerdict.ZERO, (
+    failures = {
+        f"the model leaves {misfit:.0%} of the answer, expected less than {MAX_MISFIT:.0%}: is "
+        "the pendulum free, and untouched?": not misfit < MAX_MISFIT,
+        f"the counts fall where they should grow (G = {gain:.2f}, expected 1); change the "
+        "encoder's sign": gain < 0.0,
+        f"the encoder shows {gain:.3f} of the answer, expected 1 within {COUNTS_TOLERANCE:g}; "
+        "correct its counts per revolution": abs(gain - 1.0) > COUNTS_TOLERANCE,
+        f"w2 is {w2:.2f} 1/s^2, expected {known_w2:.2f} 1/s^2 within {W2_TOLERANCE:.0%}; "
+        "identify this pendulum": abs(w2 / known_w2 - 1.0) > W2_TOLERANCE,
+        f"the encoder is {1e3 * tau:.1f} ms behind the arm, expected 0.0 ms within "
+        f"{1e3 * DELAY_TOLERANCE:g} ms; look at its link and clock": abs(tau) > DELAY_TOLERANCE,
+    }
+    verdict, reason = SelfTestVerdict.PASSED, "the pendulum answers as the model says"
+    if any(failures.values()):
+        verdict = SelfTestVerdict.FAILED
+        reason = next(reason for reason, found in failures.items() if found)
+    elif abs(zero) > ZERO_TOLERANCE:
+        verdict = SelfTestVerdict.ZERO
+        reason = (
             f"the pendulum hangs {degrees(zero):.2f} deg from where it was referenced, expected "
             f"at most {degrees(ZERO_TOLERANCE):g} deg; reference it again, hanging free"
         )
-    if zero_half > ZERO_INTERVAL:
-        return SelfTestVerdict.REPEAT, (
-            f"the zero is known to {degrees(zero_half):.2f} deg, expected "
-            f"{degrees(ZERO_INTERVAL):g} deg; swing again"
-        )
-    return SelfTestVerdict.PASSED, "the pendulum answers as the model says"
+    elif zero_half > ZERO_INTERVAL:
+        verdict, half, most = SelfTestVerdict.REPEAT, degrees(zero_half), degrees(ZERO_INTERVAL)
+        reason = f"the zero is known to {half:.2f} deg, expected {most:g} deg; swing again"
+    return result._replace(verdict=verdict, reason=reason)

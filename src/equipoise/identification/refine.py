@@ -47,7 +47,7 @@ from equipoise.log.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.encoder import theta_from_counts
 from equipoise.model.pendulum import Pendulum
-from equipoise.settings import GRAVITY, PlantSettings
+from equipoise.settings import GRAVITY
 
 WINDOW: Final = 0.3
 """Length of the smooth window [s]. Shorter windows pass the encoder's steps; longer windows lose
@@ -118,7 +118,15 @@ def regress(time: Array, phi: Array, x: Array, *, g: float = GRAVITY) -> ClosedL
             f"the log has {len(time)} samples, expected at least 16 finite ones whose time "
             "increases; sort it and leave broken and repeated samples out"
         )
-    phi, length = np.unwrap(phi), float(np.ptp(time))
+    # A board sends every millisecond, with stamps that err by a third of that, which a spline
+    # through all samples would fit. The equation of the pendulum is nearly linear, so that averages
+    # of its terms over about 10 ms satisfy it.
+    every = max(round(0.01 / float(np.median(np.diff(time)))), 1)
+    used = len(time) // every * every
+    time, phi, x = (
+        part[:used].reshape(-1, every).mean(axis=1) for part in (time, np.unwrap(phi), x)
+    )
+    length = float(np.ptp(time))
     # A block of 2 s is longer than the correlation of the motion.
     blocks = max(round(length / 2.0), MIN_BLOCKS)
     # The latency is linearised, so x is shifted by the first estimate and solved again.
@@ -286,7 +294,7 @@ def inspect(policy: TabularPolicy, *logs: RunLog) -> RefinementFindings:
     for number, log in enumerate(logs, start=1):
         name = f"run {number}: " if len(logs) > 1 else ""
         try:
-            fit = read_fit(log, arm, pendulum.g)
+            fit = regress(*read_motion(log, arm), g=pendulum.g)
         except RecordingError as error:
             if len(logs) == 1:
                 raise
@@ -302,15 +310,24 @@ def inspect(policy: TabularPolicy, *logs: RunLog) -> RefinementFindings:
                 warnings.append(f"{name}the log does not identify the actuator: {error}")
     if not fits:
         raise RecordingError("none of the runs identifies the pendulum; balance for longer")
-    fit = combine_fits(fits)
-    names = [name for name in _numbers(actuator, arm) if any(name in found for found in responses)]
-    response = {
-        name: combine([found[name] for found in responses if name in found]) for name in names
+    of_all = {
+        "duration": sum(fit.duration for fit in fits),
+        "samples": sum(fit.samples for fit in fits),
+        "unexplained": max(fit.unexplained for fit in fits),
     }
+    means = combine([{n: one for n, one in fit if isinstance(one, Estimate)} for fit in fits])
+    fit = fits[0].model_copy(update=means | of_all)
+    response, known = combine(responses), _numbers(actuator, arm)
     # The friction of a balanced pendulum is hardly known, and not compared.
     of_w2 = (pendulum.w2, fit.w2, plant.inertia_sigma * pendulum.w2.value)
     moves = significant_moves({"w2": of_w2}, "1/s^2")
-    responded = actuator_moves(actuator, response, arm, plant)
+    pairs: dict[str, tuple[Estimate, Estimate, float]] = {}
+    for name, now in response.items():
+        # The range of the delay covers lags too: to slow motion both are equivalent.
+        varied = 0.0 if name == "cycle" else plant.delay_spread
+        varied += 0.0 if name == "delay" else plant.lag_spread * known[name].value
+        pairs[name] = known[name], now, varied
+    responded = significant_moves(pairs, "s")
     if moves:
         covariance = np.array(pendulum.covariance)
         covariance[0, :] = covariance[:, 0] = 0.0
@@ -320,59 +337,30 @@ def inspect(policy: TabularPolicy, *logs: RunLog) -> RefinementFindings:
         gone = dict.fromkeys(("fit", "friction", "mass", "length", "inertia"))
         pendulum = pendulum.model_copy(update=changes | gone)
     if responded:
-        delay, cycle, *lags = (_numbers(actuator, arm) | response).values()
+        delay, cycle, *lags = (known | response).values()
         new = {"delay": delay, "cycle": cycle, "lags": tuple(lags), "fit": None}
         actuator = actuator.model_copy(update=new)
     moved = moves | responded
     return RefinementFindings(fit, response, moved, pendulum, actuator, tuple(warnings))
 
 
-def combine(estimates: Sequence[Estimate]) -> Estimate:
-    """Return the mean of independent estimates of a number, weighted by their intervals.
+def combine(found: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate]:
+    """Return the mean of independent estimates of each number, weighted by their intervals.
 
     Where they scatter by more than their intervals say, its interval grows by as much.
     """
-    if len(estimates) == 1:
-        return estimates[0]
-    values = np.array([estimate.value for estimate in estimates])
-    weights = np.array([max(estimate.half_width, 1e-12) for estimate in estimates]) ** -2.0
-    mean = float(np.average(values, weights=weights))
-    scatter = NORMAL**2 * float(weights @ (values - mean) ** 2) / (len(estimates) - 1)
-    half = sqrt(max(scatter, 1.0) / float(weights.sum()))
-    return Estimate.around(mean, half, estimates[0].source)
-
-
-def combine_fits(fits: Sequence[ClosedLoopFit]) -> ClosedLoopFit:
-    """Return the pendulum of several logs."""
-    names = [name for name in ClosedLoopFit.model_fields if hasattr(getattr(fits[0], name), "low")]
-    means = {name: combine([getattr(fit, name) for fit in fits]) for name in names}
-    of_all: dict[str, float] = {
-        "duration": sum(fit.duration for fit in fits),
-        "samples": sum(fit.samples for fit in fits),
-        "unexplained": max(fit.unexplained for fit in fits),
-    }
-    return fits[0].model_copy(update=means | of_all)
-
-
-def read_fit(log: RunLog, arm: Arm, g: float) -> ClosedLoopFit:
-    """Return the pendulum that a run identifies.
-
-    Args:
-        log: A run on a rig.
-        arm: Its arm.
-        g: Acceleration of gravity [m/s^2].
-
-    Raises:
-        ArtefactError: The log is of another arm.
-        RecordingError: The log identifies no pendulum.
-    """
-    motion = read_motion(log, arm)
-    # A board sends every millisecond, with stamps that err by a third of that, which a spline
-    # through all samples would fit. The equation of the pendulum is nearly linear, so that averages
-    # of its terms over about 10 ms satisfy it.
-    every = max(round(0.01 / float(np.median(np.diff(motion.time)))), 1)
-    used = len(motion.time) // every * every
-    return regress(*(part[:used].reshape(-1, every).mean(axis=1) for part in motion), g=g)
+    means: dict[str, Estimate] = {}
+    for name in dict.fromkeys(name for estimates in found for name in estimates):
+        first, *others = estimates = [one[name] for one in found if name in one]
+        means[name] = first
+        if others:
+            values = np.array([estimate.value for estimate in estimates])
+            weights = np.array([max(one.half_width, 1e-12) for one in estimates]) ** -2.0
+            mean = float(np.average(values, weights=weights))
+            scatter = NORMAL**2 * float(weights @ (values - mean) ** 2) / len(others)
+            half = sqrt(max(scatter, 1.0) / float(weights.sum()))
+            means[name] = Estimate.around(mean, half, first.source)
+    return means
 
 
 def read_motion(log: RunLog, arm: Arm) -> ModelMotion:
@@ -469,28 +457,6 @@ def _numbers(actuator: Actuator, arm: Arm) -> dict[str, Estimate]:
         for joint, lag in zip(arm.free_joints, actuator.lags, strict=True)
     }
     return {"delay": actuator.delay, "cycle": actuator.cycle, **lags}
-
-
-def actuator_moves(
-    known: Actuator, response: Mapping[str, Estimate], arm: Arm, plant: PlantSettings
-) -> dict[str, str]:
-    """Return a line on each parameter of an actuator that moved.
-
-    The training's range of the delay covers lags too: to slow motion both are equivalent.
-
-    Args:
-        known: The actuator as identified before.
-        response: Parameters identified from a log, by name [s].
-        arm: The arm.
-        plant: Ranges of delay and lags in the training.
-    """
-    pairs: dict[str, tuple[Estimate, Estimate, float]] = {}
-    for name, now in response.items():
-        before = _numbers(known, arm)[name]
-        varied = 0.0 if name == "cycle" else plant.delay_spread
-        varied += 0.0 if name == "delay" else plant.lag_spread * before.value
-        pairs[name] = before, now, varied
-    return significant_moves(pairs, "s")
 
 
 def significant_moves(

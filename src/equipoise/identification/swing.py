@@ -199,14 +199,10 @@ def _w2_from_period(period: float, amplitude: float, is_rate: bool) -> float:
     return root * root  # unlike a power, infinite instead of an error for a period of 1e-200 s
 
 
-FRICTIONS: Final[dict[Friction, list[int]]] = {
-    "viscous": [C],
-    "coulomb": [C, COULOMB],
-    "quadratic": [C, COULOMB, DRAG],
-}
-"""Unknowns of each friction model, from the paper's to the richest."""
-MODELS: Final = list(FRICTIONS)
-"""Friction models, from the paper's to the richest."""
+MODELS: Final[tuple[Friction, ...]] = ("viscous", "coulomb", "quadratic")
+"""Friction models, from the paper's to the richest; each adds the friction of its name."""
+FRICTIONS: Final = {model: [C, COULOMB, DRAG][: n + 1] for n, model in enumerate(MODELS)}
+"""Unknowns of each friction model."""
 COARSE, FINE = 1e-6, 1e-12
 """Relative changes of the sum of squares at which a fit of a part and a final fit stop."""
 WARNING_MISFIT: Final = 0.005
@@ -249,11 +245,24 @@ def identify(
     friction, (recording, start) = settings.friction, find_free_swing(trajectory)
     unknowns = fit_swing(recording, start, friction, show)
     begin, end = float(recording.time[0]), float(recording.time[-1])
-    periods = (end - begin) / recording.period
     misfit = recording.misfit(unknowns, trajectory.resolution)
-    unexplained = misfit / abs(float(unknowns[THETA_DOT if recording.is_rate else THETA]))
+    fit = SwingFit(
+        source=trajectory.source,
+        sha256=trajectory.sha256,
+        quantity="rate" if recording.is_rate else "angle",
+        window=(begin, end),
+        release=None if trajectory.released else begin,
+        samples=len(recording.time),
+        periods=(end - begin) / recording.period,
+        rms=recording.rms(unknowns),
+        noise=recording.noise(unknowns, trajectory.resolution),
+        offset=float(unknowns[OFFSET]),
+        theta=float(unknowns[THETA]),
+        theta_dot=float(unknowns[THETA_DOT]),
+        settings=settings,
+    )
     richer, advice = None, ""
-    if unexplained > WARNING_MISFIT:
+    if fit.unexplained > WARNING_MISFIT:
         richer, advice = _advice(recording, unknowns, friction, start, show)
     if (left := misfit / float(np.std(recording.values))) > MAX_MISFIT:
         raise RecordingError(
@@ -263,20 +272,19 @@ def identify(
             f"{advice or 'choose a free swing with --start and --end'}"
         )
     warnings: list[str] = []
-    if unexplained > WARNING_MISFIT:
+    if fit.unexplained > WARNING_MISFIT:
         warnings.append(
-            f"{friction} friction leaves {unexplained:.1%} of the amplitude unexplained, "
+            f"{friction} friction leaves {fit.unexplained:.1%} of the amplitude unexplained, "
             "and its numbers hold only near the amplitudes of this window; "
             + (advice or "look for play, vibration or a moving pivot, or choose another window")
         )
-    names = {C: "viscous", COULOMB: "Coulomb", DRAG: "quadratic"}
     warnings += [
-        f"{names[place]} friction is kept at zero: the recording shows none beside the others"
+        f"{MODELS[place - C]} friction is kept at zero: the recording shows none beside the others"
         for place in at_bound(unknowns, friction)
     ]
-    if periods < 3.0:
+    if fit.periods < 3.0:
         warnings.append(
-            f"the swing lasts {periods:.1f} periods only, and the intervals are rough; "
+            f"the swing lasts {fit.periods:.1f} periods only, and the intervals are rough; "
             "record ten, with less friction if it stops sooner"
         )
     # On one rig w2 was 1.4 % higher at 3.6 deg than at 56 deg, and differed by 0.2 % from there to
@@ -289,7 +297,7 @@ def identify(
         )
     # A block is a period, or shorter in a window of few periods: the scatter of fewer blocks is
     # meaningless.
-    blocks = max(round(periods), 8)
+    blocks = max(round(fit.periods), 8)
     spread = covariance(recording, unknowns, friction, blocks)
 
     def estimate(place: int, factor: float = 1.0) -> Estimate:
@@ -307,23 +315,7 @@ def identify(
         covariance=tuple(map(tuple, spread[: DRAG + 1, : DRAG + 1].tolist())),
         friction_model=friction,
         g=settings.g,
-        fit=SwingFit(
-            source=trajectory.source,
-            sha256=trajectory.sha256,
-            quantity="rate" if recording.is_rate else "angle",
-            window=(begin, end),
-            release=None if trajectory.released else begin,
-            samples=len(recording.time),
-            periods=periods,
-            rms=recording.rms(unknowns),
-            noise=recording.noise(unknowns, trajectory.resolution),
-            offset=float(unknowns[OFFSET]),
-            theta=float(unknowns[THETA]),
-            theta_dot=float(unknowns[THETA_DOT]),
-            settings=settings,
-            warnings=tuple(warnings),
-            richer_friction=richer,
-        ),
+        fit=fit.model_copy(update={"warnings": tuple(warnings), "richer_friction": richer}),
     )
     return _weighed(pendulum, mass, length, blocks) if mass and length else pendulum
 

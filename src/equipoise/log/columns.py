@@ -38,8 +38,8 @@ class Column(NamedTuple):
     """Unit; empty without one."""
     description: str
     """Meaning, with sign or reference."""
-    kind: str = "number"
-    """Type: `number`, `integer`, `joints` (one number per joint) or `S` with a size [B] (text)."""
+    kind: str = "<f8"
+    """Type of number or text, as NumPy names it, or `joints`: a number per joint."""
 
 
 TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
@@ -47,12 +47,12 @@ TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
         Column("time", "s", "Start of the tick"),
         Column("late", "s", "Delay behind the deadline; on a rig"),
         Column("compute", "s", "Computing time, reading to sending; on a rig"),
-        Column("state", "", "Phase, as index in `phases` of the conditions", "integer"),
+        Column("state", "", "Phase, as index in `phases` of the conditions", "<i8"),
         Column("x", "m", "Displacement of the flange from home, as observed"),
         Column("x_dot", "m/s", "Velocity of the flange, as observed"),
         Column("phi", "rad", "Angle from upright, towards +x, as observed"),
         Column("phi_dot", "rad/s", "Angular velocity, as observed"),
-        Column("box", "", "Box of the table; -1 outside the balance", kind="integer"),
+        Column("box", "", "Box of the table; -1 outside the balance", kind="<i8"),
         Column("u", "m/s^2", "Commanded acceleration of the flange along x"),
         Column("estimated_phi", "rad", "Estimate of phi at the tick, not predicted"),
         Column("estimated_phi_dot", "rad/s", "Estimate of phi_dot at the tick"),
@@ -84,10 +84,10 @@ TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
     ),
     "encoder": (
         Column("time", "s", "Time stamp of the sample"),
-        Column("counts", "", "Counts; in simulation from the zero", kind="integer"),
-        Column("pressed", "", "1 while the button is pressed", kind="integer"),
-        Column("illegal", "", "1 where the board saw an illegal transition", kind="integer"),
-        Column("missing", "", "Number of lines lost before this one", kind="integer"),
+        Column("counts", "", "Counts; in simulation from the zero", kind="<i8"),
+        Column("pressed", "", "1 while the button is pressed", kind="<i8"),
+        Column("illegal", "", "1 where the board saw an illegal transition", kind="<i8"),
+        Column("missing", "", "Number of lines lost before this one", kind="<i8"),
         Column("received", "s", "Tick that took the sample; on a rig"),
     ),
     "event": (
@@ -102,9 +102,9 @@ TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
 
 def tables(joints: int) -> dict[str, np.dtype[Any]]:
     """Return the type of the rows of each table, for an arm with `joints` joints."""
-    types: dict[str, Any] = {"number": ["<f8"], "integer": ["<i8"], "joints": ["<f8", (joints,)]}
+    posture = f"({joints},)<f8"
     return {
-        name: np.dtype([(c.name, *types.get(c.kind, [c.kind])) for c in columns])
+        name: np.dtype([(c.name, posture if c.kind == "joints" else c.kind) for c in columns])
         for name, columns in TABLES.items()
     }
 
@@ -121,8 +121,8 @@ def unknown_rows(kind: np.dtype[Any], count: int) -> Rows:
 def schema(table: str) -> dict[str, Any]:
     """Return the JSON schema of the messages of a table; Foxglove needs one to plot."""
     kinds: dict[str, dict[str, Any]] = {
-        "number": {"type": "number"},
-        "integer": {"type": "integer"},
+        "<f8": {"type": "number"},
+        "<i8": {"type": "integer"},
         "joints": {"type": "array", "items": {"type": "number"}},
     }
     properties = {
@@ -133,17 +133,6 @@ def schema(table: str) -> dict[str, Any]:
     return {"type": "object", "properties": properties}
 
 
-def canonical(rows: Rows) -> Rows:
-    """Return rows with NaN in place of numbers beyond `MAX_NUMBER` and incomplete postures."""
-    rows = rows.copy()
-    for name in rows.dtype.names or ():
-        column = rows[name]
-        if column.dtype.kind == "f":
-            known = np.abs(column) <= MAX_NUMBER
-            column[~(known.all(axis=1) if column.ndim == 2 else known)] = np.nan
-    return rows
-
-
 def to_messages(rows: Rows) -> Iterator[dict[str, Any]]:
     """Yield the content of the message of each row, without unknown numbers."""
     names = rows.dtype.names or ()
@@ -152,12 +141,16 @@ def to_messages(rows: Rows) -> Iterator[dict[str, Any]]:
 
 
 def plain(column: Rows) -> list[Any]:
-    """Return the values of a column: decoded text, and None for NaN."""
+    """Return the values of a column: decoded text, and None for unknown numbers.
+
+    Numbers beyond `MAX_NUMBER` and incomplete postures count as unknown.
+    """
     if column.dtype.kind == "S":
         return [text.decode("utf-8", "ignore") for text in column.tolist()]
-    first = column[:, 0] if column.ndim == 2 else column
-    unknown = (first != first).tolist()
-    return [None if no else value for value, no in zip(column.tolist(), unknown, strict=True)]
+    known: Any = np.abs(column) <= MAX_NUMBER
+    known = known.all(axis=1) if column.ndim == 2 else known
+    values = zip(column.tolist(), known.tolist(), strict=True)
+    return [value if sound else None for value, sound in values]
 
 
 def to_csv(table: str, rows: Rows, joints: Sequence[str]) -> dict[str, list[Any]]:

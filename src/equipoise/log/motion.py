@@ -4,7 +4,7 @@ The poses of a simulated run are its true states, those of a run on a rig its me
 count from the release; in a run that ended before it, from the first tick.
 """
 
-from math import isfinite, pi
+from math import pi
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -62,22 +62,25 @@ class Motion(NamedTuple):
             RecordingError: No policy ran, a run on a rig ended before its first tick, or the times
                 of the ticks do not increase.
         """
-        conditions, began, tick = run.conditions, _origin(run), run.tables["tick"]
+        conditions, tick = run.conditions, run.tables["tick"]
+        if not len(tick):
+            raise RecordingError("the run ended before its first tick, there is nothing to show")
+        began = run.release if len(run.ticks) else float(tick["time"][0])
         time = np.asarray(tick["time"] - began, np.float64)
         if not (np.isfinite(time).all() and np.all(np.diff(time) > 0.0)):
             raise RecordingError(
                 "the times of the ticks in the log do not increase; give the log as it was written"
             )
         if conditions.simulated:
-            true = run.tables["truth"] if len(run.tables["truth"]) else tick
+            true = run.tables["truth"]
             q, x, phi, late = true["q"], true["x"], true["phi"], np.full(len(time), np.nan)
         else:
-            q = _measured_joints(run, time, began)
+            q = _measured_joints(run, time + began)
             arm = conditions.arm
             poses = [arm.kinematics(arm.without_held(row)) for row in q.tolist()]
             home = arm.kinematics(arm.home_free).position[0]
             x = np.array([pose.position[0] for pose in poses]) - home
-            phi, late = _measured_phi(run, time, began), tick["late"]
+            phi, late = _measured_phi(run, time + began), tick["late"]
         phases = tuple(conditions.phases[state].value for state in tick["state"].tolist())
         phi = np.unwrap(phi)
         if np.isfinite(phi).all():  # upright at the release is zero
@@ -109,47 +112,30 @@ class Motion(NamedTuple):
     def at(self, time: float) -> Pose:
         """Return the state at a time [s]; between ticks, poses lie on straight lines."""
         row = max(int(np.searchsorted(self.time, time + 1e-9, side="right")) - 1, 0)
-        phi = float(np.interp(time, self.time, self.phi))
-        return Pose(
-            q=np.array([np.interp(time, self.time, angles) for angles in self.q.T]),
-            x=float(np.interp(time, self.time, self.x)),
-            phi=float(np.remainder(phi + pi, 2.0 * pi) - pi) if isfinite(phi) else phi,
-            u=float(self.u[row]),
-            late=float(self.late[row]),
-            phase=self.phases[row],
-        )
+        columns = (*self.q.T, self.x, self.phi)
+        *q, x, phi = (float(np.interp(time, self.time, column)) for column in columns)
+        phi = float(np.remainder(phi + pi, 2.0 * pi) - pi)
+        late = float(self.late[row])
+        return Pose(np.array(q), x, phi, float(self.u[row]), late, self.phases[row])
 
 
-def _origin(run: RunLog) -> float:
-    """Return the release on the run's clock [s], or the first tick of a run without a release."""
-    if len(run.ticks):
-        return run.release
-    if not len(run.tables["tick"]):
-        raise RecordingError("the run ended before its first tick, there is nothing to show")
-    return float(run.tables["tick"]["time"][0])
-
-
-def _measured_joints(run: RunLog, at: Array, began: float) -> Array:
-    """Return the joints of the replies, else the commanded ones, shape (n, joints)."""
-    tick, reply = run.tables["tick"], run.tables["reply"]
+def _measured_joints(run: RunLog, at: Array) -> Array:
+    """Return the measured joints at some times on the run's clock [s], shape (n, joints)."""
+    reply = run.tables["reply"]
     reply = reply[np.isfinite(reply["q"]).all(axis=1) & np.isfinite(reply["sent"])]
-    joints = reply if len(reply) else tick[np.isfinite(tick["q"]).all(axis=1)]
-    if not len(joints):
+    if not len(reply):
         raise RecordingError("the run has no posture of the arm, there is nothing to show")
     # Joints are measured midway between request and reply.
-    measured = 0.5 * (reply["sent"] + reply["time"]) if len(reply) else joints["time"]
-    return np.column_stack([np.interp(at, measured - began, joint) for joint in joints["q"].T])
+    measured = 0.5 * (reply["sent"] + reply["time"])
+    return np.column_stack([np.interp(at, measured, joint) for joint in reply["q"].T])
 
 
-def _measured_phi(run: RunLog, at: Array, began: float) -> Array:
+def _measured_phi(run: RunLog, at: Array) -> Array:
     """Return the angle by the encoder; NaN without counts, or before a zero was found."""
-    encoder, unknown = run.tables["encoder"], np.full(len(at), np.nan)
+    encoder = run.tables["encoder"]
     try:
-        zero = run.encoder_zero
-    except ArtefactError:
-        return unknown
-    if not len(encoder):
-        return unknown
-    counts = np.interp(at, encoder["time"] - began, encoder["counts"])
-    turns = (counts - zero) / (run.conditions.counts_per_rev or 1)
-    return np.remainder(-2.0 * np.pi * turns, 2.0 * np.pi) - np.pi
+        counts = np.interp(at, encoder["time"], encoder["counts"]) - run.encoder_zero
+    except (ArtefactError, ValueError):
+        return np.full(len(at), np.nan)
+    turns = counts / (run.conditions.counts_per_rev or 1)
+    return np.remainder(-2.0 * pi * turns, 2.0 * pi) - pi

@@ -57,7 +57,9 @@ FAILED: Final = "failed"
 
 FOLDER: Final = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())
 """Folder for files without a disk on Linux; elsewhere that of temporary files."""
-PREFIX: Final = f"equipoise-{os.getuid() if hasattr(os, 'getuid') else 0}-"
+USER: Final = os.getuid() if hasattr(os, "getuid") else 0
+"""Number of this user; 0 on Windows, as in the status of a file there."""
+PREFIX: Final = f"equipoise-{USER}-"
 """Begin of the names of this user's runs."""
 
 
@@ -136,7 +138,7 @@ class Recorder:
         """Words of the operator, from another process."""
         self.console = Ring(memory["console"])
         """Words from a console."""
-        self._question: npt.NDArray[Any] = memory["question"]
+        self._questions = Ring(memory["questions"])
 
     def record_tick(
         self, now: float, compute: float, inputs: TickInputs, output: TickOutput
@@ -178,18 +180,14 @@ class Recorder:
 
     def ask(self, question: OperatorMessage | None) -> None:
         """Publish the open question, which its time identifies; None withdraws it."""
-        row = self._question
-        row["time"] = 0.0  # an observer ignores a row that is being written
-        if question is not None:
-            for name, text in _texts(question).items():
-                row[name] = text
-            row["time"] = question.time
+        self._questions.take()  # the last one counts
+        asked = question or OperatorMessage("")
+        push_event(self._questions, asked.time, asked)
 
     def question(self) -> OperatorMessage | None:
         """Return the open question; None without one."""
-        (question,) = read_events(self._question.copy())
-        open_ = question.time == self._question["time"][0] != 0.0
-        return question if open_ else None
+        rows, _ = self._questions.peek(0)
+        return next((asked for asked in read_events(rows[-1:]) if asked.answers), None)
 
     @property
     def lost(self) -> int:
@@ -198,20 +196,23 @@ class Recorder:
 
 
 def memory_layout(joints: int) -> np.dtype[Any]:
-    """Return the memory of a recorder: pulse, open question, and the rings."""
+    """Return the memory of a recorder: pulse, and the rings."""
     kinds = tables(joints)
     sizes = {name: (kinds[name], round(10.0 * rate)) for name, rate in RATES.items()}
-    sizes |= {"notices": (EVENT, 256), "typed": (WORD, 256), "console": (WORD, 256)}
+    sizes |= {"notices": (EVENT, 256), "questions": (EVENT, 16)}
+    sizes |= {"typed": (WORD, 256), "console": (WORD, 256)}
     rings = [
         (name, [("counters", np.int64, 3), ("rows", kind, size)])
         for name, (kind, size) in sizes.items()
     ]
-    return np.dtype([("pulse", PULSE), ("question", EVENT, 1), *rings])
+    return np.dtype([("pulse", PULSE), *rings])
 
 
 def push_event(ring: Ring, time: float, event: OperatorMessage) -> None:
-    """Write an event into a ring; truncate its texts to their columns."""
-    ring.push(time=time, **_texts(event))
+    """Write an event into a ring, in UTF-8; truncate its texts to their columns."""
+    columns = {"name": event.name, "answers": "|".join(event.answers), "text": event.text}
+    texts = {name: text.encode(errors="backslashreplace") for name, text in columns.items()}
+    ring.push(time=time, **texts)
 
 
 def read_events(rows: npt.NDArray[Any]) -> list[OperatorMessage]:
@@ -222,12 +223,6 @@ def read_events(rows: npt.NDArray[Any]) -> list[OperatorMessage]:
         words = tuple(filter(None, answers.split("|")))
         events.append(OperatorMessage(name, text, words, time))
     return events
-
-
-def _texts(event: OperatorMessage) -> dict[str, bytes]:
-    """Return the texts of an event by their columns, in UTF-8."""
-    columns = {"name": event.name, "answers": "|".join(event.answers), "text": event.text}
-    return {name: text.encode(errors="backslashreplace") for name, text in columns.items()}
 
 
 # The memory of a run.
@@ -290,8 +285,8 @@ def _folders() -> list[Path]:
     for folder in FOLDER.glob(f"{PREFIX}*"):
         with suppress(OSError):
             status = folder.lstat()
-            own = not hasattr(os, "getuid") or status.st_uid == os.getuid()
-            if own and stat.S_ISDIR(status.st_mode) and not status.st_mode & 0o077:
+            private = stat.S_ISDIR(status.st_mode) and not status.st_mode & 0o077
+            if private and status.st_uid == USER:
                 folders.append((status.st_ctime, folder))
     return [folder for _, folder in sorted(folders, reverse=True)]
 

@@ -26,7 +26,7 @@ from equipoise.arrays import Array, IntArray
 from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.files import DIGEST_PREFIX, Provenance, StrPath, shortened, write_atomically
-from equipoise.log.columns import Rows, canonical, from_messages, tables, to_csv, unknown_rows
+from equipoise.log.columns import Rows, from_messages, tables, to_csv, unknown_rows
 from equipoise.log.conditions import RunConditions, RunEnd
 from equipoise.log.recorder import read_events
 from equipoise.log.writer import FORMAT, LogEncoder
@@ -73,7 +73,7 @@ def _read_mcap(path: Path) -> tuple[Mapping[str, str], Mapping[str, list[bytes]]
     return entries, messages, ""
 
 
-def _without_partial_ticks(rows: Mapping[str, Rows], h: float) -> dict[str, Rows]:
+def _without_partial_ticks(rows: Mapping[str, Rows], run: RunConditions) -> dict[str, Rows]:
     """Return tables without the last ticks, whose rows in other tables may be missing.
 
     Messages are in the order of time: a message one period after a tick proves that all rows of the
@@ -81,18 +81,21 @@ def _without_partial_ticks(rows: Mapping[str, Rows], h: float) -> dict[str, Rows
 
     Args:
         rows: Rows of each table.
-        h: Time between ticks [s].
+        run: Conditions of the run.
     """
     last = max((float(table["time"].max()) for table in rows.values() if len(table)), default=0.0)
-    complete = int(np.sum(rows["tick"]["time"] + h <= last + 1e-9))
-    if len(rows["truth"]):
+    complete = int(np.sum(rows["tick"]["time"] + run.h <= last + 1e-9))
+    if run.simulated:
         complete = min(complete, len(rows["truth"]))
     return dict(rows) | {name: rows[name][:complete] for name in ("tick", "truth")}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RunLog:
-    """One run."""
+    """One run.
+
+    `stream`, `replies` and `encoder` raise `RecordingError` in a run without balancing.
+    """
 
     conditions: RunConditions
     """Place and settings of the run."""
@@ -102,15 +105,6 @@ class RunLog:
     """End of the run; None for a log without one."""
     damage: str = ""
     """Sentence on the damage and the sound part; empty for a complete log."""
-
-    def __post_init__(self) -> None:
-        """Complete the tables."""
-        kinds = tables(len(self.conditions.joints))
-        rows = {
-            name: canonical(self.tables.get(name, np.zeros(0, kind)))
-            for name, kind in kinds.items()
-        }
-        object.__setattr__(self, "tables", rows)
 
     def __repr__(self) -> str:
         """Return one line: arm, world, duration and outcome."""
@@ -237,11 +231,12 @@ class RunLog:
     def _while_balancing(self, table: str) -> Any:
         """Return the rows from one tick before the release to one after the last.
 
-        Their times count from the release.
+        Their times count from the release. Of an excitation, all rows are returned.
         """
         rows, h = self.tables[table], self.conditions.h
         if len(self.tables["tick"]) or not self.conditions.simulated:
-            first, last = self.ticks.time[[0, -1]] if len(self.ticks) else (np.inf, -np.inf)
+            self.require_balancing()
+            first, last = self.ticks.time[[0, -1]]
             rows = rows[(rows["time"] >= first - h) & (rows["time"] <= last + h)]
         rows = rows.copy()
         rows["time"] -= self.release
@@ -349,7 +344,7 @@ class RunLog:
             what = damage or f"is not a valid {FORMAT!r} file: {shortened(str(error), 200)}"
             raise ArtefactError(f"{path} {what}; record the run again") from None
         if end is None:
-            rows = _without_partial_ticks(rows, conditions.h)
+            rows = _without_partial_ticks(rows, conditions)
             ticks = len(rows["tick"])
             damage = (
                 f"the log {damage or 'lacks its end'}; sound before that: {ticks:,} ticks, "
@@ -370,22 +365,10 @@ def simulated_log(
 
     Tables may be missing; so may columns except `time`, whose values are then unknown.
     """
-    kinds, filled = tables(len(conditions.joints)), dict[str, Rows]()
-    for name, columns in columns_of.items():
-        filled[name] = unknown_rows(kinds[name], len(columns["time"]))
+    filled = dict[str, Rows]()
+    for name, kind in tables(len(conditions.joints)).items():
+        columns = columns_of.get(name, {"time": ()})
+        filled[name] = unknown_rows(kind, len(columns["time"]))
         for column, values in columns.items():
             filled[name][column] = values
     return RunLog(conditions, filled, end)
-
-
-def load_run(path: Path) -> RunLog:
-    """Read a run for measurements, damaged or not.
-
-    Raises:
-        ArtefactError: The file is missing, not readable, or not a run log.
-        RecordingError: A run on a rig did not reach the balancing.
-    """
-    run = RunLog.load(path, damaged=True)
-    if not run.conditions.simulated:
-        run.require_balancing()
-    return run

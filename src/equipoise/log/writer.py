@@ -17,7 +17,7 @@ from typing import IO, Any, Final
 
 from equipoise.errors import OutsideError
 from equipoise.files import Provenance, temporary_name
-from equipoise.log.columns import TABLES, Rows, canonical, schema, to_messages
+from equipoise.log.columns import TABLES, Rows, schema, to_messages
 from equipoise.log.conditions import RunConditions, RunEnd
 from equipoise.log.recorder import CONNECTING, Recorder
 
@@ -63,7 +63,7 @@ class LogEncoder:
         Rows of one table keep their order even if their times do not increase.
         """
         parts = [
-            [(row["time"], name, row) for row in to_messages(canonical(rows))]
+            [(row["time"], name, row) for row in to_messages(rows)]
             for name, rows in rows_of.items()
         ]
         for time, name, row in heapq.merge(*parts, key=itemgetter(0)):

@@ -187,14 +187,11 @@ def _task(results: Results) -> Iterator[tuple[str, ...]]:
     policy, world = results.default.policy, results.default.run.conditions.world
     where = "in simulation" if world == MODEL else f"on the twin {world}"
     yield "Robot", "3, 4.3", "a real seven-joint arm", f"a simulated {policy.arm.name}, {where}"
-    period = f"{results.pendulum.period:.4f} s"
-    yield "Period of the free swing", "3.2", f"around {paper.FREE_SWING_PERIOD:g} s", period
-    pendulum = results.pendulum
-    for name, estimate in {
-        "w2 = m g l / I [1/s²]": pendulum.w2,
-        "c = b / I [1/s]": pendulum.c,
-    }.items():
-        yield name, "3.2", "not stated", plus_minus(estimate.value, estimate.interval)
+    period, w2, c = results.pendulum.period, results.pendulum.w2, results.pendulum.c
+    expected = f"around {paper.FREE_SWING_PERIOD:g} s"
+    yield "Period of the free swing", "3.2", expected, f"{period:.4f} s"
+    yield "w2 = m g l / I [1/s²]", "3.2", "not stated", plus_minus(w2.value, w2.interval)
+    yield "c = b / I [1/s]", "3.2", "not stated", plus_minus(c.value, c.interval)
     boxes, actions = BoxSettings().count, len(paper.ACTIONS)
     ours = f"{len(policy.Q)} boxes × {len(policy.actions)} accelerations"
     yield "Table", "4.1", f"{boxes} boxes × {actions} accelerations", ours
