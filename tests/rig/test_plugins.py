@@ -75,4 +75,4 @@ def test_a_field_that_cannot_be_is_refused(fields, says):
 
 def test_a_robot_without_an_emulator_says_so():
     with pytest.raises(InputError, match="not emulated"):
-        RobotPlugin(open=print).emulate(None, None, None, 0.0, 0)
+        RobotPlugin(open=print).emulate(None, None, 0.0)

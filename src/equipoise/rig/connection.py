@@ -154,7 +154,7 @@ def emulated_rig(
         bench, clock, settings.counts_per_rev, settings.encoder_sign
     )
     session = Session(DrainingClock(clock, sensor.device), clock, period, load=settings.load)
-    emulated = plugin.emulate(bench, arm, session, delay, seed)
+    emulated = plugin.emulate(bench, session, delay)
     clock.attach(emulated.advance)
     clock.attach(sensor.advance)
     return Rig(

@@ -12,8 +12,8 @@ time. Sensors register under `equipoise.sensors`. The robots and sensors of this
 in the same way. `equipoise.rig.connection` is the only module that opens devices.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, TypeVar
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, TypeVar
 
 from equipoise.arm.arm import Arm
 from equipoise.entry_points import how_to_install, registered
@@ -64,24 +64,19 @@ class Emulated(NamedTuple):
     """The emulator's end of the link, a `MemoryPipe`."""
 
 
-class Hardware(Protocol):
+class Hardware(NamedTuple):
     """Emulated robot on this machine, in real time."""
 
     address: str
     """Address of the robot."""
-    acts: dict[str, Callable[[], object]]
+    bench: Bench
+    """Bench with the arm."""
+    acts: Mapping[str, Callable[[], object]]
     """Actions at the robot, by the word that triggers them."""
-
-    @property
-    def bench(self) -> Bench:
-        """Bench with the arm."""
-        ...
-
-    def advance(self, now: float) -> None:
-        """Advance bench and robot to a time [s]; called each millisecond."""
-
-    def close(self) -> None:
-        """Switch the robot off."""
+    advance: Callable[[float], None]
+    """Advances bench and robot to a time [s]; called each millisecond."""
+    close: Callable[[], None]
+    """Switches the robot off."""
 
 
 def no_emulator(*_: object) -> Any:
@@ -100,10 +95,9 @@ class RobotPlugin(Value):
     `Clock`, too, which answers it while the loop waits."""
     bench: Callable[[Bodies], Any] = SimulatedRig
     """Makes the bench of the emulator: a `SimulatedRig`, or another with its acts and its angle."""
-    emulate: Callable[[Any, Arm, Session, float, int], Emulated] = no_emulator
+    emulate: Callable[[Any, Session, float], Emulated] = no_emulator
     """Returns the driver in front of an emulator. Arguments: the bench, whose `body` the emulator
-    moves and measures, the arm, the driver's session, the delay of the link each way [s], and a
-    seed."""
+    moves and measures, the driver's session, and the delay of the link each way [s]."""
     hardware: Callable[[Bodies, int | None, Callable[[str], None]], Hardware] = no_emulator
     """Switches emulated hardware on, in real time. Arguments: the bodies, the port (0 for a free
     one, None for the usual one), and what receives a text for each event."""

@@ -8,7 +8,7 @@ meanwhile arrive late. Stalls are reported.
 """
 
 from collections.abc import Callable, Mapping
-from contextlib import closing
+from contextlib import ExitStack
 from math import radians
 from pathlib import Path
 from typing import Final
@@ -89,7 +89,9 @@ class Emulation:
             stop: Returns whether to stop; called each millisecond.
         """
         clock = self._clock
-        with closing(self.terminal), closing(self.hardware):
+        with ExitStack() as parts:
+            parts.callback(self.terminal.close)
+            parts.callback(self.hardware.close)
             self.hardware.advance(clock.now())  # catches up with the time of switching on
             moment = last = clock.now()
             while not stop():
