@@ -150,7 +150,7 @@ def emulated_rig(
     q, swings = arm.home_free + offset, pendulum_on(pendulum, world.settings)
     bench = plugin.bench(Bodies(arm, swings, numbers, q, 0.0, seed))
     clock.attach(bench.advance)
-    sensor = sensor_plugin("serial").emulate(
+    sensor = sensor_plugin(settings.encoder or "serial").emulate(
         bench, clock, settings.counts_per_rev, settings.encoder_sign
     )
     session = Session(DrainingClock(clock, sensor.device), clock, period, load=settings.load)

@@ -81,7 +81,7 @@ class Hardware(NamedTuple):
 
 def no_emulator(*_: object) -> Any:
     """Refuse; the default of emulations."""
-    raise InputError("this robot or sensor is not emulated; give the address of one that exists")
+    raise InputError("this robot is not emulated; give the address of one that exists")
 
 
 class RobotPlugin(Value):
@@ -121,6 +121,11 @@ class RobotPlugin(Value):
     """Instruction to the operator before the next connection; empty without one."""
 
 
+def emulated_board(bench: Any, clock: Clock, counts_per_rev: int, sign: int) -> Emulated:
+    """Return the driver of the serial encoder in front of its emulated board."""
+    return sensor_plugin("serial").emulate(bench, clock, counts_per_rev, sign)
+
+
 class SensorPlugin(Value):
     """A kind of angle sensor, by the scheme of its addresses."""
 
@@ -128,9 +133,10 @@ class SensorPlugin(Value):
     """Returns the driver for an address, without opening anything; raises `InputError` if the
     address is invalid. Arguments: the address, the session, the expected counts per revolution
     (None accepts any number), and the sign: 1 if counts grow with theta, else -1."""
-    emulate: Callable[[Any, Clock, int, int], Emulated] = no_emulator
-    """Returns the driver in front of an emulator. Arguments: the bench, the clock, the expected
-    counts per revolution, and the sign."""
+    emulate: Callable[[Any, Clock, int, int], Emulated] = emulated_board
+    """Returns the driver in front of an emulator, for a twin with the sensor that `rig.toml` names;
+    by default that of the serial encoder. Arguments: the bench, the clock, the expected counts per
+    revolution, and the sign."""
 
 
 def scheme_of(address: str) -> str:
