@@ -69,7 +69,6 @@ def test_a_package_registers_a_twin(register, tmp_path, monkeypatch):
     [
         ({"open": "guest"}, "callable"),
         ({"servo": {"transprot": 0.004}}, "transprot"),
-        ({"link_fraction": 4}, "less than or equal to 1"),
     ],
 )
 def test_a_field_that_cannot_be_is_refused(fields, says):

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeVar
 from equipoise.arm.arm import Arm
 from equipoise.entry_points import how_to_install, registered
 from equipoise.errors import InputError
-from equipoise.files import Fraction, Value
+from equipoise.files import Value
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.config import Load
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Robot
@@ -101,9 +101,6 @@ class RobotPlugin(Value):
     hardware: Callable[[Bodies, int | None, Callable[[str], None]], Hardware] = no_emulator
     """Switches emulated hardware on, in real time. Arguments: the bodies, the port (0 for a free
     one, None for the usual one), and what receives a text for each event."""
-    link_fraction: Fraction = 0.5
-    """Fraction of the twin's reply age that the emulated link takes each way [-]. The rest of the
-    twin's transport time stays in the servo."""
     servo: TwinSettings = TwinSettings()
     """Numbers of the robot's servo on a twin; those given replace the world's: transport, cycle,
     shaped, lag."""

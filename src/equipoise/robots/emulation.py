@@ -73,7 +73,7 @@ class Emulation:
         """Terminal of the board."""
         self.acts: Mapping[str, Callable[[], object]] = {
             "press": bench.press,
-            "lift": lambda: bench.lift(clumsy=0.0),
+            "lift": bench.lift,
             "aside": bench.hold_deflected,
             "release": bench.let_go,
             "steady": bench.steady,

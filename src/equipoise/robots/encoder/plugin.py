@@ -67,29 +67,12 @@ class SerialTransport:
         return LinkError(f"{self._name} is gone ({error}); check its cable, then connect again")
 
 
-def device_of(uri: str) -> str:
-    """Return the name of the device at an address.
+def open_serial(name: str) -> SerialTransport:
+    """Open the serial port of a device exclusively.
 
     Raises:
-        InputError: The address is invalid.
-    """
-    scheme, _, name = uri.partition("://")
-    if scheme != "serial" or not name or "?" in name or ("/" in name and not name.startswith("/")):
-        raise InputError(f"{uri!r} is no address of a serial port; expected serial:///dev/ttyACM0")
-    return name
-
-
-def open_serial(uri: str) -> SerialTransport:
-    """Open a serial port exclusively.
-
-    Args:
-        uri: `serial:///dev/ttyACM0` or `serial://COM3`.
-
-    Raises:
-        InputError: The address is invalid.
         LinkError: The port cannot be opened.
     """
-    name = device_of(uri)
     try:
         port = Serial(name, BAUD, timeout=0.0, write_timeout=0.0, exclusive=True)
     except (OSError, ValueError) as error:
@@ -106,9 +89,16 @@ def open_serial(uri: str) -> SerialTransport:
 def open_sensor(
     address: str, session: Session, counts_per_rev: int | None, sign: int
 ) -> LineEncoder:
-    """Return the driver for an address; nothing is opened before it is connected."""
-    device_of(address)
-    opened, clock = partial(open_serial, address), session.clock
+    """Return the driver for an address; nothing is opened before it is connected.
+
+    Raises:
+        InputError: The address is invalid.
+    """
+    scheme, _, name = address.partition("://")
+    if scheme != "serial" or not name or "?" in name or ("/" in name and not name.startswith("/")):
+        form = "serial:///dev/ttyACM0"
+        raise InputError(f"{address!r} is no address of a serial port; expected {form}")
+    opened, clock = partial(open_serial, name), session.clock
     return LineEncoder(opened, clock, counts_per_rev=counts_per_rev, sign=sign, name=address)
 
 

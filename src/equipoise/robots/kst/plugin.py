@@ -1,6 +1,6 @@
 """The plugin of KUKA arms behind a KST server: `kst://HOST:30001`."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from typing import Final
@@ -92,25 +92,22 @@ def flange_speed(arm: Arm, period: float) -> float:
         arm: The arm with its home posture.
         period: Maximum time between two setpoints [s].
     """
-    limits = [SHAPED_FRACTION * joint.velocity for joint in arm.free_joints]
-    allowed = np.array([speed_of_peak(limit, period) for limit in limits])
-    return min(float(np.min(allowed / rates)) for rates in _rates_along_track(arm))
-
-
-def _rates_along_track(arm: Arm) -> Iterator[Array]:
-    """Yield the rates of the free joints per flange velocity along x [rad/m], shape (6,)."""
-    along_x = np.zeros(FREE_JOINTS)
-    along_x[0] = 1.0
+    peaks = [SHAPED_FRACTION * joint.velocity for joint in arm.free_joints]
+    allowed = np.array([speed_of_peak(peak, period) for peak in peaks])
+    along_x = np.eye(FREE_JOINTS)[0]
 
     def rates(q: Array) -> Array:
+        """Return the rates of the free joints per flange velocity along x [rad/m], shape (6,)."""
         return np.asarray(np.linalg.solve(arm.kinematics(q).jacobian, along_x), np.float64)
 
+    speeds: list[Array] = []
     for ahead in (TRACK_STEP, -TRACK_STEP):
         q = arm.home_free
         for _ in range(round(paper.X_LIMIT / TRACK_STEP) + 1):
             # Avoids a division by zero for a joint that does not move.
-            yield np.maximum(np.abs(rates(q)), np.finfo(np.float64).tiny)
+            speeds.append(allowed / np.maximum(np.abs(rates(q)), np.finfo(np.float64).tiny))
             q = q + ahead * rates(q + 0.5 * ahead * rates(q))
+    return float(np.min(speeds))
 
 
 PLUGIN: Final = RobotPlugin(
