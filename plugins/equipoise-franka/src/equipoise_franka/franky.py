@@ -82,7 +82,6 @@ class Controller(FrankaRobotServer):
         self._changed = False
         self._command: Array | None = None
         self._offset = np.zeros(7)
-        self._lost, self._q, self._dq, self._ddq = 0, np.zeros(7), np.zeros(7), np.zeros(7)
 
     def stop(self, error: str = "") -> None:
         """Abort the motion by a user stop, or by a reflex on an error; until `set_free`."""
