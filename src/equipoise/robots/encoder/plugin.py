@@ -3,7 +3,8 @@
 Addresses are `serial:///dev/ttyACM0` or `serial://COM3`. Reads and writes do not block.
 """
 
-from contextlib import suppress
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Final
 
@@ -40,11 +41,8 @@ class SerialTransport:
         Raises:
             LinkError: The device is gone, or accepts no more bytes.
         """
-        # pyserial raises a TypeError for a port that was closed meanwhile.
-        try:
+        with self._link_errors():
             self._port.write(data)
-        except (OSError, TypeError) as error:
-            raise self._gone(error) from None
 
     def read(self) -> bytes:
         """Return the received bytes.
@@ -53,18 +51,21 @@ class SerialTransport:
             LinkError: The device is gone.
         """
         # Linux lets a read of an empty port wait for the worker that delivers the next bytes.
-        try:
+        with self._link_errors():
             return self._port.read(waiting) if (waiting := self._port.in_waiting) else b""
-        except (OSError, TypeError) as error:
-            raise self._gone(error) from None
 
     def close(self) -> None:
         """Close the port."""
         with suppress(OSError):
             self._port.close()
 
-    def _gone(self, error: Exception) -> LinkError:
-        return LinkError(f"{self._name} is gone ({error}); check its cable, then connect again")
+    @contextmanager
+    def _link_errors(self) -> Generator[None]:
+        try:
+            yield
+        except (OSError, TypeError) as error:  # pyserial's TypeError: the port was closed meanwhile
+            message = f"{self._name} is gone ({error}); check its cable, then connect again"
+            raise LinkError(message) from None
 
 
 def open_serial(name: str) -> SerialTransport:

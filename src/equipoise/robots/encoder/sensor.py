@@ -56,8 +56,9 @@ class LineStream:
         self._counts_per_radian = banner.counts_per_rev / (2.0 * pi)
         self._last, self._stride, self._inconsistent = first, 0.0, 0
         self._elapsed_us, self._zero = 0, arrival
-        self.counts = first.counts
-        """Counts of the newest line, which do not wrap."""
+        self._counts = first.counts  # they do not wrap
+        self.settles = True
+        """Whether samples are not used yet, so that their times may decrease."""
         self.received = arrival
         """Time of its arrival [s]."""
         self.lateness = 0.0
@@ -98,31 +99,23 @@ class LineStream:
         """Return by how much a line's converted time exceeds its arrival [s]; normally negative."""
         return self._zero + 1e-6 * (self._elapsed_us + self._passed_us(line)) - arrival
 
-    def settle(self, line: Reading, arrival: float) -> None:
-        """Accept a line without using its time: the estimate falls at once."""
-        self._accept(line, arrival)
-        self._zero = min(self._zero, arrival - 1e-6 * self._elapsed_us)
+    def accept(self, line: Reading, arrival: float, sign: int) -> Sample:
+        """Accept a line, and return its sample, whose counts have a sign.
 
-    def sample(self, line: Reading, arrival: float, sign: int) -> Sample:
-        """Accept a line, and return its sample, whose counts have a sign."""
-        last, missing = self._last, self._steps(line) - 1
-        passed = self._accept(line, arrival)
-        difference = arrival - 1e-6 * self._elapsed_us
-        highest = self._zero + MAX_CLOCK_ERROR * passed
-        self._zero = max(min(difference, highest), self._zero - SLEW * passed)
+        While it settles, the estimate of the clock falls at once.
+        """
+        last, missing, passed_us = self._last, self._steps(line) - 1, self._passed_us(line)
+        self._last, self._inconsistent, self.received = line, 0, arrival
+        self._elapsed_us += passed_us
+        self._counts += signed(line.counts - last.counts)
+        passed, difference = 1e-6 * passed_us, arrival - 1e-6 * self._elapsed_us
+        rise, fall = (0.0, inf) if self.settles else (MAX_CLOCK_ERROR * passed, SLEW * passed)
+        self._zero = max(min(difference, self._zero + rise), self._zero - fall)
         self.lateness = max(difference - self._zero, 0.0)
         time = self._zero + 1e-6 * self._elapsed_us
         began = line.flags & ~last.flags & Flags.DOWN
         pressed, illegal = bool(line.flags & Flags.PRESSED or began), line.flags & Flags.ILLEGAL
-        return Sample(time, sign * self.counts, pressed, bool(illegal), missing)
-
-    def _accept(self, line: Reading, arrival: float) -> float:
-        """Make a line the last one, and return the time since the one before [s]."""
-        passed_us = self._passed_us(line)
-        self._elapsed_us += passed_us
-        self.counts += signed(line.counts - self._last.counts)
-        self._last, self._inconsistent, self.received = line, 0, arrival
-        return 1e-6 * passed_us
+        return Sample(time, sign * self._counts, pressed, bool(illegal), missing)
 
     def _steps(self, line: Reading) -> int:
         return (line.seq - self._last.seq) % 2**16
@@ -257,8 +250,9 @@ class LineEncoder:
                     continue
                 if stream.ahead(line, now) > POLL_PERIOD:
                     ready = now + SETTLING
-                stream.settle(line, now)
+                stream.accept(line, now, self._sign)
             if stream is not None and now == stream.received >= ready:
+                stream.settles = False
                 return stream
         raise LinkError(
             f"{self._name} sends a banner but no steady counts; check its firmware, and that "
@@ -324,7 +318,7 @@ class LineEncoder:
             )
         if ahead > MAX_LATENESS:
             raise self._late(ahead)
-        sample = stream.sample(line, now, self._sign)
+        sample = stream.accept(line, now, self._sign)
         self._block_lateness = min(self._block_lateness, stream.lateness)
         if now >= self._block_end:
             if self._block_lateness > MAX_LATENESS:
