@@ -162,21 +162,13 @@ class LineEncoder:
             name: Name of the board in messages: its address.
         """
         self._open, self._clock, self._name = open_transport, clock, name
-        self._expected, self._sign = counts_per_rev, sign
+        self._sign = sign
+        self.counts_per_rev = counts_per_rev or 0
+        """Counts per revolution, after x4, from the board; before connecting the expected number, 0
+        without one."""
         self._transport: Transport | None = None
         self._failure = f"{name} is not connected; connect it first"
         self._decoder = Decoder()
-
-    @property
-    def counts_per_rev(self) -> int:
-        """Counts per revolution, after x4, from the board; before connecting the expected number.
-
-        Raises:
-            LinkError: The sensor is not connected, and no number is expected.
-        """
-        if self._expected is None:
-            raise LinkError(self._failure)
-        return self._expected
 
     @property
     def rejected(self) -> int:
@@ -195,7 +187,7 @@ class LineEncoder:
         self._transport = transport = self._open()
         try:
             banner = self._request_banner(transport)
-            self._expected = banner.counts_per_rev
+            self.counts_per_rev = banner.counts_per_rev
             self._stream = self._settled(transport, banner)
         except LinkError as error:
             self.close()
@@ -217,11 +209,11 @@ class LineEncoder:
         for now, lines in self._arriving(transport):
             for line in lines:
                 if isinstance(line, Banner):
-                    if self._expected not in (None, line.counts_per_rev):
+                    if self.counts_per_rev not in (0, line.counts_per_rev):
                         raise LinkError(
                             f"{self._name} ({line.name}) counts {line.counts_per_rev} per "
-                            f"revolution, the rig expects {self._expected} (after x4); correct "
-                            "the rig's counts_per_rev or the board's COUNTS_PER_REV"
+                            f"revolution, the rig expects {self.counts_per_rev} (after x4); "
+                            "correct the rig's counts_per_rev or the board's COUNTS_PER_REV"
                         )
                     return line
             if now >= due:
