@@ -1,5 +1,6 @@
 """What is not registered, or is no plugin, is one message; the other robots work."""
 
+import sys
 from importlib.metadata import EntryPoint
 
 import pytest
@@ -8,7 +9,10 @@ from pydantic import ValidationError
 from equipoise import entry_points
 from equipoise.arm.urdf import read_arm
 from equipoise.errors import EquipoiseError, InputError
+from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.worlds import read_world
+from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import emulated_rig
 from equipoise.rig.plugins import RobotPlugin, robot_plugin
 
 
@@ -65,7 +69,6 @@ def test_a_package_registers_a_twin(register, tmp_path, monkeypatch):
     [
         ({"open": "guest"}, "callable"),
         ({"servo": {"transprot": 0.004}}, "transprot"),
-        ({"link_fraction": 4}, "less than or equal to 1"),
     ],
 )
 def test_a_field_that_cannot_be_is_refused(fields, says):
@@ -73,6 +76,25 @@ def test_a_field_that_cannot_be_is_refused(fields, says):
         RobotPlugin(**{"open": print} | fields)
 
 
+@pytest.mark.compiled_only
+@pytest.mark.parametrize(("more", "emulator"), [("", "Board"), (", emulate=emulate", "str")])
+def test_a_twin_has_the_emulator_of_its_rigs_sensor(
+    register, tmp_path, monkeypatch, more, emulator
+):
+    (tmp_path / "own_sensor.py").write_text(
+        "from equipoise.rig.plugins import Emulated, SensorPlugin\n"
+        "def emulate(bench, clock, counts, sign):\n"
+        "    return Emulated(None, emulator=f'{counts} {sign}')\n"
+        f"PLUGIN = SensorPlugin(open=print{more})\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "own_sensor", raising=False)
+    register(sensors="own_sensor:PLUGIN")
+    settings = RigSettings(encoder="own://usb")
+    rig = emulated_rig("twin:nominal", settings, shipped_pendulum(), robot="kst")
+    assert type(rig.emulated[1].emulator).__name__ == emulator
+
+
 def test_a_robot_without_an_emulator_says_so():
     with pytest.raises(InputError, match="not emulated"):
-        RobotPlugin(open=print).emulate(None, None, None, 0.0, 0)
+        RobotPlugin(open=print).emulate(None, None, 0.0)

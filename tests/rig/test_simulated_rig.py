@@ -137,7 +137,7 @@ def test_the_hand_lifts_from_its_side_and_holds_upright_within_its_tremor(side, 
 def test_a_pendulum_released_cleanly_falls_freely_and_no_force_remains():
     for seed in range(2):
         bench, clock = stand(seed=seed)
-        manner = bench.lift(clumsy=0.0)
+        manner = bench.lift()
         clock.wait_until(manner.lifting + 2.0)
         before = bench.twin.truth()
         bench.let_go()

@@ -54,7 +54,7 @@ class RigSettings(Value):
     robot: Name | None = None
     """Default of --robot, e.g. kst://172.31.1.147:30001."""
     encoder: Name | None = None
-    """Default of --encoder, e.g. serial:///dev/ttyACM0."""
+    """Default of --encoder, e.g. serial:///dev/ttyACM0; a twin emulates this kind of encoder."""
     home_deg: tuple[Degrees, ...] | None = None
     """Posture at x = 0, all joints [deg], with the pendulum's spindle along base y; by default the
     arm's own. For a URDF a posture is searched, without regard to tables and walls."""

@@ -118,8 +118,8 @@ def emulated_rig(
 ) -> Rig:
     """Return a twin behind the drivers of a kind of robot, in virtual time, with its operator.
 
-    The link of an emulated robot takes its fraction of the twin's reply age each way, and the servo
-    the rest of the twin's transport. A robot whose plugin makes a bench of its own has its own link
+    The link of an emulated robot takes half of the twin's reply age each way, and the servo the
+    rest of the twin's transport. A robot whose plugin makes a bench of its own has its own link
     and servo, too.
 
     Args:
@@ -142,7 +142,7 @@ def emulated_rig(
             f"{world.name} has {numbers.counts_per_rev} counts per revolution, rig.toml "
             f"{settings.counts_per_rev}; give one number"
         )
-    delay = plugin.link_fraction * numbers.reply_age
+    delay = 0.5 * numbers.reply_age
     numbers = numbers.model_copy(update={"transport": max(numbers.transport - delay, 0.0)})
     clock, arm = VirtualClock(), settings.described_arm
     # The joints begin up to 0.1 rad beside home.
@@ -150,11 +150,11 @@ def emulated_rig(
     q, swings = arm.home_free + offset, pendulum_on(pendulum, world.settings)
     bench = plugin.bench(Bodies(arm, swings, numbers, q, 0.0, seed))
     clock.attach(bench.advance)
-    sensor = sensor_plugin("serial").emulate(
+    sensor = sensor_plugin(settings.encoder or "serial").emulate(
         bench, clock, settings.counts_per_rev, settings.encoder_sign
     )
     session = Session(DrainingClock(clock, sensor.device), clock, period, load=settings.load)
-    emulated = plugin.emulate(bench, arm, session, delay, seed)
+    emulated = plugin.emulate(bench, session, delay)
     clock.attach(emulated.advance)
     clock.attach(sensor.advance)
     return Rig(

@@ -21,6 +21,7 @@ rule that names a symptom (the angle, the track) ranks last, and so does a late 
 computer was late itself.
 """
 
+from collections.abc import Iterator
 from contextlib import suppress
 from math import degrees, exp, radians
 from typing import Final, NamedTuple
@@ -104,9 +105,8 @@ def explain(run: RunLog) -> list[Cause]:
     with suppress(ArtefactError):  # the encoder's angles need the zero of the balancing
         balanced = balanced or (len(run.ticks) > 0 and len(run.encoder.time) >= 0)
     time = run.survival if balanced else None
-    busy = _missed(run) if end.outcome in DELAYS else ""
-    causes = [Cause(RootCause.BUSY, 0.95, time, busy)] if busy else []
-    score = 0.2 if busy or end.outcome in SYMPTOMS else 0.95
+    causes = list(_busy(run, time)) if end.outcome in DELAYS else []
+    score = 0.2 if causes or end.outcome in SYMPTOMS else 0.95
     causes.append(Cause(end.outcome, score, time, describe(end)))
     regular = end.outcome in (Outcome.SURVIVED, Outcome.OPERATOR, Outcome.EXCITED)
     if balanced and len(run.time) > 0 and not regular:
@@ -116,14 +116,14 @@ def explain(run: RunLog) -> list[Cause]:
 
 def root_causes(run: RunLog) -> list[Cause]:
     """Return the root causes that the measurements of a balancing show."""
-    causes = [_outside(run), _pause(run)]
+    causes = [*_outside(run), *_pause(run)]
     # A run that is too short, or of an unknown arm, has no unexplained rate.
     with suppress(ArtefactError, RecordingError, ValueError):
         moved = read_motion(run, run.conditions.arm)
-        causes.append(_delay(run, moved))
+        causes += _delay(run, moved)
         time, rate = unexplained_rate(run, moved)
-        causes += [_push(run, time, rate), _zero(run, time, rate)]
-    return [cause for cause in causes if cause is not None]
+        causes += [*_push(run, time, rate), *_zero(run, time, rate)]
+    return causes
 
 
 def unexplained_rate(run: RunLog, moved: ModelMotion) -> tuple[Array, Array]:
@@ -169,18 +169,17 @@ def _u_max(log: RunLog) -> float:
     return log.conditions.u_max or float(np.abs(log.ticks.u).max())
 
 
-def _missed(log: RunLog) -> str:
-    """Return the evidence that the computer was late itself; empty without any."""
+def _busy(log: RunLog, time: float | None) -> Iterator[Cause]:
+    """Detect that the computer was late itself."""
     h = log.conditions.h
     late = np.nan_to_num(log.tables["tick"]["late"][-round(LATE / h) :])
     missed = late[late > 0.5 * h]  # of a run on a rig, see `missed_ticks`
-    if missed.sum() <= STALL:
-        return ""
-    most = 1e3 * float(missed.max())
-    return f"the loop missed {len(missed)} of the last {len(late)} ticks, by up to {most:.0f} ms"
+    if missed.sum() > STALL:
+        text = f"the loop missed {len(missed)} of the last {len(late)} ticks, "
+        yield Cause(RootCause.BUSY, 0.95, time, f"{text}by up to {1e3 * missed.max():.0f} ms")
 
 
-def _outside(log: RunLog) -> Cause | None:
+def _outside(log: RunLog) -> Iterator[Cause]:
     """Detect the time after which no command could hold the pendulum."""
     pendulum = log.conditions.pendulum
     u_max = _u_max(log)
@@ -190,33 +189,28 @@ def _outside(log: RunLog) -> Cause | None:
     inside = np.flatnonzero(~beyond)
     first = int(inside[-1]) + 1 if len(inside) else 0
     if first == len(beyond):
-        return None
+        return
     time = float(log.time[first])
     where = (
         f"phi + phi_dot / {mu:.1f} was {degrees(diverging[first]):+.1f} deg at "
         f"{time:.2f} s, and u of {u_max:g} m/s^2 can turn back {degrees(bound):.1f} deg"
     )
     if time <= 0.05:  # [s]: the duration of the release
-        return Cause(RootCause.OUTSIDE, 0.85, time, f"released too far out: {where}")
-    return Cause(RootCause.SATURATION, 0.4, time, where)
+        yield Cause(RootCause.OUTSIDE, 0.85, time, f"released too far out: {where}")
+    else:
+        yield Cause(RootCause.SATURATION, 0.4, time, where)
 
 
-def response_delay(log: RunLog, moved: ModelMotion) -> float | None:
-    """Return the delay T of the flange behind u in the last part of a run [s].
+def _delay(log: RunLog, moved: ModelMotion) -> Iterator[Cause]:
+    """Detect a delay of the flange that is longer than the controller's prediction.
 
-    The second differences of the measured x and of the integral of u fit best at this delay.
-
-    Args:
-        log: Log of the run.
-        moved: Its measured motion.
-
-    Returns:
-        The delay; None for a run that is too short, or an arm that does not follow u.
+    At the flange's delay T in the last part of the run, the second differences of the measured x
+    and of the integral of u fit best; an arm that does not follow u has none.
     """
     h, end = log.conditions.h, float(moved.time[-1])
     time = np.arange(max(end - LATE, float(moved.time[0])), end - SPAN, GRID_STEP)
     if len(time) < 30:
-        return None
+        return
     v = np.cumsum(np.append(0.0, h * log.ticks.u))
     x = np.cumsum(np.append(0.0, 0.5 * h * (v[1:] + v[:-1])))
     commanded = np.append(log.time, log.time[-1] + h)
@@ -224,7 +218,19 @@ def response_delay(log: RunLog, moved: ModelMotion) -> float | None:
     delays = np.arange(0.0, 0.15, 0.001)
     left = [np.std(measured - _second_difference(time - T, commanded, x)) for T in delays]
     best = int(np.argmin(left))
-    return float(delays[best]) if left[best] < 0.5 * np.std(measured) else None
+    # By the trapezoidal rule, the predicted change of phi is the mean rate times the horizon.
+    rate = 0.5 * (log.ticks.phi_dot + log.ticks.estimated_phi_dot)
+    horizon = float(rate @ (log.ticks.phi - log.ticks.estimated_phi) / (rate @ rate))
+    # A prediction from the identified actuator is 5 ms too long at least (`controller.margin`).
+    rest = float(delays[best]) - horizon
+    if left[best] < 0.5 * np.std(measured) and rest > 0.002:
+        text = (
+            f"the flange followed u after {1e3 * delays[best]:.0f} ms, and the controller "
+            f"predicted {1e3 * horizon:.0f} ms; in the other {1e3 * rest:.0f} ms a lean grows by "
+            f"{exp(fall_rate(log.conditions.pendulum) * rest) - 1.0:.0%}"
+        )
+        # With 20 ms a table falls within seconds; without a push such a run may show one up to 0.6.
+        yield Cause(RootCause.DELAY, 0.6 + 0.2 * min(rest / 0.02, 1.0), log.survival, text)
 
 
 def _second_difference(at: Array, time: Array, x: Array) -> Array:
@@ -233,39 +239,20 @@ def _second_difference(at: Array, time: Array, x: Array) -> Array:
     return later - 2.0 * now + earlier
 
 
-def _delay(log: RunLog, moved: ModelMotion) -> Cause | None:
-    """Detect a delay of the flange that is longer than the controller's prediction."""
-    delay = response_delay(log, moved)
-    # By the trapezoidal rule, the predicted change of phi is the mean rate times the horizon.
-    rate = 0.5 * (log.ticks.phi_dot + log.ticks.estimated_phi_dot)
-    horizon = float(rate @ (log.ticks.phi - log.ticks.estimated_phi) / (rate @ rate))
-    # A prediction from the identified actuator is 5 ms too long at least (`controller.margin`).
-    if delay is None or not delay - horizon > 0.002:
-        return None
-    rest = delay - horizon
-    text = (
-        f"the flange followed u after {1e3 * delay:.0f} ms, and the controller predicted "
-        f"{1e3 * horizon:.0f} ms; in the other {1e3 * rest:.0f} ms a lean grows by "
-        f"{exp(fall_rate(log.conditions.pendulum) * rest) - 1.0:.0%}"
-    )
-    # With 20 ms a table falls within seconds; without a push such a run may show one up to 0.6.
-    return Cause(RootCause.DELAY, 0.6 + 0.2 * min(rest / 0.02, 1.0), log.survival, text)
-
-
-def _pause(log: RunLog) -> Cause | None:
+def _pause(log: RunLog) -> Iterator[Cause]:
     """Detect the largest speed that the flange lost at once in the last part."""
     lost = np.append(0.0, -np.diff(log.ticks.x_dot))
     lost[log.time < log.survival - LATE] = 0.0
     i = int(np.argmax(np.abs(lost)))
     u_max = _u_max(log)
     if abs(lost[i]) < 1.2 * (u_max + RESTART_ACCELERATION) * log.conditions.h:  # of a command
-        return None
+        return
     when, size = float(log.time[i]), float(log.conditions.pendulum.k * lost[i])
     text = (
         f"at {when:.2f} s no setpoints came, and the flange stopped from {abs(lost[i]):.2f} m/s, "
         f"which changes the pendulum's rate by {degrees(size):+.0f} deg/s"
     )
-    return Cause(RootCause.PAUSE, _impact(size), when, text)
+    yield Cause(RootCause.PAUSE, _impact(size), when, text)
 
 
 def _impact(size: float) -> float:
@@ -273,12 +260,12 @@ def _impact(size: float) -> float:
     return 0.5 + 0.32 * min(abs(size) / 1.2, 1.0)
 
 
-def _push(log: RunLog, time: Array, rate: Array) -> Cause | None:
+def _push(log: RunLog, time: Array, rate: Array) -> Iterator[Cause]:
     """Detect the largest step of the unexplained rate in the last part."""
     duration = 0.08  # [s]: of a push
     wide = round(duration / GRID_STEP)
     if len(time) <= wide + 2:
-        return None
+        return
     steps = rate[wide:] - rate[:-wide]
     middle = time[wide // 2 : wide // 2 + len(steps)]
     late = middle >= log.survival - LATE
@@ -286,31 +273,31 @@ def _push(log: RunLog, time: Array, rate: Array) -> Cause | None:
     i = int(np.argmax(np.abs(unusual)))
     size, when = float(unusual[i]), float(middle[i])
     if abs(size) < 0.35:  # [rad/s]: noise and a wrong pendulum model reach 0.05
-        return None
+        return
     text = (
         f"at {when:.2f} s the pendulum's rate changed by {degrees(size):+.0f} deg/s within "
         f"{1e3 * duration:.0f} ms, more than gravity and the flange explain"
     )
-    return Cause(RootCause.PUSH, _impact(size), when, text)
+    yield Cause(RootCause.PUSH, _impact(size), when, text)
 
 
-def _zero(log: RunLog, time: Array, rate: Array) -> Cause | None:
+def _zero(log: RunLog, time: Array, rate: Array) -> Iterator[Cause]:
     """Detect a slope of the unexplained rate in the last 0.8 s."""
     last = rate[time >= max(time[-1] - 0.8, 0.0)]
     seconds = len(last) * GRID_STEP
     if seconds < 0.12:
-        return None
+        return
     # The median of all slopes over a quarter of the window is robust to a step, which is a push.
     quarter = max(len(last) // 4, 1)
     slopes = (last[quarter:] - last[:-quarter]) / (quarter * GRID_STEP)
     error = -float(np.median(slopes)) / log.conditions.pendulum.w2
     # A referenced zero is good to 0.1 deg, a base is level to 0.5 deg; 2.5 deg end a run.
     if abs(error) < radians(0.75):
-        return None
+        return
     score = 0.5 + 0.35 * min(abs(error) / radians(2.5), 1.0)
     text = (
         f"over the last {seconds:.1f} s the encoder read {degrees(error):+.1f} deg from upright "
         f"while gravity pulled as upright (the observer's estimate: "
         f"{degrees(float(log.ticks.bias[-1])):+.1f} deg)"
     )
-    return Cause(RootCause.ZERO, score, log.survival, text)
+    yield Cause(RootCause.ZERO, score, log.survival, text)

@@ -12,13 +12,13 @@ time. Sensors register under `equipoise.sensors`. The robots and sensors of this
 in the same way. `equipoise.rig.connection` is the only module that opens devices.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, TypeVar
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, TypeVar
 
 from equipoise.arm.arm import Arm
 from equipoise.entry_points import how_to_install, registered
 from equipoise.errors import InputError
-from equipoise.files import Fraction, Value
+from equipoise.files import Value
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.config import Load
 from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Robot
@@ -64,29 +64,24 @@ class Emulated(NamedTuple):
     """The emulator's end of the link, a `MemoryPipe`."""
 
 
-class Hardware(Protocol):
+class Hardware(NamedTuple):
     """Emulated robot on this machine, in real time."""
 
     address: str
     """Address of the robot."""
-    acts: dict[str, Callable[[], object]]
+    bench: Bench
+    """Bench with the arm."""
+    acts: Mapping[str, Callable[[], object]]
     """Actions at the robot, by the word that triggers them."""
-
-    @property
-    def bench(self) -> Bench:
-        """Bench with the arm."""
-        ...
-
-    def advance(self, now: float) -> None:
-        """Advance bench and robot to a time [s]; called each millisecond."""
-
-    def close(self) -> None:
-        """Switch the robot off."""
+    advance: Callable[[float], None]
+    """Advances bench and robot to a time [s]; called each millisecond."""
+    close: Callable[[], None]
+    """Switches the robot off."""
 
 
 def no_emulator(*_: object) -> Any:
     """Refuse; the default of emulations."""
-    raise InputError("this robot or sensor is not emulated; give the address of one that exists")
+    raise InputError("this robot is not emulated; give the address of one that exists")
 
 
 class RobotPlugin(Value):
@@ -100,16 +95,12 @@ class RobotPlugin(Value):
     `Clock`, too, which answers it while the loop waits."""
     bench: Callable[[Bodies], Any] = SimulatedRig
     """Makes the bench of the emulator: a `SimulatedRig`, or another with its acts and its angle."""
-    emulate: Callable[[Any, Arm, Session, float, int], Emulated] = no_emulator
+    emulate: Callable[[Any, Session, float], Emulated] = no_emulator
     """Returns the driver in front of an emulator. Arguments: the bench, whose `body` the emulator
-    moves and measures, the arm, the driver's session, the delay of the link each way [s], and a
-    seed."""
+    moves and measures, the driver's session, and the delay of the link each way [s]."""
     hardware: Callable[[Bodies, int | None, Callable[[str], None]], Hardware] = no_emulator
     """Switches emulated hardware on, in real time. Arguments: the bodies, the port (0 for a free
     one, None for the usual one), and what receives a text for each event."""
-    link_fraction: Fraction = 0.5
-    """Fraction of the twin's reply age that the emulated link takes each way [-]. The rest of the
-    twin's transport time stays in the servo."""
     servo: TwinSettings = TwinSettings()
     """Numbers of the robot's servo on a twin; those given replace the world's: transport, cycle,
     shaped, lag."""
@@ -127,6 +118,11 @@ class RobotPlugin(Value):
     """Instruction to the operator before the next connection; empty without one."""
 
 
+def emulated_board(bench: Any, clock: Clock, counts_per_rev: int, sign: int) -> Emulated:
+    """Return the driver of the serial encoder in front of its emulated board."""
+    return sensor_plugin("serial").emulate(bench, clock, counts_per_rev, sign)
+
+
 class SensorPlugin(Value):
     """A kind of angle sensor, by the scheme of its addresses."""
 
@@ -134,9 +130,10 @@ class SensorPlugin(Value):
     """Returns the driver for an address, without opening anything; raises `InputError` if the
     address is invalid. Arguments: the address, the session, the expected counts per revolution
     (None accepts any number), and the sign: 1 if counts grow with theta, else -1."""
-    emulate: Callable[[Any, Clock, int, int], Emulated] = no_emulator
-    """Returns the driver in front of an emulator. Arguments: the bench, the clock, the expected
-    counts per revolution, and the sign."""
+    emulate: Callable[[Any, Clock, int, int], Emulated] = emulated_board
+    """Returns the driver in front of an emulator, for a twin with the sensor that `rig.toml` names;
+    by default that of the serial encoder. Arguments: the bench, the clock, the expected counts per
+    revolution, and the sign."""
 
 
 def scheme_of(address: str) -> str:

@@ -28,7 +28,7 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED, box_indices, make_grid
 from equipoise.model.pendulum import Pendulum, read_pendulum
 from equipoise.model.random import DEPLOYMENT
-from equipoise.model.worlds import IDEAL, MODEL, TwinSettings, World, pendulum_on, read_world
+from equipoise.model.worlds import IDEAL, MODEL, World, pendulum_on, read_world
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import Settings
 from equipoise.simulation import TrialRecorder, run_trial, setup_of, simulate
@@ -105,7 +105,8 @@ def simulate_run(
             actuator=IDEAL if setup.actuator.kind == "ideal" else setup.actuator.digest,
             zero_error=loop.zero,
             pendulum=loop.pendulum,
-            **_twin_conditions(twin),
+            counts_per_rev=twin and twin.counts_per_rev,
+            world_settings=twin and twin.model_dump(),
         ),
         RunEnd(
             outcome=TRIAL_OUTCOMES[end.cause],
@@ -186,7 +187,8 @@ def excite(
             actuator="",
             pendulum=parameters,
             pendulum_digest=pendulum.digest,
-            **_twin_conditions(twin.settings),
+            counts_per_rev=twin.settings.counts_per_rev,
+            world_settings=twin.settings.model_dump(),
         ),
         RunEnd(outcome=Outcome.EXCITED),
         {
@@ -195,14 +197,6 @@ def excite(
             "encoder": {"time": counted_at, "counts": counts},
         },
     )
-
-
-def _twin_conditions(twin: TwinSettings | None) -> dict[str, Any]:
-    """Return the conditions of a run that a twin adds."""
-    return {
-        "counts_per_rev": twin and twin.counts_per_rev,
-        "world_settings": twin and twin.model_dump(),
-    }
 
 
 def _all_joints(arm: Arm, free: Array, held: float | None = None) -> Array:

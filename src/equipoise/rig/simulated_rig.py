@@ -113,17 +113,16 @@ class Bench:
         """Press the button for a tenth of a second."""
         self._down_until = self.now + 0.1
 
-    def lift(self, *, side: Side | None = None, clumsy: float = 0.25) -> HandParams:
+    def lift(self, side: Side | None = None) -> HandParams:
         """Grip the pendulum, bring it upright, and hold it until `let_go`.
 
         Args:
             side: Side of the lift (default: drawn).
-            clumsy: Probability of a release with a push or a drag.
 
         Returns:
             The parameters of the hand; the caller releases after their time of holding.
         """
-        manner = draw_hand_params(self._random, side=side, clumsy=clumsy)
+        manner = draw_hand_params(self._random, side=side, clumsy=0.0)
         self.hand.lift(self.now, self.phi, manner)
         return manner
 
@@ -218,10 +217,10 @@ class EmulatedOperator:
         self.acts: dict[str, Callable[[], object]] = {
             "hang": bench.steady,
             "reference": lambda: (bench.let_go(), bench.press()),
-            "lift": lambda: bench.lift(clumsy=0.0),
+            "lift": bench.lift,
             "armed": bench.let_go,
             "nudge": lambda: (bench.let_go(), bench.push(0.1)),
-            "disarmed": lambda: bench.lift(clumsy=0.0),
+            "disarmed": bench.lift,
         }
         """Act of the hand for each message that asks for one, by its name."""
 

@@ -62,16 +62,14 @@ def memory_pipe(clock: Clock, delay: float = 0.0) -> tuple[MemoryPipe, MemoryPip
 
 
 class SocketTransport:
-    """Connected socket; over TCP without Nagle's algorithm and delayed acknowledgements."""
+    """Connected TCP socket, without Nagle's algorithm and delayed acknowledgements."""
 
     def __init__(self, connection: socket.socket) -> None:
         """Wrap a connected socket."""
         connection.setblocking(False)
-        tcp = connection.family in (socket.AF_INET, socket.AF_INET6)
-        if tcp:
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket = connection
-        self._quick = getattr(socket, "TCP_QUICKACK", None) if tcp else None
+        self._quick = getattr(socket, "TCP_QUICKACK", None)
 
     def write(self, data: bytes) -> None:
         """Send bytes; a full send buffer is an error of the link."""

@@ -8,7 +8,7 @@ meanwhile arrive late. Stalls are reported.
 """
 
 from collections.abc import Callable, Mapping
-from contextlib import closing
+from contextlib import ExitStack
 from math import radians
 from pathlib import Path
 from typing import Final
@@ -73,7 +73,7 @@ class Emulation:
         """Terminal of the board."""
         self.acts: Mapping[str, Callable[[], object]] = {
             "press": bench.press,
-            "lift": lambda: bench.lift(clumsy=0.0),
+            "lift": bench.lift,
             "aside": bench.hold_deflected,
             "release": bench.let_go,
             "steady": bench.steady,
@@ -89,7 +89,9 @@ class Emulation:
             stop: Returns whether to stop; called each millisecond.
         """
         clock = self._clock
-        with closing(self.terminal), closing(self.hardware):
+        with ExitStack() as parts:
+            parts.callback(self.terminal.close)
+            parts.callback(self.hardware.close)
             self.hardware.advance(clock.now())  # catches up with the time of switching on
             moment = last = clock.now()
             while not stop():

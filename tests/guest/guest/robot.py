@@ -156,7 +156,7 @@ def open_robot(address, session):
     return GuestRobot(connected, session)
 
 
-def emulate(rig, arm, session, delay, seed):
+def emulate(rig, session, delay):
     controller = GuestController(rig.body, rig.joints)
     here, there = memory_pipe(session.clock, delay)
 

@@ -4,7 +4,6 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from equipoise.errors import InputError
 from equipoise.robots.encoder import codec
 from equipoise.robots.encoder.codec import Banner, Decoder, Reading, decode, encode
 
@@ -54,11 +53,6 @@ I,pico,,8192,1000|I,pico,1.0,08192,1000|I,pico,1.0,-8192,1000|I,pico,1.0,8192,0|
 @pytest.mark.parametrize("body", [body for line in WRONG.split("\n") for body in line.split("|")])
 def test_another_spelling_is_no_line_even_with_its_checksum(body):
     assert decode(signed(body.encode())) is None
-
-
-def test_a_reading_that_no_line_can_hold_is_refused():
-    with pytest.raises(InputError):
-        encode(EXAMPLE._replace(seq=2**16))
 
 
 def test_a_banner_with_a_wrong_checksum_is_none():

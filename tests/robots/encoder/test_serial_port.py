@@ -24,7 +24,6 @@ class Served:
         self.theta = 0.0
         self.board = Board(lambda: self.theta, start=time.monotonic())
         self.terminal = Terminal(self.board)
-        self.uri = f"serial://{self.terminal.path}"
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._serve)
         self._thread.start()
@@ -48,7 +47,7 @@ def served():
 
 def test_a_board_on_a_terminal_is_a_sensor(served):
     clock = SystemClock()
-    sensor = LineEncoder(lambda: open_serial(served.uri), clock, counts_per_rev=8192)
+    sensor = LineEncoder(lambda: open_serial(str(served.terminal.path)), clock, counts_per_rev=8192)
     sensor.connect()
     samples = []
     for i in range(40):
@@ -67,7 +66,7 @@ def test_a_board_on_a_terminal_is_a_sensor(served):
 
 def test_an_unplugged_device_is_an_error():
     served = Served()
-    transport = open_serial(served.uri)
+    transport = open_serial(str(served.terminal.path))
     served.unplug()
     # What came before it was unplugged may be read first.
     with pytest.raises(LinkError, match=r"is gone .*; check its cable"):

@@ -15,7 +15,7 @@ self-collision, and collision thresholds.
 # Two packages with few types.
 
 import copy
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any, Final
 from xml.etree import ElementTree
 
@@ -82,7 +82,6 @@ class Controller(FrankaRobotServer):
         self._changed = False
         self._command: Array | None = None
         self._offset = np.zeros(7)
-        self._lost, self._q, self._dq, self._ddq = 0, np.zeros(7), np.zeros(7), np.zeros(7)
 
     def stop(self, error: str = "") -> None:
         """Abort the motion by a user stop, or by a reflex on an error; until `set_free`."""
@@ -310,41 +309,6 @@ class FrankyRig(Bench):
         mujoco.mj_inverse(self._bare, bare)
         own = data.qfrc_applied + data.qfrc_constraint  # drive, dry friction, and ends of ranges
         return tuple((bare.qfrc_inverse - own)[:7].tolist())
-
-
-class FrankyHardware:
-    """The rig in real time, at an address of this machine."""
-
-    def __init__(self, bodies: Bodies, port: int | None) -> None:
-        """Switch the robot on.
-
-        Args:
-            bodies: The FR3, the pendulum and the world.
-            port: None: a controller has a port of its own.
-
-        Raises:
-            InputError: A port is given.
-            OutsideError: The address is not available.
-        """
-        if port is not None:
-            raise InputError("a controller of an FR3 has ports of its own; leave --port out")
-        self.bench = FrankyRig(bodies, [HOST], real_time=True)
-        self.address = f"franka://{HOST}"
-        controller = self.bench.controller
-        self.acts: dict[str, Callable[[], object]] = {
-            "estop": controller.stop,
-            "collide": lambda: controller.stop("joint_reflex"),
-            "lock": controller.lock,
-            "free": controller.set_free,
-        }
-
-    def advance(self, now: float) -> None:
-        """Advance to a time [s]."""
-        self.bench.advance(now)
-
-    def close(self) -> None:
-        """Switch the robot off."""
-        self.bench.close()
 
 
 def _not_an_fr3(arm: Arm) -> InputError:

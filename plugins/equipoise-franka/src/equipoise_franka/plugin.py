@@ -5,7 +5,6 @@ from contextlib import suppress
 from typing import Any, Final
 from urllib.parse import urlsplit
 
-from equipoise.arm.arm import Arm
 from equipoise.errors import InputError
 from equipoise.rig.plugins import Emulated, Hardware, RobotPlugin, Session
 from equipoise.rig.simulated_rig import Bodies
@@ -46,7 +45,7 @@ def open_robot(address: str, session: Session) -> FrankaRobot:
     return FrankaRobot(host_of(address), session)
 
 
-def emulate(rig: Any, arm: Arm, session: Session, delay: float, seed: int) -> Emulated:
+def emulate(rig: Any, session: Session, delay: float) -> Emulated:
     """Return the driver in front of a rig on `franky-sim`."""
     return Emulated(open_robot(f"franka://{rig.host}", session), emulator=rig)
 
@@ -55,12 +54,24 @@ def hardware(bodies: Bodies, port: int | None, say: Callable[[str], None]) -> Ha
     """Return emulated hardware on `franky-sim`.
 
     Raises:
+        InputError: A port is given.
         MissingExtraError: `franky-sim` is not installed.
+        OutsideError: The address is not available.
     """
+    if port is not None:
+        raise InputError("a controller of an FR3 has ports of its own; leave --port out")
     require_emulator()
-    from equipoise_franka.franky import FrankyHardware
+    from equipoise_franka.franky import HOST, FrankyRig
 
-    return FrankyHardware(bodies, port)
+    bench = FrankyRig(bodies, [HOST], real_time=True)
+    controller = bench.controller
+    acts = {
+        "estop": controller.stop,
+        "collide": lambda: controller.stop("joint_reflex"),
+        "lock": controller.lock,
+        "free": controller.set_free,
+    }
+    return Hardware(f"franka://{HOST}", bench, acts, bench.advance, bench.close)
 
 
 PLUGIN: Final = RobotPlugin(

@@ -105,17 +105,10 @@ class FrankaRobot:
         self._packets = self._commands = -1
         self._streams = False
         self._failure = ""
-        self._path = SetpointPath(np.zeros(JOINTS), session.period)
-        self._requested = -np.inf  # time of the last state [s]
         self._sent: deque[float] = deque()
         self._replies: list[Reply] = []
         self._offset = np.inf
         self._time, self._elapsed = 0.0, PERIOD
-        self._state: Any = None
-        self._same = 0
-        self._desired = np.zeros(JOINTS)
-        self._before: Array | None = None
-        self._velocity = self._acceleration = np.zeros(JOINTS)
 
     # The clock.
 
@@ -203,11 +196,13 @@ class FrankaRobot:
         self._idle_state()
         self._clock, self._same = self._session.loop_clock, 0
         self._velocity = self._acceleration = np.zeros(JOINTS)
-        self._before = self._state = None
+        self._desired = held_at
+        self._before: Array | None = None
+        self._state: Any = None
         self._path = SetpointPath(held_at, self._session.period)
         self._sent.clear()
         self._replies.clear()
-        self._requested, self._streams = self.now(), True
+        self._requested, self._streams = self.now(), True  # time of the last state [s]
         return held_at
 
     def send(self, q: Sequence[float] | Array) -> None:

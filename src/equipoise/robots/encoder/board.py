@@ -145,7 +145,7 @@ class Terminal:
         # The client's side stays open here: without a client, reads on our side would fail.
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)
-        self._board, self._unsent, self._link = board, b"", link
+        self._board, self._link = board, link
         self.path = Path(os.ttyname(self._theirs))
         """Name of the terminal; its address is `serial://` with this name."""
         if link is not None:
@@ -161,11 +161,8 @@ class Terminal:
         with suppress(BlockingIOError):
             self._board.feed(os.read(self._ours, CHUNK))
         sent = self._board.advance(now)
-        # A partly written line is finished first; whole lines are lost while no client reads.
-        with suppress(BlockingIOError):
-            self._unsent = self._unsent[os.write(self._ours, self._unsent) :]
-            if not self._unsent:
-                self._unsent = sent[os.write(self._ours, sent) :]
+        with suppress(BlockingIOError):  # a full buffer loses lines, and cuts one
+            os.write(self._ours, sent)
 
     def close(self) -> None:
         """Close the terminal, and remove its second name."""

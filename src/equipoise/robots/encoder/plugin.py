@@ -3,7 +3,8 @@
 Addresses are `serial:///dev/ttyACM0` or `serial://COM3`. Reads and writes do not block.
 """
 
-from contextlib import suppress
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Final
 
@@ -40,11 +41,8 @@ class SerialTransport:
         Raises:
             LinkError: The device is gone, or accepts no more bytes.
         """
-        # pyserial raises a TypeError for a port that was closed meanwhile.
-        try:
+        with self._link_errors():
             self._port.write(data)
-        except (OSError, TypeError) as error:
-            raise self._gone(error) from None
 
     def read(self) -> bytes:
         """Return the received bytes.
@@ -53,43 +51,29 @@ class SerialTransport:
             LinkError: The device is gone.
         """
         # Linux lets a read of an empty port wait for the worker that delivers the next bytes.
-        try:
+        with self._link_errors():
             return self._port.read(waiting) if (waiting := self._port.in_waiting) else b""
-        except (OSError, TypeError) as error:
-            raise self._gone(error) from None
 
     def close(self) -> None:
         """Close the port."""
         with suppress(OSError):
             self._port.close()
 
-    def _gone(self, error: Exception) -> LinkError:
-        return LinkError(f"{self._name} is gone ({error}); check its cable, then connect again")
+    @contextmanager
+    def _link_errors(self) -> Generator[None]:
+        try:
+            yield
+        except (OSError, TypeError) as error:  # pyserial's TypeError: the port was closed meanwhile
+            message = f"{self._name} is gone ({error}); check its cable, then connect again"
+            raise LinkError(message) from None
 
 
-def device_of(uri: str) -> str:
-    """Return the name of the device at an address.
-
-    Raises:
-        InputError: The address is invalid.
-    """
-    scheme, _, name = uri.partition("://")
-    if scheme != "serial" or not name or "?" in name or ("/" in name and not name.startswith("/")):
-        raise InputError(f"{uri!r} is no address of a serial port; expected serial:///dev/ttyACM0")
-    return name
-
-
-def open_serial(uri: str) -> SerialTransport:
-    """Open a serial port exclusively.
-
-    Args:
-        uri: `serial:///dev/ttyACM0` or `serial://COM3`.
+def open_serial(name: str) -> SerialTransport:
+    """Open the serial port of a device exclusively.
 
     Raises:
-        InputError: The address is invalid.
         LinkError: The port cannot be opened.
     """
-    name = device_of(uri)
     try:
         port = Serial(name, BAUD, timeout=0.0, write_timeout=0.0, exclusive=True)
     except (OSError, ValueError) as error:
@@ -106,9 +90,16 @@ def open_serial(uri: str) -> SerialTransport:
 def open_sensor(
     address: str, session: Session, counts_per_rev: int | None, sign: int
 ) -> LineEncoder:
-    """Return the driver for an address; nothing is opened before it is connected."""
-    device_of(address)
-    opened, clock = partial(open_serial, address), session.clock
+    """Return the driver for an address; nothing is opened before it is connected.
+
+    Raises:
+        InputError: The address is invalid.
+    """
+    scheme, _, name = address.partition("://")
+    if scheme != "serial" or not name or "?" in name or ("/" in name and not name.startswith("/")):
+        form = "serial:///dev/ttyACM0"
+        raise InputError(f"{address!r} is no address of a serial port; expected {form}")
+    opened, clock = partial(open_serial, name), session.clock
     return LineEncoder(opened, clock, counts_per_rev=counts_per_rev, sign=sign, name=address)
 
 

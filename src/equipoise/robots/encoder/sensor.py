@@ -20,7 +20,7 @@ lateness of those before.
 `samples` never blocks, prints or waits.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from math import ceil, inf, pi
 from typing import Final, Literal
 
@@ -47,18 +47,22 @@ SLEW: Final = 0.1
 """Maximum fall of the estimate per elapsed time [-]; below 1, so that converted times increase."""
 
 
-class LineOrder:
-    """Order of a board's lines: the last accepted one, and the inconsistent ones since."""
+class LineStream:
+    """Lines of a board in order: their counts, and their times on the host's clock."""
 
-    def __init__(self, banner: Banner) -> None:
-        """Start without a line."""
+    def __init__(self, banner: Banner, first: Reading, arrival: float) -> None:
+        """Start at a first line, at its time of arrival on the host's clock [s]."""
         self._period = 1.0 / banner.rate_hz
         self._counts_per_radian = banner.counts_per_rev / (2.0 * pi)
-        self._stride = 0.0
-        self.last: Reading | None = None
-        """Last accepted line."""
-        self.inconsistent = 0
-        """Number of inconsistent lines since the last accepted one."""
+        self._last, self._stride, self._inconsistent = first, 0.0, 0
+        self._elapsed_us, self._zero = 0, arrival
+        self._counts = first.counts  # they do not wrap
+        self.settles = True
+        """Whether samples are not used yet, so that their times may decrease."""
+        self.received = arrival
+        """Time of its arrival [s]."""
+        self.lateness = 0.0
+        """Delay of the newest sample beyond the delay of the fastest lines [s]."""
 
     def inconsistency(self, line: Reading, ahead: float = 0.0) -> Literal["", "time", "count"]:
         """Return which part of a line is inconsistent with the last one; empty for none.
@@ -71,78 +75,53 @@ class LineOrder:
             line: The line.
             ahead: Time by which its converted time exceeds its arrival [s].
         """
-        last = self.last or line
-        steps = (line.seq - last.seq) % 2**16
-        passed = 1e-6 * ((line.t_us - last.t_us) % WRAP_US)
+        steps, passed = self._steps(line), 1e-6 * self._passed_us(line)
         # Half a period of jitter, and one percent of drift.
         tolerance = 0.5 * self._period + 0.01 * passed
         if steps == 0 or abs(passed - steps * self._period) > tolerance:
             return "time"
         # After a jump the bound does not grow with dropped lines: it would soon allow the jump.
-        self._stride = min(self._stride, passed) if self.inconsistent else passed
+        self._stride = min(self._stride, passed) if self._inconsistent else passed
         # Each end of the motion may be one step off.
         most = ceil(MAX_RATE * self._counts_per_radian * self._stride) + 2
-        if abs(signed(line.counts - last.counts)) > most:
+        if abs(signed(line.counts - self._last.counts)) > most:
             return "count"
-        alone = self.inconsistent + 1 < MAX_INCONSISTENT
+        alone = self._inconsistent + 1 < MAX_INCONSISTENT
         leaps = min(ahead, passed) > MAX_LATENESS and (alone or ahead > SILENCE)
         return "time" if leaps else ""
 
     def drop(self) -> bool:
         """Count an inconsistent line; return whether it is one of too many."""
-        self.inconsistent += 1
-        return self.inconsistent >= MAX_INCONSISTENT
+        self._inconsistent += 1
+        return self._inconsistent >= MAX_INCONSISTENT
 
-    def accept(self, line: Reading) -> tuple[int, int]:
-        """Accept a line; return the lines missing before it, and the change of the count."""
-        last, self.last, self.inconsistent = self.last or line, line, 0
-        return (line.seq - last.seq) % 2**16 - 1, signed(line.counts - last.counts)
-
-
-class HostTime:
-    """Converter from the board's time stamps to the host's clock."""
-
-    def __init__(self, t_us: int, arrival: float) -> None:
-        """Create a converter from a first line.
-
-        Args:
-            t_us: Time of the count on the board's clock, modulo 2^32 [us].
-            arrival: Time of arrival on the host's clock [s].
-        """
-        self._t_us, self._elapsed_us = t_us, 0
-        self._zero = arrival
-        self.lateness = 0.0
-        """Delay of the newest line beyond the delay of the fastest lines [s]."""
-
-    def settle(self, t_us: int, arrival: float) -> None:
-        """Add a line without using its time: the estimate falls at once."""
-        self._advance(t_us)
-        self._zero = min(self._zero, arrival - 1e-6 * self._elapsed_us)
-
-    def __call__(self, t_us: int, arrival: float) -> float:
-        """Return the time of a count on the host's clock [s].
-
-        Args:
-            t_us: Time of the count on the board's clock, after that of the last line [us].
-            arrival: Time of arrival on the host's clock [s].
-        """
-        passed = self._advance(t_us)
-        difference = arrival - 1e-6 * self._elapsed_us
-        highest = self._zero + MAX_CLOCK_ERROR * passed
-        self._zero = max(min(difference, highest), self._zero - SLEW * passed)
-        self.lateness = max(difference - self._zero, 0.0)
-        return self._zero + 1e-6 * self._elapsed_us
-
-    def ahead(self, t_us: int, arrival: float) -> float:
+    def ahead(self, line: Reading, arrival: float) -> float:
         """Return by how much a line's converted time exceeds its arrival [s]; normally negative."""
-        passed_us = (t_us - self._t_us) % WRAP_US
-        return self._zero + 1e-6 * (self._elapsed_us + passed_us) - arrival
+        return self._zero + 1e-6 * (self._elapsed_us + self._passed_us(line)) - arrival
 
-    def _advance(self, t_us: int) -> float:
-        passed = (t_us - self._t_us) % WRAP_US
-        self._t_us = t_us
-        self._elapsed_us += passed
-        return 1e-6 * passed
+    def accept(self, line: Reading, arrival: float, sign: int) -> Sample:
+        """Accept a line, and return its sample, whose counts have a sign.
+
+        While it settles, the estimate of the clock falls at once.
+        """
+        last, missing, passed_us = self._last, self._steps(line) - 1, self._passed_us(line)
+        self._last, self._inconsistent, self.received = line, 0, arrival
+        self._elapsed_us += passed_us
+        self._counts += signed(line.counts - last.counts)
+        passed, difference = 1e-6 * passed_us, arrival - 1e-6 * self._elapsed_us
+        rise, fall = (0.0, inf) if self.settles else (MAX_CLOCK_ERROR * passed, SLEW * passed)
+        self._zero = max(min(difference, self._zero + rise), self._zero - fall)
+        self.lateness = max(difference - self._zero, 0.0)
+        time = self._zero + 1e-6 * self._elapsed_us
+        began = line.flags & ~last.flags & Flags.DOWN
+        pressed, illegal = bool(line.flags & Flags.PRESSED or began), line.flags & Flags.ILLEGAL
+        return Sample(time, sign * self._counts, pressed, bool(illegal), missing)
+
+    def _steps(self, line: Reading) -> int:
+        return (line.seq - self._last.seq) % 2**16
+
+    def _passed_us(self, line: Reading) -> int:
+        return (line.t_us - self._last.t_us) % WRAP_US
 
 
 def signed(difference: int) -> int:
@@ -183,25 +162,13 @@ class LineEncoder:
             name: Name of the board in messages: its address.
         """
         self._open, self._clock, self._name = open_transport, clock, name
-        self._expected, self._sign = counts_per_rev, sign
+        self._sign = sign
+        self.counts_per_rev = counts_per_rev or 0
+        """Counts per revolution, after x4, from the board; before connecting the expected number, 0
+        without one."""
         self._transport: Transport | None = None
-        self._banner: Banner | None = None
         self._failure = f"{name} is not connected; connect it first"
         self._decoder = Decoder()
-        self._down, self._counts = False, 0
-        self._received = clock.now()
-
-    @property
-    def counts_per_rev(self) -> int:
-        """Counts per revolution, after x4, from the board; before connecting the expected number.
-
-        Raises:
-            LinkError: The sensor is not connected, and no number is expected.
-        """
-        counts = self._expected if self._banner is None else self._banner.counts_per_rev
-        if counts is None:
-            raise LinkError(f"{self._name} is not connected; connect it first")
-        return counts
 
     @property
     def rejected(self) -> int:
@@ -219,64 +186,66 @@ class LineEncoder:
         """
         self._transport = transport = self._open()
         try:
-            self._banner = self._request_banner(transport)
-            self._settle(transport, self._banner)
+            banner = self._request_banner(transport)
+            self.counts_per_rev = banner.counts_per_rev
+            self._stream = self._settled(transport, banner)
         except LinkError as error:
             self.close()
             self._failure = str(error)
             raise
-        self._failure = ""
+        # A later banner shows a restart [s].
+        self._banner_until = self._block_end = self._stream.received + 1.0
+        self._block_lateness, self._failure = inf, ""
+
+    def _arriving(self, transport: Transport) -> Iterator[tuple[float, list[Reading | Banner]]]:
+        """Yield the lines that have come, with the time [s], until the time to connect is over."""
+        until = self._clock.now() + CONNECT_TIMEOUT
+        while (now := self._clock.now()) < until:
+            yield now, self._decoder.feed(transport.read())
+            self._clock.wait_until(now + POLL_PERIOD)
 
     def _request_banner(self, transport: Transport) -> Banner:
-        clock = self._clock
-        due = began = clock.now()
-        while (now := clock.now()) < began + CONNECT_TIMEOUT:
-            if now >= due:
-                transport.write(REQUEST)
-                due += 0.5  # the time between two requests
-            for line in self._decoder.feed(transport.read()):
+        due = -inf
+        for now, lines in self._arriving(transport):
+            for line in lines:
                 if isinstance(line, Banner):
-                    if self._expected not in (None, line.counts_per_rev):
+                    if self.counts_per_rev not in (0, line.counts_per_rev):
                         raise LinkError(
                             f"{self._name} ({line.name}) counts {line.counts_per_rev} per "
-                            f"revolution, the rig expects {self._expected} (after x4); correct "
-                            "the rig's counts_per_rev or the board's COUNTS_PER_REV"
+                            f"revolution, the rig expects {self.counts_per_rev} (after x4); "
+                            "correct the rig's counts_per_rev or the board's COUNTS_PER_REV"
                         )
                     return line
-            clock.wait_until(now + POLL_PERIOD)
+            if now >= due:
+                transport.write(REQUEST)
+                due = now + 0.5  # the time between two requests
         raise LinkError(
             f"{self._name} sent no banner within {CONNECT_TIMEOUT:g} s and {self.rejected} damaged "
             "lines; check its power, its cable and its address, and that the firmware is on it "
             "(firmware/README.md)"
         )
 
-    def _settle(self, transport: Transport, banner: Banner) -> None:
-        """Time the received lines until they are consistent, without returning samples."""
-        clock = self._clock
-        until, ready = clock.now() + CONNECT_TIMEOUT, 0.0
-        self._order = order = LineOrder(banner)
-        while (now := clock.now()) < until:
-            for line in self._decoder.feed(transport.read()):
+    def _settled(self, transport: Transport, banner: Banner) -> LineStream:
+        """Return the stream of lines once they are consistent and timed, without samples."""
+        stream, ready = None, 0.0
+        for now, lines in self._arriving(transport):
+            for line in lines:
                 if isinstance(line, Banner):
                     continue
-                if order.last is not None and order.inconsistency(line):
-                    if not order.drop():
+                if stream is not None and stream.inconsistency(line):
+                    if not stream.drop():
                         continue
                     # No sample was returned yet, so that the board may restart.
-                    order.last = None
-                if order.last is None:
-                    self._time, ready = HostTime(line.t_us, now), now + SETTLING
-                elif self._time.ahead(line.t_us, now) > POLL_PERIOD:
+                    stream = None
+                if stream is None:
+                    stream, ready = LineStream(banner, line, now), now + SETTLING
+                    continue
+                if stream.ahead(line, now) > POLL_PERIOD:
                     ready = now + SETTLING
-                self._time.settle(line.t_us, now)
-                order.accept(line)
-                self._received, self._counts = now, self._sign * line.counts
-                self._down = bool(line.flags & Flags.DOWN)
-            if order.last is not None and now == self._received >= ready:
-                self._banner_until = now + 1.0  # [s]: a later banner shows a restart
-                self._block_end, self._block_lateness = now + 1.0, inf
-                return
-            clock.wait_until(now + POLL_PERIOD)
+                stream.accept(line, now, self._sign)
+            if stream is not None and now == stream.received >= ready:
+                stream.settles = False
+                return stream
         raise LinkError(
             f"{self._name} sends a banner but no steady counts; check its firmware, and that "
             f"the link is fast enough for {banner.rate_hz} lines per second"
@@ -308,7 +277,7 @@ class LineEncoder:
                 raise self._fail(
                     "sent a banner: it restarted, and its zero is void; check its power"
                 )
-        if now > self._received + SILENCE:
+        if now > self._stream.received + SILENCE:
             raise self._fail(
                 f"sent no valid line for {SILENCE:g} s ({self.rejected} rejected since "
                 "connecting); check its power, its cable and the baud rate"
@@ -324,10 +293,11 @@ class LineEncoder:
 
     def _take(self, line: Reading, now: float) -> list[Sample]:
         """Return the sample of a line, or no sample for an inconsistent line."""
-        ahead = self._time.ahead(line.t_us, now)
-        if why := self._order.inconsistency(line, ahead):
+        stream = self._stream
+        ahead = stream.ahead(line, now)
+        if why := stream.inconsistency(line, ahead):
             self._decoder.rejected += 1
-            if not self._order.drop():
+            if not stream.drop():
                 return []
             if why == "time":
                 raise self._fail(
@@ -340,19 +310,13 @@ class LineEncoder:
             )
         if ahead > MAX_LATENESS:
             raise self._late(ahead)
-        missing, step = self._order.accept(line)
-        self._received = now
-        self._counts += self._sign * step
-        down = bool(line.flags & Flags.DOWN)
-        pressed = bool(line.flags & Flags.PRESSED) or (down and not self._down)
-        self._down = down
-        time = self._time(line.t_us, now)
-        self._block_lateness = min(self._block_lateness, self._time.lateness)
+        sample = stream.accept(line, now, self._sign)
+        self._block_lateness = min(self._block_lateness, stream.lateness)
         if now >= self._block_end:
             if self._block_lateness > MAX_LATENESS:
                 raise self._late(self._block_lateness)
             self._block_end, self._block_lateness = now + 1.0, inf
-        return [Sample(time, self._counts, pressed, bool(line.flags & Flags.ILLEGAL), missing)]
+        return [sample]
 
     def _late(self, lateness: float) -> LinkError:
         return self._fail(

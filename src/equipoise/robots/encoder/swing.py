@@ -51,7 +51,12 @@ def record_swing(
     """
     step, samples = 2.0 * pi / sensor.counts_per_rev, _samples(sensor, clock)
     tell("let it hang still")
-    zero = _zero(samples)
+    since, zero = inf, 0
+    for sample in samples:
+        if since == inf or abs(sample.counts - zero) > 1:
+            since, zero = sample.time, sample.counts
+        elif sample.time - since >= 2.0:  # [s]
+            break
     tell("lift it by 40 to 60 degrees, hold it there, and let it go")
     kept, fall = deque[tuple[float, float]](), inf
     missing = side = 0
@@ -100,14 +105,3 @@ def _samples(sensor: AngleSensor, clock: Clock) -> Iterator[Sample]:
     while True:
         clock.wait_until(clock.now() + 0.01)
         yield from sensor.samples()
-
-
-def _zero(samples: Iterator[Sample]) -> int:
-    """Return the count of the hanging pendulum, once it has stayed within one."""
-    since, zero = inf, 0
-    for sample in samples:
-        if since == inf or abs(sample.counts - zero) > 1:
-            since, zero = sample.time, sample.counts
-        elif sample.time - since >= 2.0:  # [s]
-            break
-    return zero

@@ -1,6 +1,6 @@
 """Emulator of a cabinet with its KST server: joint servo and motions, with the server's faults.
 
-The server (`KstServer`) serves a link in memory or on a TCP port (`KstHardware`). As in the real
+The server (`KstServer`) serves a link in memory or on a TCP port (`KstCabinet`). As in the real
 one, two threads share one string. The *reader* receives each line, and handles targets,
 `getJointsPositions`, stop and end itself. Any other line waits in that string for the *main*
 thread, which ignores it while a servo or a motion runs. Hence:
@@ -198,15 +198,15 @@ class KstServer:
         self._waiting = ""
 
 
-class KstHardware:
+class KstCabinet:
     """A cabinet with its server on a TCP port, and the arm of a twin, in real time.
 
     Like a real server, the emulated one serves one client and ends with it; another client is
     accepted by the system and gets no reply. After a farewell it starts again. A client that
-    vanishes leaves the servo on, until the word `start` starts the server again.
+    vanishes leaves the servo on, until `restart`.
     """
 
-    def __init__(self, bodies: Bodies, port: int | None, say: Callable[[str], None]) -> None:
+    def __init__(self, bodies: Bodies, port: int, say: Callable[[str], None]) -> None:
         """Switch arm and cabinet on.
 
         Args:
@@ -218,7 +218,6 @@ class KstHardware:
             ArmError: The masses of the arm's links are unknown.
             OutsideError: The port is not available.
         """
-        port = codec.PORT if port is None else port
         try:
             self._listener = socket.create_server((HOST, port))
         except OSError as error:
@@ -231,16 +230,16 @@ class KstHardware:
         """Address of the robot."""
         self.bench = SimulatedRig(bodies)
         """Bench with the arm."""
-        body, self._say = self.bench.body, say
-        self._warm_up()
-        self.acts: dict[str, Callable[[], object]] = {
-            "estop": lambda: body.stop("emergency stop"),
-            "free": body.set_free,
-            "start": self._restart,
-        }
-        """Actions at the robot, by the word that triggers them."""
+        self._say = say
         self._client: SocketTransport | None = None
         self._server: KstServer | None = None
+        # Call each function that a client needs, since compiling it later would be a stall.
+        body = self.bench.body
+        body.servo(True)
+        body.target(body.measured())
+        body.torques(external=True)
+        self.bench.advance(self.bench.now + 0.001)
+        body.servo(False)
 
     def advance(self, now: float) -> None:
         """Advance the arm to a time [s], and serve the client."""
@@ -254,33 +253,24 @@ class KstHardware:
             if self._server.deserted:
                 self._say("the client has vanished; a running servo continues until start")
             if self._server.ended:
-                self._restart()
+                self.restart()
+
+    def restart(self) -> None:
+        """End the server and its servo, and start it again for another client."""
+        self._end_server()
+        self._say("the robot's server has ended, and starts again")
 
     def close(self) -> None:
         """Switch the cabinet off."""
-        self.bench.body.servo(False)
-        self._hang_up()
+        self._end_server()
         self._listener.close()
 
-    def _restart(self) -> None:
+    def _end_server(self) -> None:
+        """Stop the servo, and close all connections: a client that waits is not served later."""
         self.bench.body.servo(False)
-        self._say("the robot's server has ended, and starts again")
-        self._hang_up()
-
-    def _hang_up(self) -> None:
-        """Close all connections: whoever called the server before is not served any more."""
         if self._client is not None:
             self._client.close()
         self._client = self._server = None
         with suppress(BlockingIOError):
             while True:
                 self._listener.accept()[0].close()
-
-    def _warm_up(self) -> None:
-        """Call each function that a client needs, since compiling it later would be a stall."""
-        body = self.bench.body
-        body.servo(True)
-        body.target(body.measured())
-        body.torques(external=True)
-        self.bench.advance(self.bench.now + 0.001)
-        body.servo(False)

@@ -1,6 +1,6 @@
 """The plugin of KUKA arms behind a KST server: `kst://HOST:30001`."""
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from typing import Final
@@ -13,11 +13,11 @@ from equipoise.arm.arm import FREE_JOINTS, Arm
 from equipoise.arrays import Array
 from equipoise.errors import InputError
 from equipoise.model.actuator import speed_of_peak
-from equipoise.rig.plugins import Emulated, RobotPlugin, Session
-from equipoise.rig.simulated_rig import SimulatedRig
+from equipoise.rig.plugins import Emulated, Hardware, RobotPlugin, Session
+from equipoise.rig.simulated_rig import Bodies, SimulatedRig
 from equipoise.rig.transports import memory_pipe
 from equipoise.robots.kst.codec import PORT
-from equipoise.robots.kst.emulator import KstHardware, KstServer
+from equipoise.robots.kst.emulator import KstCabinet, KstServer
 from equipoise.robots.kst.robot import KstRobot, dial
 
 T1_SPEED: Final = 0.23
@@ -55,12 +55,29 @@ def open_robot(address: str, session: Session) -> KstRobot:
     return KstRobot(partial(dial, *host_and_port(address)), session)
 
 
-def emulate(rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: int) -> Emulated:
+def emulate(rig: SimulatedRig, session: Session, delay: float) -> Emulated:
     """Return the driver in front of an emulated server that drives a simulated arm."""
     host, cabinet = memory_pipe(session.clock, delay)
     server = KstServer(rig.body, cabinet)
     robot = KstRobot(lambda: host, session, joints=rig.joints)
     return Emulated(robot, server.advance, server, cabinet)
+
+
+def hardware(bodies: Bodies, port: int | None, say: Callable[[str], None]) -> Hardware:
+    """Return an emulated cabinet on a TCP port.
+
+    Raises:
+        ArmError: The masses of the arm's links are unknown.
+        OutsideError: The port is not available.
+    """
+    cabinet = KstCabinet(bodies, PORT if port is None else port, say)
+    bench = cabinet.bench
+    acts = {
+        "estop": lambda: bench.body.stop("emergency stop"),
+        "free": bench.body.set_free,
+        "start": cabinet.restart,
+    }
+    return Hardware(cabinet.address, bench, acts, cabinet.advance, cabinet.close)
 
 
 def flange_speed(arm: Arm, period: float) -> float:
@@ -75,31 +92,28 @@ def flange_speed(arm: Arm, period: float) -> float:
         arm: The arm with its home posture.
         period: Maximum time between two setpoints [s].
     """
-    limits = [SHAPED_FRACTION * joint.velocity for joint in arm.free_joints]
-    allowed = np.array([speed_of_peak(limit, period) for limit in limits])
-    return min(float(np.min(allowed / rates)) for rates in _rates_along_track(arm))
-
-
-def _rates_along_track(arm: Arm) -> Iterator[Array]:
-    """Yield the rates of the free joints per flange velocity along x [rad/m], shape (6,)."""
-    along_x = np.zeros(FREE_JOINTS)
-    along_x[0] = 1.0
+    peaks = [SHAPED_FRACTION * joint.velocity for joint in arm.free_joints]
+    allowed = np.array([speed_of_peak(peak, period) for peak in peaks])
+    along_x = np.eye(FREE_JOINTS)[0]
 
     def rates(q: Array) -> Array:
+        """Return the rates of the free joints per flange velocity along x [rad/m], shape (6,)."""
         return np.asarray(np.linalg.solve(arm.kinematics(q).jacobian, along_x), np.float64)
 
+    speeds: list[Array] = []
     for ahead in (TRACK_STEP, -TRACK_STEP):
         q = arm.home_free
         for _ in range(round(paper.X_LIMIT / TRACK_STEP) + 1):
             # Avoids a division by zero for a joint that does not move.
-            yield np.maximum(np.abs(rates(q)), np.finfo(np.float64).tiny)
+            speeds.append(allowed / np.maximum(np.abs(rates(q)), np.finfo(np.float64).tiny))
             q = q + ahead * rates(q + 0.5 * ahead * rates(q))
+    return float(np.min(speeds))
 
 
 PLUGIN: Final = RobotPlugin(
     open=open_robot,
     emulate=emulate,
-    hardware=KstHardware,
+    hardware=hardware,
     flange_speed=flange_speed,
     failure=(
         "A KST server has no watchdog: if this computer or the cable fails, the arm goes on to its "

@@ -141,7 +141,7 @@ class KstRobot:
         self._require_rest("start a servo")
         self._may_move = True
         with self._final_errors():
-            self._request_done(codec.START_SERVO)
+            codec.expect_done(self._request(codec.START_SERVO), codec.START_SERVO)
             self._wait(AFTER_START)
             measured = self._request_joints()
         self._streams, self._sent = True, 0
@@ -201,7 +201,7 @@ class KstRobot:
                 self._wait(POLL_PERIOD)
                 self._collect()
             self._wait(BEFORE_STOP)
-            self._request_done(codec.STOP_SERVO)
+            codec.expect_done(self._request(codec.STOP_SERVO), codec.STOP_SERVO)
         self._streams = False
         self._wait(AFTER_STOP)
         self._may_move = False
@@ -270,9 +270,6 @@ class KstRobot:
             raise LinkError(self._failure) from error
 
     # Errors below are final: each caller encloses them in `_final_errors`.
-
-    def _request_done(self, command: str) -> None:
-        codec.expect_done(self._request(command), command)
 
     def _request_joints(self) -> tuple[float, ...]:
         reply = self._request(codec.GET_JOINTS)
