@@ -292,7 +292,7 @@ class Pendulum(Artefact):
             raise ValueError(f"k is {k:.3g} 1/m, expected about w2 / g = {expected:.3g}")
         for name, least in (("coulomb", 0.0), ("drag", 0.0), ("c", -MAX_FRICTION)):
             if not least <= (value := getattr(self, name).value) <= MAX_FRICTION:
-                raise ValueError(f"{name} is {value:.3g}, expected 0 to {MAX_FRICTION:g}")
+                raise ValueError(f"{name} is {value:.3g}, expected {least:g} to {MAX_FRICTION:g}")
         return self
 
     @classmethod
