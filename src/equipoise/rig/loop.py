@@ -144,13 +144,14 @@ def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) 
     """Bring the arm to rest without the controller; return whether that was possible."""
     moment = clock.now()
     try:
-        for setpoint in robot.rest():
+        robot.stop()
+        while not robot.at_rest:
             moment += period
             clock.wait_until(moment)
             with suppress(Exception):  # unused; a lost link is noticed by `send`
                 robot.robot.replies()
             now = clock.now()
-            robot.send(setpoint)
+            robot.send(())  # the guard sends its ramp
             recorder.stream.push(time=now, q=robot.last)
             recorder.pulse["time"] = now  # the loop still commands the arm
     except BaseException:  # the link is lost, or a part that has failed fails again
