@@ -96,7 +96,7 @@ def run_loop(
             if output.setpoints:  # as sent: the guard may have replaced it
                 recorder.stream.push(time=sent, q=robot.last)
             for event in output.events:
-                _notify(recorder, operator, now, event)
+                operator.notify(event)
             still, unsent = not output.setpoints, False
             if output.setpoints:
                 clock.wait_until(deadline + 0.5 * h)
@@ -127,7 +127,7 @@ def run_loop(
     def warn(text: str) -> None:
         """Report a fault; an exception is suppressed, since the arm still has to come to rest."""
         with suppress(Exception):
-            _notify(recorder, operator, clock.now(), OperatorMessage("fault", text))
+            tell(recorder, operator, clock.now(), OperatorMessage("fault", text))
 
     if fault is not None:
         warn(describe(fault) if stoppable else f"{describe(fault)}; {CANNOT_STOP}")
@@ -159,6 +159,7 @@ def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) 
     return True
 
 
-def _notify(recorder: Recorder, operator: Operator, now: float, event: OperatorMessage) -> None:
+def tell(recorder: Recorder, operator: Operator, now: float, event: OperatorMessage) -> None:
+    """Log a message at a time [s], and send it to the operator."""
     push_event(recorder.event, now, event)
     operator.notify(event)

@@ -24,7 +24,7 @@ from equipoise.rig.clocks import DrainingClock, ended_stalls
 from equipoise.rig.connection import Rig, connect
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import Operator
-from equipoise.rig.loop import run_loop
+from equipoise.rig.loop import run_loop, tell
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
 from equipoise.rig.script import Job, Run, run_inline, script
@@ -68,34 +68,32 @@ class OperatorChannel:
         lines, self._pending = self._pending, []
         return lines + [line for operator in self._operators for line in operator.read_input()]
 
-    def tell(self, event: OperatorMessage) -> None:
-        """Log a message, and send it to all operators."""
-        push_event(self._recorder.event, self._clock.now(), event)
-        self.notify(event)
+    def tell(self, name: str, text: str, answers: tuple[str, ...] = ()) -> None:
+        """Log a message, and send it to all operators; with answers it is a question."""
+        event = OperatorMessage(name, text, answers)
+        tell(self._recorder, self, self._clock.now(), event)
 
-    def ask(self, event: OperatorMessage) -> str:
+    def ask(self, name: str, question: str, *answers: str) -> str:
         """Send a question, and return the first expected answer or denial.
 
         Raises:
             LinkError: A device has failed.
         """
-        self.tell(event)
-        while (word := self._wait_for_word()) not in (*event.answers, "n", "no", STOP, ALONE):
-            expected = " or ".join(event.answers)
-            self.tell(event._replace(text=f"{word!r} is not {expected}. {event.text}"))
-        return word
+        text = question
+        while True:
+            self.tell(name, text, answers)
+            while (word := self.read_word()) is None:
+                until = self._clock.now() + 0.02
+                self.check_links()
+                self._clock.wait_until(until)
+            if word in (*answers, "n", "no", STOP, ALONE):
+                return word
+            text = f"{word!r} is not {' or '.join(answers)}. {question}"
 
     def check_links(self) -> None:
         """Request the joints, and drop the encoder's samples; each raises where its link failed."""
         self._rig.robot.measured()
         self._rig.sensor.samples()
-
-    def _wait_for_word(self) -> str:
-        while (word := self.read_word()) is None:
-            until = self._clock.now() + 0.02
-            self.check_links()
-            self._clock.wait_until(until)
-        return word
 
     def read_word(self) -> str | None:
         """Return the first pending line, which is logged; None without one."""
@@ -141,20 +139,19 @@ def run_on_rig(
     operator = OperatorChannel(operators, recorder, rig)
     tell = operator.tell
     try:
-        tell(OperatorMessage(CONNECTING, f"Connecting to {request.robot}."))
+        tell(CONNECTING, f"Connecting to {request.robot}.")
         rig.sensor.connect()
         rig.robot.connect()
         granted = prepare()
         results, max_speed = preflight(request, rig, granted)
         fit = check_fit(request.policy, request.actuator, request.settings)
         for result in (*fit, *results):
-            tell(OperatorMessage(f"finding {result.status}", printable(result.sentence)))
+            tell(f"finding {result.status}", printable(result.sentence))
         require(fit)
         require(results, OutsideError)
         if max_speed is not None:
-            text = f"The run stops when the flange reaches {max_speed:.3g} m/s."
-            tell(OperatorMessage("notice", text))
-        tell(OperatorMessage("notice", rig.plugin.failure))
+            tell("notice", f"The run stops when the flange reaches {max_speed:.3g} m/s.")
+        tell("notice", rig.plugin.failure)
         questions = [*CHECKLIST, *rig.plugin.checklist]
         if request.start == HANGING:
             clear = "Does the pendulum clear arm, cable and table over its whole turn, all along"
@@ -163,20 +160,20 @@ def run_on_rig(
             stays = "Does the operator stay, the E-stop in a hand, until the last run has ended?"
             questions.append(("stay", stays))
         for word, question in questions:
-            answer = operator.ask(OperatorMessage("checklist", f"{question} Type {word}.", (word,)))
+            answer = operator.ask("checklist", f"{question} Type {word}.", word)
             if answer != word:
-                return _unmoved(Outcome.OPERATOR, typed=printable(answer))
+                return _denied(answer)
         if request.dry_run:
             operator.check_links()  # the answers may have been typed ahead
-            return _unmoved(Outcome.DRY_RUN)
+            return RunEnd(outcome=Outcome.DRY_RUN, survival=0.0)
         question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
-        if (answer := operator.ask(OperatorMessage("move", question, ("y", "n")))) != "y":
-            return _unmoved(Outcome.OPERATOR, typed=printable(answer))
+        if (answer := operator.ask("move", question, "y", "n")) != "y":
+            return _denied(answer)
         number, survived = 1, 0
         while True:
             if request.runs > 1:
                 so_far = f"{survived} of {number - 1} survived" if number > 1 else "the first"
-                tell(OperatorMessage("run", f"Run {number} of {request.runs}; {so_far}."))
+                tell("run", f"Run {number} of {request.runs}; {so_far}.")
             limited = replace(request, max_speed=max_speed)
             end, reference = _run_once(
                 limited, rig, robot, operator, recorder, submit=submit, idle=idle
@@ -190,7 +187,7 @@ def run_on_rig(
             results, max_speed = preflight(request, rig, granted)
             require(results, OutsideError)
             if (word := operator.read_word()) is not None:
-                return _unmoved(Outcome.OPERATOR, typed=printable(word or "Enter"))
+                return _denied(word or "Enter")
     finally:
         rig.robot.close()
         rig.sensor.close()
@@ -247,8 +244,8 @@ def _run_once(
     return end, Reference(zero=zero, torque=run.joints.torque_at_home)
 
 
-def _unmoved(outcome: Outcome, **evidence: float | str) -> RunEnd:
-    return RunEnd(outcome=outcome, evidence=evidence, survival=0.0)
+def _denied(answer: str) -> RunEnd:
+    return RunEnd(outcome=Outcome.OPERATOR, evidence={"typed": printable(answer)}, survival=0.0)
 
 
 def log_warning(problem: str) -> OperatorMessage:
