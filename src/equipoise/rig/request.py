@@ -78,7 +78,6 @@ class RunRequest:
         safety = make_safety_params(
             arm,
             reaction=horizon(arm, actuator, 0.0),
-            u_max=paper.U_MAX,
             h=h,
             speed=self.max_speed or inf,
             margin=radians(rig.position_margin_deg),
