@@ -60,7 +60,7 @@ class Course:
     def __init__(self, q=ARM.home, identify=None, request=REQUEST):
         request = replace(request, identify=identify)
         run = Run(request, q, submit=self.submit)
-        self.pilot = RunController(run, script.script(run))
+        self.pilot = RunController(run)
         self.guard = self.pilot.run.safety
         self.tick_number, self.now = 0, 0.0
         self.theta = lambda time: 0.0

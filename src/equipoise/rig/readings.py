@@ -26,23 +26,6 @@ TimedJoints: TypeAlias = tuple[float, tuple[float, ...]]
 """A time [s], and all joints [rad]."""
 
 
-def setpoint_in_force(history: deque[TimedJoints], time: float) -> tuple[float, ...]:
-    """Return the setpoint in force at a time [s]: the oldest of the history, if all came later."""
-    return next((q for sent, q in reversed(history) if sent <= time), history[0][1])
-
-
-def unanswered_time(history: deque[TimedJoints], now: float, answered: float) -> float:
-    """Return the time since the oldest setpoint without a reply was sent [s]; or 0.
-
-    Args:
-        history: The last setpoints.
-        now: The time [s].
-        answered: Time at which the newest setpoint with a reply was sent [s].
-    """
-    waiting = [sent for sent, _ in history if sent > answered + 0.001]  # [s]
-    return max(now - min(waiting, default=now), 0.0)
-
-
 class EncoderReadings:
     """Counts of the encoder, and their faults since the tick before."""
 
@@ -100,10 +83,8 @@ class EncoderReadings:
         """Return the newest counts within a window before a time [s] and their age [s], if any."""
         for sample in reversed(self.samples):
             age = time - sample.time
-            if age > window:
-                break
             if age >= 0.0:
-                return sample.counts - self.zero, age
+                return (sample.counts - self.zero, age) if age <= window else None
         return None
 
     def falling(self, now: float, w2: float) -> tuple[float, float]:
@@ -142,7 +123,7 @@ class ArmReadings:
         """External torques at home [N m]; None before the reference."""
         self._torque: tuple[float, ...] | None = None
         self._torque_at_start: tuple[float, ...] | None = None
-        self._torque_sum, self._torques = np.zeros(len(q)), 0
+        self._torques = list[Sequence[float]]()  # at home, before the reference
 
     def add(self, replies: Sequence[Reply], rests_at_home: bool) -> list[TimedJoints]:
         """Add the replies of a tick; return the joints that count as measured."""
@@ -162,14 +143,13 @@ class ArmReadings:
                 if self._torque_at_start is None:  # the way home has hardly begun
                     self._torque_at_start = self._torque
                 if self.torque_at_home is None and rests_at_home:
-                    self._torque_sum += reply.torque
-                    self._torques += 1
+                    self._torques.append(reply.torque)
         return measured
 
     def reference_torques(self) -> None:
         """Take the mean torques at home as those at rest."""
         if self._torques:
-            self.torque_at_home = tuple((self._torque_sum / self._torques).tolist())
+            self.torque_at_home = tuple(np.mean(self._torques, axis=0).tolist())
 
     def new_torque(self) -> tuple[float, ...] | None:
         """Return new external torques less those at rest [N m]; None without new ones."""

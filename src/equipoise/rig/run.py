@@ -27,7 +27,7 @@ from equipoise.rig.interfaces import Operator
 from equipoise.rig.loop import run_loop, tell
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
-from equipoise.rig.script import Job, Run, run_inline, script
+from equipoise.rig.script import Job, Run, run_inline
 from equipoise.rig.series import LEADS_ON, RunLogs
 from equipoise.settings import HANGING
 
@@ -181,7 +181,8 @@ def run_on_rig(
             if reference is None or number == request.runs:
                 return end
             number, survived = number + 1, survived + (end.outcome is Outcome.SURVIVED)
-            request = request.following(reference, end.identified)
+            actuator = end.identified or request.actuator
+            request = replace(request, reference=reference, actuator=actuator, identify=None)
             follow(end, request)
             gc.collect()  # in real time nothing is collected while the arm moves
             results, max_speed = preflight(request, rig, granted)
@@ -213,7 +214,7 @@ def _run_once(
     started = rig.clock.now()
     recorder.reply.push(time=started, q=robot.started_at, taken=started)
     run = Run(request, robot.started_at, rig.clock.now, submit)
-    controller = RunController(run, script(run))
+    controller = RunController(run)
     ending = run_loop(robot, rig.sensor, rig.clock, controller, recorder, operator, idle=idle)
     if ending.stoppable:
         try:

@@ -19,8 +19,8 @@ from typing import Final
 from equipoise.control.controller import FlangePose
 from equipoise.control.ticks import OK, TickInputs, TickOutput, TickRecord, missed_ticks
 from equipoise.outcomes import End, Outcome, Phase, describe
-from equipoise.rig.readings import HISTORY, MAX_ROUND_TRIP, setpoint_in_force, unanswered_time
-from equipoise.rig.script import OBSERVED, PhaseError, Run, Setpoints, Steps, Tick, come_to_rest
+from equipoise.rig.readings import HISTORY, MAX_ROUND_TRIP
+from equipoise.rig.script import OBSERVED, PhaseError, Run, Setpoints, Tick, come_to_rest, script
 from equipoise.safety import rules
 from equipoise.safety.monitors import MAX_REPEATS, REPEAT_WINDOW, RepeatMonitor
 from equipoise.safety.rules import SafetyInputs
@@ -41,12 +41,11 @@ OFF_TRACK: Final = {Phase.HOMING, Phase.EXCITING}
 class RunController:
     """Controller of a run: measurements, safety rules, script, stop."""
 
-    def __init__(self, run: Run, script: Steps[End]) -> None:
+    def __init__(self, run: Run) -> None:
         """Begin a run with the first step of its script.
 
         Args:
             run: State of the run, at its begin.
-            script: The setpoints of its phases, from `equipoise.rig.script.script`.
 
         Raises:
             ArmError: Home is too close to a limit for the excitation.
@@ -55,7 +54,7 @@ class RunController:
         """State of the run."""
         self.h = run.h
         """Time between ticks [s]."""
-        self._script: Steps[End | None] = script
+        self._script = script(run)
         next(self._script)
         self._tick = Tick()
         self.end: End | None = None
@@ -226,8 +225,9 @@ class RunController:
         punctual = run.phase in (*MOVING, Phase.ARMED, Phase.STOPPING)
         if joints.known_since == inf or (not punctual and missed_ticks(lateness, run.h)):
             joints.known_since = now  # a late loop reads late; nothing moves meanwhile
+        unanswered = [sent for sent, _ in self._sent if sent > joints.answered + 0.001]  # [s]
         # The lateness of the loop itself is not the robot's delay.
-        self._overdue = unanswered_time(self._sent, now - lateness, joints.answered)
+        self._overdue = max(now - lateness - min(unanswered, default=inf), 0.0)
         inputs = SafetyInputs(
             # A late tick is no danger while nothing moves; the fit of a swing causes some.
             lateness=lateness if punctual else 0.0,
@@ -241,7 +241,8 @@ class RunController:
         if joints.fresh:
             self._pose = controller.pose(joints.q)
             since = joints.time - run.safety.reaction
-            expected = setpoint_in_force(self._sent, since)
+            in_force = (q for sent, q in reversed(self._sent) if sent <= since)
+            expected = next(in_force, self._sent[0][1])
             inputs = inputs._replace(measured=joints.q, expected=expected)
         phase = run.phase if self.end is None else self._stopped
         if phase not in OFF_TRACK and self._pose is not None:

@@ -12,7 +12,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
 from math import degrees, isfinite, nan, pi, radians, sqrt
-from typing import Any, Final, TypeAlias, TypeVar
+from typing import Any, Final, Never, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -559,7 +559,7 @@ def _decide(run: Run, policy: Policy, *, first: bool) -> float:
     return u
 
 
-def come_to_rest(run: Run, sent: Sequence[TimedJoints], *, on_track: bool) -> Steps[None]:
+def come_to_rest(run: Run, sent: Sequence[TimedJoints], *, on_track: bool) -> Steps[Never]:
     """Bring the arm to rest after a stop: the ramp, at most one way back, a hold.
 
     As of `script`, the first setpoints are those before the first tick.
