@@ -90,12 +90,12 @@ def move(request, rig, operators, recorder, *, prepare, submit, follow):
     robot.start()
     host.prepare()  # as a run does: a collection stalls the loop for 200 ms
     encoder = SimpleNamespace(samples=lambda: [Sample(time.monotonic(), 0, False, False, 0)])
-    ending = run_loop(robot, encoder, clock, heart, recorder, operator)
+    _, stoppable = run_loop(robot, encoder, clock, heart, recorder, operator)
     if "SENT" in os.environ:
         np.save(os.environ["SENT"], [q[6] for _, q in arm.sent])
     outcome = "operator" if heart.typed else "survived"
     evidence = {"typed": heart.typed}
-    return RunEnd(outcome=outcome, evidence=evidence, stoppable=ending.stoppable, survival=0.0)
+    return RunEnd(outcome=outcome, evidence=evidence, stoppable=stoppable, survival=0.0)
 
 
 def moving(request, memory, *pipes, course=move):

@@ -2,7 +2,7 @@
 
 The loop runs in one thread. Deadlines are absolute times of the rig's clock, so that they do not
 drift. A loop that stalls sends no setpoint that is later than the next one should be: the arm
-comes to rest at the last one sent, the missed ticks are skipped and counted, and the controller
+comes to rest at the last one sent, the missed ticks are skipped, and the controller
 begins anew from there at the time of a later tick. A tick waits for no lock, prints nothing, and
 writes its records to preallocated rings (`equipoise.log.recorder`).
 
@@ -14,7 +14,7 @@ robot is lost, software cannot stop the arm: the loop reports this at once and r
 from collections.abc import Callable
 from contextlib import suppress
 from time import perf_counter
-from typing import Final, NamedTuple
+from typing import Final
 
 from equipoise.control.ticks import OperatorMessage, TickInputs, missed_ticks
 from equipoise.errors import LinkError
@@ -29,17 +29,6 @@ CANNOT_STOP: Final = "software no longer commands the robot: press the E-stop"
 """Message to the operator when the link to the robot is lost."""
 
 
-class LoopResult(NamedTuple):
-    """End of a loop."""
-
-    fault: End | None
-    """Fault that ended the loop; None after a regular end."""
-    stoppable: bool
-    """Whether software still commands the arm; otherwise the operator must stop it."""
-    missed: int
-    """Number of ticks that were skipped."""
-
-
 def run_loop(
     robot: GuardedRobot,
     sensor: AngleSensor,
@@ -49,7 +38,7 @@ def run_loop(
     operator: Operator,
     *,
     idle: Callable[[], None] = lambda: None,
-) -> LoopResult:
+) -> tuple[End | None, bool]:
     """Run until the controller is done or the link to the robot is lost. The servo has to run.
 
     Args:
@@ -61,9 +50,12 @@ def run_loop(
         operator: Receives messages and returns input, without blocking.
         idle: Called once in a tick after its last setpoint, for example to drain the rings in
             virtual time.
+
+    Returns:
+        The fault that ended the loop, None after a regular end; and whether software still commands
+        the arm, which otherwise the operator must stop.
     """
-    h = controller.h
-    missed, unsent = 0, False
+    h, unsent = controller.h, False
     faults: list[End] = []
     sensor_lost = refused = still = False
     deadline = clock.now() + h
@@ -75,7 +67,6 @@ def run_loop(
             due = deadline
             while (skipped := missed_ticks(clock.now() - deadline, h)) > 0:
                 deadline += skipped * h
-                missed += skipped
                 clock.wait_until(deadline)
             now, begin = clock.now(), perf_counter()
             samples: list[Sample] = []
@@ -137,7 +128,7 @@ def run_loop(
             warn(CANNOT_STOP)
     recorder.pulse["ticks"] = 0.0  # no further tick
     idle()
-    return LoopResult(fault, stoppable, missed)
+    return fault, stoppable
 
 
 def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) -> bool:

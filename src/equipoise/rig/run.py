@@ -215,21 +215,21 @@ def _run_once(
     recorder.reply.push(time=started, q=robot.started_at, taken=started)
     run = Run(request, robot.started_at, rig.clock.now, submit)
     controller = RunController(run)
-    ending = run_loop(robot, rig.sensor, rig.clock, controller, recorder, operator, idle=idle)
-    if ending.stoppable:
+    parts = robot, rig.sensor, rig.clock, controller, recorder, operator
+    fault, stoppable = run_loop(*parts, idle=idle)
+    if stoppable:
         try:
             rig.robot.stop()
         except LinkError as error:
-            fault = End(Outcome.LINK_LOST, {"text": str(error)})
-            ending = ending._replace(fault=fault, stoppable=False)
-    cause = ending.fault or controller.end
+            fault, stoppable = End(Outcome.LINK_LOST, {"text": str(error)}), False
+    cause = fault or controller.end
     cause = cause or End(Outcome.FAULT, {"text": "the run ended without a cause"})
     zero, test = run.encoder.zero, run.tested
     end = RunEnd(
         outcome=cause.outcome,
         evidence=dict(cause.evidence),
         survival=run.balanced * run.h,
-        stoppable=ending.stoppable,
+        stoppable=stoppable,
         upright=run.upright,
         zero=None if isnan(zero) else zero,
         zero_change=test and test.zero,
@@ -237,10 +237,10 @@ def _run_once(
         delay=test and test.delay,
         max_speed=request.max_speed,
         identified=run.identified,
-        missed=ending.missed,
+        missed=run.missed,
     )
     leads_on = cause.outcome in LEADS_ON and not controller.key_after_stop
-    if not (leads_on and ending.stoppable):
+    if not (leads_on and stoppable):
         return end, None
     return end, Reference(zero=zero, torque=run.joints.torque_at_home)
 

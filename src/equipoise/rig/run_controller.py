@@ -79,6 +79,7 @@ class RunController:
         """
         run, h = self.run, self.h
         missed = missed_ticks(inputs.lateness, h)
+        run.missed += missed
         late = max(inputs.lateness - missed * h, 0.0)
         if paused := inputs.paused(h):
             self._rest(missed, inputs.unsent, "The control loop")

@@ -150,6 +150,8 @@ class Run:
         """Number of ticks of the phase so far, without those in which the script waited."""
         self.balanced = 0
         """Number of ticks in which the policy has acted, those that were missed included."""
+        self.missed = 0
+        """Number of skipped ticks."""
         self.q, self.dq = tuple(q), (0.0,) * len(q)
         """Commanded joints at the end of the tick [rad], and their velocities [rad/s]."""
         self.lost_speed = 0.0
@@ -357,12 +359,10 @@ def swing_test(run: Run) -> Steps[SelfTest]:
     """
     text = "Self-test: the arm moves by 40 mm. Keep your hands off."
     run.enter(Phase.SELF_TEST, "swing", text)
-    result, swings = None, 0
-    # Until the zero's interval is small, four times at most.
-    while result is None or (result.verdict is SelfTestVerdict.REPEAT and swings < 4):
-        result = yield from _swing_out(run, -1.0 if swings % 2 else 1.0)
-        run.notify("self-test", f"Self-test: {result.reason}.")
-        swings += 1
+    result = yield from _swing_out(run, 1.0)
+    for direction in (-1.0, 1.0, -1.0):  # until the zero's interval is small
+        if result.verdict is SelfTestVerdict.REPEAT:
+            result = yield from _swing_out(run, direction)
     if result.verdict not in (SelfTestVerdict.PASSED, SelfTestVerdict.ZERO):
         raise PhaseError(Outcome.SELF_TEST, text=result.reason)
     at_home = False
@@ -396,9 +396,11 @@ def _swing_out(run: Run, direction: float) -> Steps[SelfTest]:
     moved = np.array(pivot).reshape(-1, 2).T.copy()
     job = partial(self_test, time, angle, *moved, run.params.pendulum)
     try:
-        return (yield from run.work(job, partial(run.accelerate, 0.0)))
+        result: SelfTest = yield from run.work(job, partial(run.accelerate, 0.0))
     except Exception as error:  # the arm comes to rest, whatever failed
         raise PhaseError(Outcome.SELF_TEST, text=f"the self-test failed ({error})") from error
+    run.notify("self-test", f"Self-test: {result.reason}.")
+    return result
 
 
 def excite(run: Run, motion: Array, identify: Callable[[Array, Array], Actuator]) -> Steps[None]:
