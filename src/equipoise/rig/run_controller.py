@@ -83,7 +83,10 @@ class RunController:
         late = max(inputs.lateness - missed * h, 0.0)
         if paused := inputs.paused(h):
             self._rest(missed, inputs.unsent, "The control loop")
-        self._take_measurements(now, inputs)
+        run.encoder.add(inputs.samples, now)
+        rests_at_home = run.phase in (Phase.AT_HOME, Phase.REFERENCING)
+        self._tick.samples += inputs.samples
+        self._tick.joints += run.joints.add(inputs.replies, rests_at_home)
         self._take_lines(inputs.lines)
         for fault in inputs.faults:
             self.stop(fault)
@@ -131,13 +134,6 @@ class RunController:
             self.run.enter(Phase.STOPPING, "stopping", describe(end))
 
     # Inputs.
-
-    def _take_measurements(self, now: float, inputs: TickInputs) -> None:
-        run = self.run
-        run.encoder.add(inputs.samples, now)
-        self._tick.samples += inputs.samples
-        rests_at_home = run.phase in (Phase.AT_HOME, Phase.REFERENCING)
-        self._tick.joints += run.joints.add(inputs.replies, rests_at_home)
 
     def _take_lines(self, lines: Sequence[str]) -> None:
         """Accept an expected answer; other input stops, except Enter while nothing moves."""
@@ -234,7 +230,7 @@ class RunController:
             lateness=lateness if punctual else 0.0,
             overdue=self._overdue,
             measured_age=now - joints.known_since,
-            torque=joints.new_torque(),
+            torque=joints.torque,
             balancing=run.phase is Phase.BALANCING,
             phi=controller.estimate.phi if observed else 0.0,
             **run.encoder.checks(now),
