@@ -6,12 +6,11 @@ one in virtual time; arguments carry the differences.
 
 import gc
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
 from dataclasses import replace
 from itertools import count
 from math import isnan
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import EquipoiseError, LinkError, OutsideError
@@ -27,7 +26,7 @@ from equipoise.rig.interfaces import Operator
 from equipoise.rig.loop import run_loop, tell
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
-from equipoise.rig.script import Job, Run, run_inline
+from equipoise.rig.script import Run, Submit
 from equipoise.rig.series import LEADS_ON, RunLogs
 from equipoise.settings import HANGING
 
@@ -107,7 +106,7 @@ def run_on_rig(
     recorder: Recorder,
     *,
     prepare: Callable[[], dict[str, str]] = dict,
-    submit: Callable[[Job], "Future[Any]"] = run_inline,
+    submit: Submit | None = None,
     idle: Callable[[], None] = lambda: None,
     follow: Callable[[RunEnd, RunRequest], None] = lambda *_: None,
 ) -> RunEnd:
@@ -119,7 +118,7 @@ def run_on_rig(
         operators: Operators; each receives the messages and may type.
         recorder: Rings for the log.
         prepare: Applies the real-time settings of this process, and returns their results.
-        submit: Starts a long job (default: inline).
+        submit: Starts a long job; None in virtual time, where none takes long.
         idle: Called in each tick, e.g. to drain the rings.
         follow: Called between two runs of a series, with the end of one and the next request.
 
@@ -198,7 +197,7 @@ def _run_once(
     operator: Operator,
     recorder: Recorder,
     *,
-    submit: Callable[[Job], "Future[Any]"],
+    submit: Submit | None,
     idle: Callable[[], None],
 ) -> tuple[RunEnd, Reference | None]:
     """Start the servo, run once, bring the arm to rest, and stop the servo.

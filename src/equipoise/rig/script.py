@@ -45,6 +45,8 @@ from equipoise.settings import HANGING
 T = TypeVar("T")
 Job: TypeAlias = Callable[[], Any]
 """Work for another process: a `functools.partial` of a function and its values."""
+Submit: TypeAlias = Callable[[Job], Future[Any]]
+"""Starts a job."""
 Setpoints: TypeAlias = tuple[tuple[float, ...], ...]
 """Setpoints of a tick [rad]: now, and h / 2 later; empty while nothing is to be sent."""
 
@@ -100,16 +102,6 @@ class PhaseError(Exception):
         self.end = End(outcome, evidence)
 
 
-def run_inline(job: Job) -> "Future[Any]":
-    """Run a job at once: in virtual time it takes no time."""
-    future: Future[Any] = Future()
-    try:
-        future.set_result(job())
-    except Exception as error:  # the run stops on it
-        future.set_exception(error)
-    return future
-
-
 class Run:
     """State of a run that its phases use: measurements, motion, messages."""
 
@@ -118,7 +110,7 @@ class Run:
         request: RunRequest,
         q: Sequence[float],
         clock: Callable[[], float] = lambda: 0.0,
-        submit: Callable[[Job], "Future[Any]"] = run_inline,
+        submit: Submit | None = None,
     ) -> None:
         """Begin with an arm that rests at the measured joints.
 
@@ -126,7 +118,7 @@ class Run:
             request: The run, with the flange speed limit from the pre-flight.
             q: Measured joints, all of them [rad].
             clock: Clock for the computing time of a policy in Python [s]; the default gives zero.
-            submit: Starts a job that takes longer than a tick (default: inline).
+            submit: Starts a job that takes longer than a tick; None runs it within the tick.
 
         Raises:
             ArmError: Home is a singular posture.
@@ -136,7 +128,7 @@ class Run:
         self.clock = clock if request.policy.kernel is None else lambda: 0.0
         """Clock for the computing time of the policy [s]."""
         self.submit = submit
-        """Starts a job that takes longer than a tick."""
+        """Starts a job that takes longer than a tick; None in virtual time, where none does."""
         self.request, self.arm = request, request.settings.described_arm
         self.assume(request.actuator)
         self.h = self.params.h
@@ -237,6 +229,9 @@ class Run:
 
     def work(self, job: Job, hold: Callable[[], Setpoints]) -> Steps[Any]:
         """Hold the arm while a job runs; return its result, or raise its exception."""
+        if self.submit is None:
+            yield hold()
+            return job()
         future = self.submit(job)
         yield hold()
         while not future.done():
