@@ -18,7 +18,7 @@ from equipoise.rig.config import RigSettings
 from equipoise.rig.interfaces import Reply, Sample
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
-from equipoise.rig.script import Run, script
+from equipoise.rig.script import Run
 
 JOBS = {"self-test", "actuator", "identified"}
 """Names of events in ticks in which a job has ended."""
@@ -70,7 +70,7 @@ def replay(run, policy):
     at_start = reply[np.isnan(reply["sent"])]["q"][0].tolist()
     clock, jobs = PolicyClock(), Jobs()
     state = Run(request, at_start, clock, jobs.submit)
-    return compared(run, RunController(state, script(state)), clock, jobs)
+    return compared(run, RunController(state), clock, jobs)
 
 
 def compared(run, controller, clock, jobs):

@@ -90,29 +90,29 @@ def move(request, rig, operators, recorder, *, prepare, submit, follow):
     robot.start()
     host.prepare()  # as a run does: a collection stalls the loop for 200 ms
     encoder = SimpleNamespace(samples=lambda: [Sample(time.monotonic(), 0, False, False, 0)])
-    ending = run_loop(robot, encoder, clock, heart, recorder, operator)
+    _, stoppable = run_loop(robot, encoder, clock, heart, recorder, operator)
     if "SENT" in os.environ:
         np.save(os.environ["SENT"], [q[6] for _, q in arm.sent])
     outcome = "operator" if heart.typed else "survived"
     evidence = {"typed": heart.typed}
-    return RunEnd(outcome=outcome, evidence=evidence, stoppable=ending.stoppable, survival=0.0)
+    return RunEnd(outcome=outcome, evidence=evidence, stoppable=stoppable, survival=0.0)
 
 
-def moving(request, memory, pipe, course=move):
+def moving(request, memory, *pipes, course=move):
     """Be the loop's process, with another course and nobody beside it."""
     processes.connect = lambda *_, **__: None
     processes.run_on_rig = course
-    processes._loop(request, memory, pipe)
+    processes._loop(request, memory, *pipes)
 
 
-def breaking(request, memory, pipe):
+def breaking(request, memory, *pipes):
     def fail(*_, **__):
         raise ZeroDivisionError("by zero")
 
-    moving(request, memory, pipe, fail)
+    moving(request, memory, *pipes, course=fail)
 
 
-def waiting(request, memory, pipe):
+def waiting(request, memory, *pipes):
     """Wait for a robot's server with an encoder that has died."""
 
     def samples():
@@ -123,7 +123,7 @@ def waiting(request, memory, pipe):
         return SimpleNamespace(sensor=SimpleNamespace(samples=samples))
 
     processes.connect = connect
-    processes._loop(request, memory, pipe)
+    processes._loop(request, memory, *pipes)
 
 
 def three(request, *parts, follow, **options):
@@ -133,8 +133,18 @@ def three(request, *parts, follow, **options):
     return move(request, *parts, follow=follow, **options)
 
 
-def series(request, memory, pipe):
-    moving(request, memory, pipe, three)
+def series(request, memory, *pipes):
+    moving(request, memory, *pipes, course=three)
+
+
+def one_and_a_word(request, rig, operators, *parts, follow, **options):
+    """Be a run, and what is typed before the next."""
+    follow(move(request, rig, operators, *parts, follow=follow, **options), request)
+    return RunEnd(outcome="operator", evidence={"typed": "".join(operators[0].read_input())})
+
+
+def interrupted(request, memory, *pipes):
+    moving(request, memory, *pipes, course=one_and_a_word)
 
 
 # Who stands at the screen.
@@ -228,6 +238,18 @@ def test_each_run_of_a_series_has_a_log_of_its_own(monkeypatch, tmp_path):
         assert came_to_rest(log)
         assert [event.name for event in log.events].count("homing") == 1
     assert len(Series.load(tmp_path / "run-series.json").runs) == 3
+
+
+def test_a_word_is_heard_while_the_disk_hangs_between_two_runs(monkeypatch, tmp_path):
+    monkeypatch.setattr(processes, "_loop", interrupted)
+    monkeypatch.setattr(processes, "JOIN_TIMEOUT", 1.0)
+    monkeypatch.setattr(processes.RunLogs, "follow", lambda *_: time.sleep(60.0))
+    person = Person(lambda _: os.kill(os.getpid(), signal.SIGTERM), after=2.5)
+    request = replace(REQUEST, runs=2, start="hanging")
+    last = run_in_processes(request, tmp_path / "run.mcap", person, person.live)
+    assert last.evidence == {"typed": processes.STOP}
+    assert person.texts("stopping") == ["survived"]
+    assert person.texts("warning") == ["the log is incomplete: the disk does not answer"]
 
 
 def test_a_loop_that_is_killed_is_told_at_once_and_its_log_is_readable(run, log):

@@ -44,7 +44,7 @@ def violation(monitor, controller, records, q, measured_at):
 
 
 ARM = iiwa(7)
-GUARD_7 = rules.make_safety_params(ARM, reaction=0.03, u_max=2.0, h=0.01)
+GUARD_7 = rules.make_safety_params(ARM, reaction=0.03, h=0.01)
 DT = 0.005
 
 
@@ -107,7 +107,6 @@ def test_the_rules_of_a_trial_have_the_numbers_of_a_rig():
 
     guard = safety()
     assert guard.limits == GUARD_7.limits
-    assert guard.u_max == 2.0
     assert policy.actuator.delay.value < guard.reaction < 0.05
     assert guard.speed == float("inf")
     # Of two speed limits the lower acts.

@@ -18,7 +18,7 @@ from equipoise.settings import HANGING, Start, changed
 from equipoise.user_code import user_code
 
 
-class Run(opt.Options):
+class RunOptions(opt.Options):
     """The run."""
 
     world: str = "twin:nominal"
@@ -51,7 +51,7 @@ def deploy(
     output: Output,
     policy: Path | None = None,
     *,
-    run: Run,
+    run: RunOptions,
     rig: OnRig,
     task: opt.Task,
     files: opt.Files,
@@ -121,7 +121,7 @@ def deploy(
 def _run_on_rig(
     output: Output,
     policy: Path | None,
-    run: Run,
+    run: RunOptions,
     task: opt.Task,
     rig: OnRig,
     files: opt.Files,
@@ -141,7 +141,7 @@ def _run_on_rig(
     from equipoise.rig.run import run_virtually
     from equipoise.rig.series import run_path, summarise
 
-    if run.world != Run().world:
+    if run.world != RunOptions().world:
         raise InputError("--world is for a simulated run; leave it out, or leave out the rig")
     if rig.runs > 1 and run.start != HANGING:
         raise InputError("--runs needs --start hanging: a start by hand needs a hand each time")

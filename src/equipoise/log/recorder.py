@@ -143,7 +143,7 @@ class Recorder:
     def record_tick(
         self, now: float, compute: float, inputs: TickInputs, output: TickOutput
     ) -> None:
-        """Write the inputs and the decision of a tick, and update the pulse.
+        """Write the inputs, the decision and the messages of a tick, and update the pulse.
 
         Args:
             now: Time of the tick [s].
@@ -169,6 +169,8 @@ class Recorder:
             push_event(self.event, now, OperatorMessage(WORD_TYPED, text))
         for fault in inputs.faults:
             push_event(self.event, now, OperatorMessage(FAILED, describe(fault)))
+        for event in output.events:
+            push_event(self.event, now, event)
         pulse = self.pulse
         pulse["time"], pulse["state"] = now, output.state
         pulse["phi"] = output.record.estimated_phi

@@ -5,14 +5,16 @@ setpoint and all later ones, and sends its own ramp to rest instead, which start
 setpoint sent with its velocity. It never clips a setpoint.
 """
 
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Sequence
+from math import ceil
 
 from equipoise.arrays import Array
 from equipoise.errors import LinkError
 from equipoise.outcomes import End, describe
 from equipoise.rig.interfaces import Robot
 from equipoise.safety.rules import Limits, check_first, check_setpoint
-from equipoise.safety.stop import Ramp, ramp
+from equipoise.safety.stop import ramp
 
 
 class GuardedRobot:
@@ -35,15 +37,15 @@ class GuardedRobot:
         """Last setpoint sent [rad]; None before the first."""
         self._before: tuple[float, ...] = ()
         """Setpoint before the last one [rad]; the same where the arm rests."""
-        self._ramp: Ramp | None = None
-        self._sent = 0  # setpoints of the ramp
+        self._ramp: deque[tuple[float, ...]] | None = None
+        """Setpoints of the ramp to rest that are still to be sent; None before a stop."""
         self.held_back: End | None = None
         """Broken rule of a setpoint that was held back; None without one."""
 
     @property
     def at_rest(self) -> bool:
         """Whether the guard's ramp has ended or was never started."""
-        return self._ramp is None or self._sent * self._period >= self._ramp.duration
+        return not self._ramp
 
     def start(self) -> None:
         """Start the servo; the first setpoint has to equal the joints measured after that.
@@ -86,38 +88,29 @@ class GuardedRobot:
                 path = setpoint, last, self._before
                 if broken := check_setpoint(self._limits, *path, self._period, to_rest):
                     self.held_back = broken
-                    self._begin_ramp(last)
+                    self.stop()
             if self._ramp is None:
                 self.robot.send(setpoint)
                 self._before, self.last = last, setpoint
                 return
-        self.last = self._upcoming
-        self._sent += 1
-        self.robot.send(self.last)
+        if self._ramp:
+            self.last = self._ramp.popleft()
+        self.robot.send(self.last or ())
 
-    def rest(self) -> Iterator[tuple[float, ...]]:
-        """Yield the setpoints of a ramp to rest from the last one sent, one for each period."""
-        if self.last is None:
+    def stop(self) -> None:
+        """Begin a ramp to rest from the last setpoint sent; it replaces all later setpoints."""
+        if self.last is None or self._ramp is not None:
             return
-        if self._ramp is None:
-            self._begin_ramp(self.last)
-        if not self.at_rest:
-            while not self.at_rest:
-                yield self._upcoming
-            yield self._upcoming  # repeated, so that the arm no longer moves
+        dq = [(b - a) / self._period for a, b in zip(self._before, self.last, strict=True)]
+        # The flange speed is not known here: the joints alone determine the ramp.
+        way = ramp(self.last, dq, 0.0, self._limits)
+        number = ceil(way.duration / self._period)
+        self._ramp = deque(way.at(k * self._period).q for k in range(1, number + 1))
+        if self._ramp:  # repeated, so that the arm no longer moves
+            self._ramp.append(self._ramp[-1])
 
     def _refuse(self, broken: End | None) -> None:
         """Refuse to send anything where a rule is broken before the first setpoint."""
         if broken is not None:
             self.held_back = broken
             raise LinkError(f"nothing was sent: {describe(broken)}")
-
-    def _begin_ramp(self, last: tuple[float, ...]) -> None:
-        dq = [(b - a) / self._period for a, b in zip(self._before, last, strict=True)]
-        # The flange speed is not known here: the joints alone determine the ramp.
-        self._ramp, self._sent = ramp(last, dq, 0.0, self._limits), 0
-
-    @property
-    def _upcoming(self) -> tuple[float, ...]:
-        assert self._ramp is not None  # noqa: S101 - its only callers have begun it
-        return self._ramp.at((self._sent + 1) * self._period).q

@@ -47,32 +47,29 @@ def prepare(core: int = -1, priority: int = 60) -> dict[str, str]:
     gc.freeze()
     gc.disable()  # a collection would stop the loop for milliseconds
 
-    def stay() -> None:
-        """Pin this thread to one core, whose caches stay warm."""
-        allowed = sorted(os.sched_getaffinity(0))
-        if len(allowed) < 2:
-            raise OSError("there is one core only")
-        os.sched_setaffinity(0, {allowed[core]})
+    granted: dict[str, str] = {}
 
-    def go_first() -> None:
-        """Run before other work."""
-        if priority:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        else:
-            os.setpriority(os.PRIO_PROCESS, 0, -20)
+    @contextmanager
+    def setting(name: str) -> Generator[None]:
+        try:
+            yield
+            granted[name] = "granted"
+        except (OSError, AttributeError, TypeError) as error:  # denied, or not on this system
+            granted[name] = str(error)
 
-    def lock_memory() -> None:
+    with setting("memory locked"):
         libc = ctypes.CDLL(None, use_errno=True)
         current, future = 1, 2  # MCL_CURRENT, MCL_FUTURE
         if libc.mlockall(current | future):
             raise OSError(os.strerror(ctypes.get_errno()))
-
-    settings = {"memory locked": lock_memory, "real-time priority": go_first, "own core": stay}
-    granted: dict[str, str] = {}
-    for name, apply in settings.items():
-        try:
-            apply()
-            granted[name] = "granted"
-        except (OSError, AttributeError, TypeError) as error:  # denied, or not on this system
-            granted[name] = str(error)
+    with setting("real-time priority"):
+        if priority:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        else:
+            os.setpriority(os.PRIO_PROCESS, 0, -20)
+    with setting("own core"):  # whose caches stay warm
+        allowed = sorted(os.sched_getaffinity(0))
+        if len(allowed) < 2:
+            raise OSError("there is one core only")
+        os.sched_setaffinity(0, {allowed[core]})
     return granted

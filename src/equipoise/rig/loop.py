@@ -2,7 +2,7 @@
 
 The loop runs in one thread. Deadlines are absolute times of the rig's clock, so that they do not
 drift. A loop that stalls sends no setpoint that is later than the next one should be: the arm
-comes to rest at the last one sent, the missed ticks are skipped and counted, and the controller
+comes to rest at the last one sent, the missed ticks are skipped, and the controller
 begins anew from there at the time of a later tick. A tick waits for no lock, prints nothing, and
 writes its records to preallocated rings (`equipoise.log.recorder`).
 
@@ -14,7 +14,7 @@ robot is lost, software cannot stop the arm: the loop reports this at once and r
 from collections.abc import Callable
 from contextlib import suppress
 from time import perf_counter
-from typing import Final, NamedTuple
+from typing import Final
 
 from equipoise.control.ticks import OperatorMessage, TickInputs, missed_ticks
 from equipoise.errors import LinkError
@@ -29,17 +29,6 @@ CANNOT_STOP: Final = "software no longer commands the robot: press the E-stop"
 """Message to the operator when the link to the robot is lost."""
 
 
-class LoopResult(NamedTuple):
-    """End of a loop."""
-
-    fault: End | None
-    """Fault that ended the loop; None after a regular end."""
-    stoppable: bool
-    """Whether software still commands the arm; otherwise the operator must stop it."""
-    missed: int
-    """Number of ticks that were skipped."""
-
-
 def run_loop(
     robot: GuardedRobot,
     sensor: AngleSensor,
@@ -49,7 +38,7 @@ def run_loop(
     operator: Operator,
     *,
     idle: Callable[[], None] = lambda: None,
-) -> LoopResult:
+) -> tuple[End | None, bool]:
     """Run until the controller is done or the link to the robot is lost. The servo has to run.
 
     Args:
@@ -61,9 +50,12 @@ def run_loop(
         operator: Receives messages and returns input, without blocking.
         idle: Called once in a tick after its last setpoint, for example to drain the rings in
             virtual time.
+
+    Returns:
+        The fault that ended the loop, None after a regular end; and whether software still commands
+        the arm, which otherwise the operator must stop.
     """
-    h = controller.h
-    missed, unsent = 0, False
+    h, unsent = controller.h, False
     faults: list[End] = []
     sensor_lost = refused = still = False
     deadline = clock.now() + h
@@ -75,7 +67,6 @@ def run_loop(
             due = deadline
             while (skipped := missed_ticks(clock.now() - deadline, h)) > 0:
                 deadline += skipped * h
-                missed += skipped
                 clock.wait_until(deadline)
             now, begin = clock.now(), perf_counter()
             samples: list[Sample] = []
@@ -96,7 +87,7 @@ def run_loop(
             if output.setpoints:  # as sent: the guard may have replaced it
                 recorder.stream.push(time=sent, q=robot.last)
             for event in output.events:
-                _notify(recorder, operator, now, event)
+                operator.notify(event)
             still, unsent = not output.setpoints, False
             if output.setpoints:
                 clock.wait_until(deadline + 0.5 * h)
@@ -127,7 +118,7 @@ def run_loop(
     def warn(text: str) -> None:
         """Report a fault; an exception is suppressed, since the arm still has to come to rest."""
         with suppress(Exception):
-            _notify(recorder, operator, clock.now(), OperatorMessage("fault", text))
+            tell(recorder, operator, clock.now(), OperatorMessage("fault", text))
 
     if fault is not None:
         warn(describe(fault) if stoppable else f"{describe(fault)}; {CANNOT_STOP}")
@@ -137,20 +128,21 @@ def run_loop(
             warn(CANNOT_STOP)
     recorder.pulse["ticks"] = 0.0  # no further tick
     idle()
-    return LoopResult(fault, stoppable, missed)
+    return fault, stoppable
 
 
 def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) -> bool:
     """Bring the arm to rest without the controller; return whether that was possible."""
     moment = clock.now()
     try:
-        for setpoint in robot.rest():
+        robot.stop()
+        while not robot.at_rest:
             moment += period
             clock.wait_until(moment)
             with suppress(Exception):  # unused; a lost link is noticed by `send`
                 robot.robot.replies()
             now = clock.now()
-            robot.send(setpoint)
+            robot.send(())  # the guard sends its ramp
             recorder.stream.push(time=now, q=robot.last)
             recorder.pulse["time"] = now  # the loop still commands the arm
     except BaseException:  # the link is lost, or a part that has failed fails again
@@ -158,6 +150,7 @@ def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) 
     return True
 
 
-def _notify(recorder: Recorder, operator: Operator, now: float, event: OperatorMessage) -> None:
+def tell(recorder: Recorder, operator: Operator, now: float, event: OperatorMessage) -> None:
+    """Log a message at a time [s], and send it to the operator."""
     push_event(recorder.event, now, event)
     operator.notify(event)

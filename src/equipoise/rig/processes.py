@@ -21,12 +21,11 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import EquipoiseError, OutsideError
-from equipoise.log.conditions import RunConditions, RunEnd
+from equipoise.log.conditions import RunEnd
 from equipoise.log.recorder import (
     CONNECTING,
     ENDED,
@@ -41,7 +40,7 @@ from equipoise.rig.checks import warm_up
 from equipoise.rig.connection import connect
 from equipoise.rig.host import SIGNALS, handled_signals
 from equipoise.rig.interfaces import Operator
-from equipoise.rig.loop import CANNOT_STOP
+from equipoise.rig.loop import CANNOT_STOP, tell
 from equipoise.rig.plugins import robot_plugin
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import ALONE, STOP, log_warning, run_on_rig
@@ -51,9 +50,6 @@ from equipoise.user_code import format_error, user_code
 
 Live = Callable[[str, float], None]
 """Shows the phase of the run and the angle from upright [rad]; never blocks."""
-
-Following = tuple[RunEnd, RunConditions, Callable[[None], None]]
-"""End of a run, conditions of the next, and the reply that lets it begin."""
 
 HEARTBEAT_TIMEOUT: Final = 0.085
 """Time without a tick after which the loop counts as stopped [s]: more than a tick and a stall that
@@ -82,7 +78,7 @@ def run_in_processes(
         out: Path of the log.
         person: The operator.
         live: Shows the phase of the run and the angle from upright [rad]; never blocks.
-        ended: Called with the end of each run of a series but the last.
+        ended: Called with the end of each run of a series but the last, in the log's thread.
 
     Returns:
         The end of the last run.
@@ -99,14 +95,14 @@ def run_in_processes(
     with share(conditions) as memory, handled_signals(SIGNALS, lambda *_: signalled.append(STOP)):
         _, recorder = open_recorder(memory)
         logs = RunLogs(out, conditions, request.runs, time.monotonic())
-        over, following = threading.Event(), SimpleQueue[Following]()
+        context = multiprocessing.get_context("spawn")
+        (results, result_end), (series, series_end) = context.Pipe(), context.Pipe()
+        over = threading.Event()
         drains = threading.Thread(
-            target=_drain, args=(logs, recorder, over, following), daemon=True
+            target=_drain, args=(logs, recorder, over, series, ended), daemon=True
         )
         drains.start()
-        context = multiprocessing.get_context("spawn")
-        results, loop_end = context.Pipe()
-        loop = context.Process(target=_loop, args=(data, memory, loop_end))
+        loop = context.Process(target=_loop, args=(data, memory, result_end, series_end))
         end = RunEnd()
         try:
             blocked = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # until it is ready
@@ -114,8 +110,9 @@ def run_in_processes(
                 loop.start()
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
-            loop_end.close()
-            end = _attend(loop, results, recorder, logs, following, person, live, signalled, ended)
+            result_end.close()
+            series_end.close()
+            end = _attend(loop, results, recorder, logs, person, live, signalled)
             return end
         except EquipoiseError as error:
             end = RunEnd(evidence={"text": str(error)})
@@ -138,15 +135,30 @@ def run_in_processes(
 
 
 def _drain(
-    logs: RunLogs, recorder: Recorder, over: threading.Event, following: "SimpleQueue[Following]"
+    logs: RunLogs,
+    recorder: Recorder,
+    over: threading.Event,
+    series: Any,
+    ended: Callable[[RunEnd], None],
 ) -> None:
-    """Write the logs during the runs; a failure stays in `logs.problem`."""
+    """Write the logs during the runs; a failure stays in `logs.problem`.
+
+    Args:
+        logs: The logs.
+        recorder: Rings of the run.
+        over: Set at the end.
+        series: Pipe with the end of a run and the conditions of the next one, which an answer lets
+            begin.
+        ended: Called with the end.
+    """
     while not over.wait(0.050):
         logs.drain(recorder)
-        with suppress(Empty):
-            end, conditions, reply = following.get_nowait()
-            logs.follow(recorder, time.monotonic(), end, conditions)
-            reply(None)
+        with suppress(EOFError, OSError):  # the loop's process has ended
+            if series.poll():
+                end, conditions = series.recv()
+                ended(end)
+                logs.follow(recorder, time.monotonic(), end, conditions)
+                series.send(None)
 
 
 def _attend(
@@ -154,11 +166,9 @@ def _attend(
     results: Any,
     recorder: Recorder,
     logs: RunLogs,
-    following: "SimpleQueue[Following]",
     person: Operator,
     live: Live,
     signalled: list[str],
-    ended: Callable[[RunEnd], None],
 ) -> RunEnd:
     """Serve the operator and monitor the loop until its process ends; return or raise its result.
 
@@ -167,11 +177,9 @@ def _attend(
         results: Pipe with its result.
         recorder: Rings of the run.
         logs: Logs of the runs, for their failure.
-        following: Takes the end of a run, the next one's conditions, and what lets it begin.
         person: The operator.
         live: Shows phase and angle.
         signalled: Stops that signals to this process request.
-        ended: Called with the end of each run but the last.
     """
     pulse = recorder.pulse
     result: RunEnd | EquipoiseError | None = None
@@ -181,12 +189,7 @@ def _attend(
         if result is None:
             with suppress(EOFError, OSError):  # the process has ended
                 if results.poll():
-                    received, pulse["ticks"] = results.recv(), 0.0  # it ticks no more
-                    if isinstance(received, tuple):
-                        ended(received[0])
-                        following.put((*received, results.send))
-                    else:
-                        result = received
+                    result, pulse["ticks"] = results.recv(), 0.0  # it ticks no more
         # The heartbeat comes before the messages, since printing may take long.
         streams = pulse["ticks"] > 0
         beats = alive and time.monotonic() - float(pulse["time"]) < HEARTBEAT_TIMEOUT
@@ -220,19 +223,17 @@ def _attend(
 # The loop's process.
 
 
-def _loop(data: bytes, memory: Path, pipe: Any) -> None:
+def _loop(data: bytes, memory: Path, results: Any, series: Any) -> None:
     """Run the loop's process for a pickled request, whose policy is imported here anew."""
     _, recorder = open_recorder(memory)
     operator = OperatorProxy(recorder)
     for number in SIGNALS:
-        signal.signal(number, lambda *_: operator.signals.append(STOP))
+        signal.signal(number, lambda *_: operator.pending.append(STOP))
     context = multiprocessing.get_context("spawn")
     result: RunEnd | EquipoiseError
 
-    def tell(text: str) -> None:
-        event = OperatorMessage(CONNECTING, text)
-        push_event(recorder.event, time.monotonic(), event)
-        operator.notify(event)
+    def say(text: str) -> None:
+        tell(recorder, operator, time.monotonic(), OperatorMessage(CONNECTING, text))
 
     def attend() -> None:
         """Check for a stop and the encoder, which is connected before the robot."""
@@ -245,18 +246,22 @@ def _loop(data: bytes, memory: Path, pipe: Any) -> None:
         rig.sensor.samples()
 
     def follow(end: RunEnd, following: RunRequest) -> None:
-        """Let the parent end the log and begin the next."""
-        pipe.send((end, following.conditions()))
-        pipe.recv()
+        """Let the parent end the log and begin the next; a word ends the wait for its disk."""
+        series.send((end, following.conditions()))
+        while not series.poll(POLL_PERIOD):
+            if words := operator.read_input():
+                operator.pending += words
+                return
+        series.recv()
 
     with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as helper:
         try:
             request: RunRequest = pickle.loads(data)
             helper.submit(os.getpid).result()  # it inherits blocked signals
             signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
-            tell("Loading the control loop; the first time it compiles for up to a minute.")
+            say("Loading the control loop; the first time it compiles for up to a minute.")
             warm_up(request)  # before the connection, which needs attention once it is open
-            rig = connect(request, tell=tell, attend=attend)
+            rig = connect(request, tell=say, attend=attend)
             result = run_on_rig(
                 request,
                 rig,
@@ -271,7 +276,7 @@ def _loop(data: bytes, memory: Path, pipe: Any) -> None:
         except BaseException as error:  # one sentence for the parent, without a traceback
             result = OutsideError(f"the run failed ({format_error(error)}); please report it")
         with suppress(OSError):  # the parent may have ended
-            pipe.send(result)
+            results.send(result)
 
 
 def end_with_parent() -> None:
@@ -297,8 +302,8 @@ class OperatorProxy:
         """Connect to the rings of a run."""
         self._recorder = recorder
         self._parent = os.getppid()
-        self.signals: list[str] = []
-        """Stops that signals to this process request."""
+        self.pending: list[str] = []
+        """Words to be read next: stops that signals to this process request."""
 
     def notify(self, event: OperatorMessage) -> None:
         """Send a message to the operators; never blocks."""
@@ -320,8 +325,8 @@ class OperatorProxy:
                 self._recorder.ask(None)
                 words.append(word)
                 self.notify(OperatorMessage("console", f"Console: {word}"))
-        words += self.signals
-        self.signals.clear()
+        words += self.pending
+        self.pending.clear()
         if os.getppid() != self._parent:
             self._parent = os.getppid()
             words.append(ALONE)

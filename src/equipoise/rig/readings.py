@@ -26,23 +26,6 @@ TimedJoints: TypeAlias = tuple[float, tuple[float, ...]]
 """A time [s], and all joints [rad]."""
 
 
-def setpoint_in_force(history: deque[TimedJoints], time: float) -> tuple[float, ...]:
-    """Return the setpoint in force at a time [s]: the oldest of the history, if all came later."""
-    return next((q for sent, q in reversed(history) if sent <= time), history[0][1])
-
-
-def unanswered_time(history: deque[TimedJoints], now: float, answered: float) -> float:
-    """Return the time since the oldest setpoint without a reply was sent [s]; or 0.
-
-    Args:
-        history: The last setpoints.
-        now: The time [s].
-        answered: Time at which the newest setpoint with a reply was sent [s].
-    """
-    waiting = [sent for sent, _ in history if sent > answered + 0.001]  # [s]
-    return max(now - min(waiting, default=now), 0.0)
-
-
 class EncoderReadings:
     """Counts of the encoder, and their faults since the tick before."""
 
@@ -55,11 +38,11 @@ class EncoderReadings:
         """Count of the hanging pendulum; NaN before the reference."""
         self.dropouts, self.bridged = RepeatMonitor(), False
         """Monitor of lost samples, and whether one was bridged."""
-        self._first_tick = inf
+        self._newest = inf  # time of the newest sample; before the first that of the first tick
 
     def add(self, samples: Sequence[Sample], now: float) -> None:
         """Add the samples of a tick at a time [s], and find their faults."""
-        self._first_tick = min(now, self._first_tick)
+        self._newest = samples[-1].time if samples else min(self._newest, now)
         self._missing, self._illegal, self._jump = 0, False, 0.0
         for sample in samples:
             self.samples.append(sample)
@@ -79,9 +62,8 @@ class EncoderReadings:
         """Return the encoder's part of the safety inputs."""
         if isnan(self.zero):
             return {}
-        newest = self.samples[-1].time if self.samples else self._first_tick
         return {
-            "encoder_age": now - newest,
+            "encoder_age": now - self._newest,
             "encoder_missing": self._missing,
             "encoder_illegal": self._illegal,
             "encoder_jump": self._jump,
@@ -100,10 +82,8 @@ class EncoderReadings:
         """Return the newest counts within a window before a time [s] and their age [s], if any."""
         for sample in reversed(self.samples):
             age = time - sample.time
-            if age > window:
-                break
             if age >= 0.0:
-                return sample.counts - self.zero, age
+                return (sample.counts - self.zero, age) if age <= window else None
         return None
 
     def falling(self, now: float, w2: float) -> tuple[float, float]:
@@ -140,13 +120,14 @@ class ArmReadings:
         """Monitor of the joints' plausibility."""
         self.torque_at_home: tuple[float, ...] | None = None
         """External torques at home [N m]; None before the reference."""
-        self._torque: tuple[float, ...] | None = None
+        self.torque: tuple[float, ...] | None = None
+        """New external torques less those at rest [N m]; None without any since the tick before."""
         self._torque_at_start: tuple[float, ...] | None = None
-        self._torque_sum, self._torques = np.zeros(len(q)), 0
+        self._torques = list[Sequence[float]]()  # at home, before the reference
 
     def add(self, replies: Sequence[Reply], rests_at_home: bool) -> list[TimedJoints]:
         """Add the replies of a tick; return the joints that count as measured."""
-        self.fresh, self.late, self._torque = False, False, None
+        self.fresh, self.late, self.torque = False, False, None
         measured = list[TimedJoints]()
         for reply in replies:
             self.answered = reply.sent
@@ -158,22 +139,15 @@ class ArmReadings:
                 self.plausibility.add(reply.sent, reply.received, reply.q)
                 measured.append((self.time, self.q))
             if reply.torque is not None:
-                self._torque = tuple(reply.torque)
                 if self._torque_at_start is None:  # the way home has hardly begun
-                    self._torque_at_start = self._torque
+                    self._torque_at_start = tuple(reply.torque)
+                at_rest = self.torque_at_home or self._torque_at_start
+                self.torque = tuple(np.subtract(reply.torque, at_rest).tolist())
                 if self.torque_at_home is None and rests_at_home:
-                    self._torque_sum += reply.torque
-                    self._torques += 1
+                    self._torques.append(reply.torque)
         return measured
 
     def reference_torques(self) -> None:
         """Take the mean torques at home as those at rest."""
         if self._torques:
-            self.torque_at_home = tuple((self._torque_sum / self._torques).tolist())
-
-    def new_torque(self) -> tuple[float, ...] | None:
-        """Return new external torques less those at rest [N m]; None without new ones."""
-        at_rest = self._torque_at_start if self.torque_at_home is None else self.torque_at_home
-        if at_rest is None or self._torque is None:
-            return None
-        return tuple(np.subtract(self._torque, at_rest).tolist())
+            self.torque_at_home = tuple(np.mean(self._torques, axis=0).tolist())

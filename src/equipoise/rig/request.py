@@ -1,7 +1,7 @@
 """Request for a run on a rig: policy, rig and options, and what follows from them."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import inf, radians
 from typing import Final
 
@@ -78,7 +78,6 @@ class RunRequest:
         safety = make_safety_params(
             arm,
             reaction=horizon(arm, actuator, 0.0),
-            u_max=paper.U_MAX,
             h=h,
             speed=self.max_speed or inf,
             margin=radians(rig.position_margin_deg),
@@ -86,16 +85,6 @@ class RunRequest:
             torque_fraction=rig.torque_fraction,
         )
         return params, safety
-
-    def following(self, reference: Reference, identified: Actuator | None) -> "RunRequest":
-        """Return the request for the next run of a series.
-
-        Args:
-            reference: Reference of the run before.
-            identified: Actuator that it has identified; None without one.
-        """
-        actuator = identified or self.actuator
-        return replace(self, reference=reference, actuator=actuator, identify=None)
 
     def excitation(self) -> Array:
         """Return the motion that identifies the arm, from home to home.

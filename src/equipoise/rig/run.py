@@ -6,12 +6,11 @@ one in virtual time; arguments carry the differences.
 
 import gc
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
 from dataclasses import replace
 from itertools import count
 from math import isnan
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import EquipoiseError, LinkError, OutsideError
@@ -24,10 +23,10 @@ from equipoise.rig.clocks import DrainingClock, ended_stalls
 from equipoise.rig.connection import Rig, connect
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import Operator
-from equipoise.rig.loop import run_loop
+from equipoise.rig.loop import run_loop, tell
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import RunController
-from equipoise.rig.script import Job, Run, run_inline, script
+from equipoise.rig.script import Run, Submit
 from equipoise.rig.series import LEADS_ON, RunLogs
 from equipoise.settings import HANGING
 
@@ -68,34 +67,28 @@ class OperatorChannel:
         lines, self._pending = self._pending, []
         return lines + [line for operator in self._operators for line in operator.read_input()]
 
-    def tell(self, event: OperatorMessage) -> None:
-        """Log a message, and send it to all operators."""
-        push_event(self._recorder.event, self._clock.now(), event)
-        self.notify(event)
+    def tell(self, name: str, text: str, answers: tuple[str, ...] = ()) -> None:
+        """Log a message, and send it to all operators; with answers it is a question."""
+        event = OperatorMessage(name, text, answers)
+        tell(self._recorder, self, self._clock.now(), event)
 
-    def ask(self, event: OperatorMessage) -> str:
+    def ask(self, name: str, question: str, *answers: str) -> str:
         """Send a question, and return the first expected answer or denial.
 
         Raises:
             LinkError: A device has failed.
         """
-        self.tell(event)
-        while (word := self._wait_for_word()) not in (*event.answers, "n", "no", STOP, ALONE):
-            expected = " or ".join(event.answers)
-            self.tell(event._replace(text=f"{word!r} is not {expected}. {event.text}"))
-        return word
-
-    def check_links(self) -> None:
-        """Request the joints, and drop the encoder's samples; each raises where its link failed."""
-        self._rig.robot.measured()
-        self._rig.sensor.samples()
-
-    def _wait_for_word(self) -> str:
-        while (word := self.read_word()) is None:
-            until = self._clock.now() + 0.02
-            self.check_links()
-            self._clock.wait_until(until)
-        return word
+        text = question
+        while True:
+            self.tell(name, text, answers)
+            while (word := self.read_word()) is None:
+                until = self._clock.now() + 0.02
+                self._rig.robot.measured()  # they raise where a link failed
+                self._rig.sensor.samples()
+                self._clock.wait_until(until)
+            if word in (*answers, "n", "no", STOP, ALONE):
+                return word
+            text = f"{word!r} is not {' or '.join(answers)}. {question}"
 
     def read_word(self) -> str | None:
         """Return the first pending line, which is logged; None without one."""
@@ -113,7 +106,7 @@ def run_on_rig(
     recorder: Recorder,
     *,
     prepare: Callable[[], dict[str, str]] = dict,
-    submit: Callable[[Job], "Future[Any]"] = run_inline,
+    submit: Submit | None = None,
     idle: Callable[[], None] = lambda: None,
     follow: Callable[[RunEnd, RunRequest], None] = lambda *_: None,
 ) -> RunEnd:
@@ -125,7 +118,7 @@ def run_on_rig(
         operators: Operators; each receives the messages and may type.
         recorder: Rings for the log.
         prepare: Applies the real-time settings of this process, and returns their results.
-        submit: Starts a long job (default: inline).
+        submit: Starts a long job; None in virtual time, where none takes long.
         idle: Called in each tick, e.g. to drain the rings.
         follow: Called between two runs of a series, with the end of one and the next request.
 
@@ -141,20 +134,19 @@ def run_on_rig(
     operator = OperatorChannel(operators, recorder, rig)
     tell = operator.tell
     try:
-        tell(OperatorMessage(CONNECTING, f"Connecting to {request.robot}."))
+        tell(CONNECTING, f"Connecting to {request.robot}.")
         rig.sensor.connect()
         rig.robot.connect()
         granted = prepare()
         results, max_speed = preflight(request, rig, granted)
         fit = check_fit(request.policy, request.actuator, request.settings)
         for result in (*fit, *results):
-            tell(OperatorMessage(f"finding {result.status}", printable(result.sentence)))
+            tell(f"finding {result.status}", printable(result.sentence))
         require(fit)
         require(results, OutsideError)
         if max_speed is not None:
-            text = f"The run stops when the flange reaches {max_speed:.3g} m/s."
-            tell(OperatorMessage("notice", text))
-        tell(OperatorMessage("notice", rig.plugin.failure))
+            tell("notice", f"The run stops when the flange reaches {max_speed:.3g} m/s.")
+        tell("notice", rig.plugin.failure)
         questions = [*CHECKLIST, *rig.plugin.checklist]
         if request.start == HANGING:
             clear = "Does the pendulum clear arm, cable and table over its whole turn, all along"
@@ -163,20 +155,21 @@ def run_on_rig(
             stays = "Does the operator stay, the E-stop in a hand, until the last run has ended?"
             questions.append(("stay", stays))
         for word, question in questions:
-            answer = operator.ask(OperatorMessage("checklist", f"{question} Type {word}.", (word,)))
+            answer = operator.ask("checklist", f"{question} Type {word}.", word)
             if answer != word:
-                return _unmoved(Outcome.OPERATOR, typed=printable(answer))
+                return _denied(answer)
         if request.dry_run:
-            operator.check_links()  # the answers may have been typed ahead
-            return _unmoved(Outcome.DRY_RUN)
+            rig.robot.measured()  # they raise where a link failed: answers may be typed ahead
+            rig.sensor.samples()
+            return RunEnd(outcome=Outcome.DRY_RUN, survival=0.0)
         question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
-        if (answer := operator.ask(OperatorMessage("move", question, ("y", "n")))) != "y":
-            return _unmoved(Outcome.OPERATOR, typed=printable(answer))
+        if (answer := operator.ask("move", question, "y", "n")) != "y":
+            return _denied(answer)
         number, survived = 1, 0
         while True:
             if request.runs > 1:
                 so_far = f"{survived} of {number - 1} survived" if number > 1 else "the first"
-                tell(OperatorMessage("run", f"Run {number} of {request.runs}; {so_far}."))
+                tell("run", f"Run {number} of {request.runs}; {so_far}.")
             limited = replace(request, max_speed=max_speed)
             end, reference = _run_once(
                 limited, rig, robot, operator, recorder, submit=submit, idle=idle
@@ -184,13 +177,14 @@ def run_on_rig(
             if reference is None or number == request.runs:
                 return end
             number, survived = number + 1, survived + (end.outcome is Outcome.SURVIVED)
-            request = request.following(reference, end.identified)
+            actuator = end.identified or request.actuator
+            request = replace(request, reference=reference, actuator=actuator, identify=None)
             follow(end, request)
             gc.collect()  # in real time nothing is collected while the arm moves
             results, max_speed = preflight(request, rig, granted)
             require(results, OutsideError)
             if (word := operator.read_word()) is not None:
-                return _unmoved(Outcome.OPERATOR, typed=printable(word or "Enter"))
+                return _denied(word or "Enter")
     finally:
         rig.robot.close()
         rig.sensor.close()
@@ -203,7 +197,7 @@ def _run_once(
     operator: Operator,
     recorder: Recorder,
     *,
-    submit: Callable[[Job], "Future[Any]"],
+    submit: Submit | None,
     idle: Callable[[], None],
 ) -> tuple[RunEnd, Reference | None]:
     """Start the servo, run once, bring the arm to rest, and stop the servo.
@@ -216,22 +210,22 @@ def _run_once(
     started = rig.clock.now()
     recorder.reply.push(time=started, q=robot.started_at, taken=started)
     run = Run(request, robot.started_at, rig.clock.now, submit)
-    controller = RunController(run, script(run))
-    ending = run_loop(robot, rig.sensor, rig.clock, controller, recorder, operator, idle=idle)
-    if ending.stoppable:
+    controller = RunController(run)
+    parts = robot, rig.sensor, rig.clock, controller, recorder, operator
+    fault, stoppable = run_loop(*parts, idle=idle)
+    if stoppable:
         try:
             rig.robot.stop()
         except LinkError as error:
-            fault = End(Outcome.LINK_LOST, {"text": str(error)})
-            ending = ending._replace(fault=fault, stoppable=False)
-    cause = ending.fault or controller.end
+            fault, stoppable = End(Outcome.LINK_LOST, {"text": str(error)}), False
+    cause = fault or controller.end
     cause = cause or End(Outcome.FAULT, {"text": "the run ended without a cause"})
     zero, test = run.encoder.zero, run.tested
     end = RunEnd(
         outcome=cause.outcome,
         evidence=dict(cause.evidence),
         survival=run.balanced * run.h,
-        stoppable=ending.stoppable,
+        stoppable=stoppable,
         upright=run.upright,
         zero=None if isnan(zero) else zero,
         zero_change=test and test.zero,
@@ -239,16 +233,16 @@ def _run_once(
         delay=test and test.delay,
         max_speed=request.max_speed,
         identified=run.identified,
-        missed=ending.missed,
+        missed=run.missed,
     )
     leads_on = cause.outcome in LEADS_ON and not controller.key_after_stop
-    if not (leads_on and ending.stoppable):
+    if not (leads_on and stoppable):
         return end, None
     return end, Reference(zero=zero, torque=run.joints.torque_at_home)
 
 
-def _unmoved(outcome: Outcome, **evidence: float | str) -> RunEnd:
-    return RunEnd(outcome=outcome, evidence=evidence, survival=0.0)
+def _denied(answer: str) -> RunEnd:
+    return RunEnd(outcome=Outcome.OPERATOR, evidence={"typed": printable(answer)}, survival=0.0)
 
 
 def log_warning(problem: str) -> OperatorMessage:

@@ -19,8 +19,8 @@ from typing import Final
 from equipoise.control.controller import FlangePose
 from equipoise.control.ticks import OK, TickInputs, TickOutput, TickRecord, missed_ticks
 from equipoise.outcomes import End, Outcome, Phase, describe
-from equipoise.rig.readings import HISTORY, MAX_ROUND_TRIP, setpoint_in_force, unanswered_time
-from equipoise.rig.script import OBSERVED, PhaseError, Run, Setpoints, Steps, Tick, come_to_rest
+from equipoise.rig.readings import HISTORY, MAX_ROUND_TRIP
+from equipoise.rig.script import OBSERVED, PhaseError, Run, Setpoints, Tick, come_to_rest, script
 from equipoise.safety import rules
 from equipoise.safety.monitors import MAX_REPEATS, REPEAT_WINDOW, RepeatMonitor
 from equipoise.safety.rules import SafetyInputs
@@ -41,12 +41,11 @@ OFF_TRACK: Final = {Phase.HOMING, Phase.EXCITING}
 class RunController:
     """Controller of a run: measurements, safety rules, script, stop."""
 
-    def __init__(self, run: Run, script: Steps[End]) -> None:
+    def __init__(self, run: Run) -> None:
         """Begin a run with the first step of its script.
 
         Args:
             run: State of the run, at its begin.
-            script: The setpoints of its phases, from `equipoise.rig.script.script`.
 
         Raises:
             ArmError: Home is too close to a limit for the excitation.
@@ -55,7 +54,7 @@ class RunController:
         """State of the run."""
         self.h = run.h
         """Time between ticks [s]."""
-        self._script: Steps[End | None] = script
+        self._script = script(run)
         next(self._script)
         self._tick = Tick()
         self.end: End | None = None
@@ -80,10 +79,14 @@ class RunController:
         """
         run, h = self.run, self.h
         missed = missed_ticks(inputs.lateness, h)
+        run.missed += missed
         late = max(inputs.lateness - missed * h, 0.0)
         if paused := inputs.paused(h):
             self._rest(missed, inputs.unsent, "The control loop")
-        self._take_measurements(now, inputs)
+        run.encoder.add(inputs.samples, now)
+        rests_at_home = run.phase in (Phase.AT_HOME, Phase.REFERENCING)
+        self._tick.samples += inputs.samples
+        self._tick.joints += run.joints.add(inputs.replies, rests_at_home)
         self._take_lines(inputs.lines)
         for fault in inputs.faults:
             self.stop(fault)
@@ -131,13 +134,6 @@ class RunController:
             self.run.enter(Phase.STOPPING, "stopping", describe(end))
 
     # Inputs.
-
-    def _take_measurements(self, now: float, inputs: TickInputs) -> None:
-        run = self.run
-        run.encoder.add(inputs.samples, now)
-        self._tick.samples += inputs.samples
-        rests_at_home = run.phase in (Phase.AT_HOME, Phase.REFERENCING)
-        self._tick.joints += run.joints.add(inputs.replies, rests_at_home)
 
     def _take_lines(self, lines: Sequence[str]) -> None:
         """Accept an expected answer; other input stops, except Enter while nothing moves."""
@@ -226,14 +222,15 @@ class RunController:
         punctual = run.phase in (*MOVING, Phase.ARMED, Phase.STOPPING)
         if joints.known_since == inf or (not punctual and missed_ticks(lateness, run.h)):
             joints.known_since = now  # a late loop reads late; nothing moves meanwhile
+        unanswered = [sent for sent, _ in self._sent if sent > joints.answered + 0.001]  # [s]
         # The lateness of the loop itself is not the robot's delay.
-        self._overdue = unanswered_time(self._sent, now - lateness, joints.answered)
+        self._overdue = max(now - lateness - min(unanswered, default=inf), 0.0)
         inputs = SafetyInputs(
             # A late tick is no danger while nothing moves; the fit of a swing causes some.
             lateness=lateness if punctual else 0.0,
             overdue=self._overdue,
             measured_age=now - joints.known_since,
-            torque=joints.new_torque(),
+            torque=joints.torque,
             balancing=run.phase is Phase.BALANCING,
             phi=controller.estimate.phi if observed else 0.0,
             **run.encoder.checks(now),
@@ -241,7 +238,8 @@ class RunController:
         if joints.fresh:
             self._pose = controller.pose(joints.q)
             since = joints.time - run.safety.reaction
-            expected = setpoint_in_force(self._sent, since)
+            in_force = (q for sent, q in reversed(self._sent) if sent <= since)
+            expected = next(in_force, self._sent[0][1])
             inputs = inputs._replace(measured=joints.q, expected=expected)
         phase = run.phase if self.end is None else self._stopped
         if phase not in OFF_TRACK and self._pose is not None:

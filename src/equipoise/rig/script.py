@@ -12,7 +12,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
 from math import degrees, isfinite, nan, pi, radians, sqrt
-from typing import Any, Final, TypeAlias, TypeVar
+from typing import Any, Final, Never, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -45,6 +45,8 @@ from equipoise.settings import HANGING
 T = TypeVar("T")
 Job: TypeAlias = Callable[[], Any]
 """Work for another process: a `functools.partial` of a function and its values."""
+Submit: TypeAlias = Callable[[Job], Future[Any]]
+"""Starts a job."""
 Setpoints: TypeAlias = tuple[tuple[float, ...], ...]
 """Setpoints of a tick [rad]: now, and h / 2 later; empty while nothing is to be sent."""
 
@@ -100,16 +102,6 @@ class PhaseError(Exception):
         self.end = End(outcome, evidence)
 
 
-def run_inline(job: Job) -> "Future[Any]":
-    """Run a job at once: in virtual time it takes no time."""
-    future: Future[Any] = Future()
-    try:
-        future.set_result(job())
-    except Exception as error:  # the run stops on it
-        future.set_exception(error)
-    return future
-
-
 class Run:
     """State of a run that its phases use: measurements, motion, messages."""
 
@@ -118,7 +110,7 @@ class Run:
         request: RunRequest,
         q: Sequence[float],
         clock: Callable[[], float] = lambda: 0.0,
-        submit: Callable[[Job], "Future[Any]"] = run_inline,
+        submit: Submit | None = None,
     ) -> None:
         """Begin with an arm that rests at the measured joints.
 
@@ -126,7 +118,7 @@ class Run:
             request: The run, with the flange speed limit from the pre-flight.
             q: Measured joints, all of them [rad].
             clock: Clock for the computing time of a policy in Python [s]; the default gives zero.
-            submit: Starts a job that takes longer than a tick (default: inline).
+            submit: Starts a job that takes longer than a tick; None runs it within the tick.
 
         Raises:
             ArmError: Home is a singular posture.
@@ -136,7 +128,7 @@ class Run:
         self.clock = clock if request.policy.kernel is None else lambda: 0.0
         """Clock for the computing time of the policy [s]."""
         self.submit = submit
-        """Starts a job that takes longer than a tick."""
+        """Starts a job that takes longer than a tick; None in virtual time, where none does."""
         self.request, self.arm = request, request.settings.described_arm
         self.assume(request.actuator)
         self.h = self.params.h
@@ -150,6 +142,8 @@ class Run:
         """Number of ticks of the phase so far, without those in which the script waited."""
         self.balanced = 0
         """Number of ticks in which the policy has acted, those that were missed included."""
+        self.missed = 0
+        """Number of skipped ticks."""
         self.q, self.dq = tuple(q), (0.0,) * len(q)
         """Commanded joints at the end of the tick [rad], and their velocities [rad/s]."""
         self.lost_speed = 0.0
@@ -235,6 +229,9 @@ class Run:
 
     def work(self, job: Job, hold: Callable[[], Setpoints]) -> Steps[Any]:
         """Hold the arm while a job runs; return its result, or raise its exception."""
+        if self.submit is None:
+            yield hold()
+            return job()
         future = self.submit(job)
         yield hold()
         while not future.done():
@@ -357,12 +354,10 @@ def swing_test(run: Run) -> Steps[SelfTest]:
     """
     text = "Self-test: the arm moves by 40 mm. Keep your hands off."
     run.enter(Phase.SELF_TEST, "swing", text)
-    result, swings = None, 0
-    # Until the zero's interval is small, four times at most.
-    while result is None or (result.verdict is SelfTestVerdict.REPEAT and swings < 4):
-        result = yield from _swing_out(run, -1.0 if swings % 2 else 1.0)
-        run.notify("self-test", f"Self-test: {result.reason}.")
-        swings += 1
+    result = yield from _swing_out(run, 1.0)
+    for direction in (-1.0, 1.0, -1.0):  # until the zero's interval is small
+        if result.verdict is SelfTestVerdict.REPEAT:
+            result = yield from _swing_out(run, direction)
     if result.verdict not in (SelfTestVerdict.PASSED, SelfTestVerdict.ZERO):
         raise PhaseError(Outcome.SELF_TEST, text=result.reason)
     at_home = False
@@ -396,9 +391,11 @@ def _swing_out(run: Run, direction: float) -> Steps[SelfTest]:
     moved = np.array(pivot).reshape(-1, 2).T.copy()
     job = partial(self_test, time, angle, *moved, run.params.pendulum)
     try:
-        return (yield from run.work(job, partial(run.accelerate, 0.0)))
+        result: SelfTest = yield from run.work(job, partial(run.accelerate, 0.0))
     except Exception as error:  # the arm comes to rest, whatever failed
         raise PhaseError(Outcome.SELF_TEST, text=f"the self-test failed ({error})") from error
+    run.notify("self-test", f"Self-test: {result.reason}.")
+    return result
 
 
 def excite(run: Run, motion: Array, identify: Callable[[Array, Array], Actuator]) -> Steps[None]:
@@ -559,7 +556,7 @@ def _decide(run: Run, policy: Policy, *, first: bool) -> float:
     return u
 
 
-def come_to_rest(run: Run, sent: Sequence[TimedJoints], *, on_track: bool) -> Steps[None]:
+def come_to_rest(run: Run, sent: Sequence[TimedJoints], *, on_track: bool) -> Steps[Never]:
     """Bring the arm to rest after a stop: the ramp, at most one way back, a hold.
 
     As of `script`, the first setpoints are those before the first tick.

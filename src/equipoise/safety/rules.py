@@ -153,8 +153,6 @@ class SafetyParams(NamedTuple):
     """Maximum change of the external torque from that at rest [N m], per joint."""
     reaction: float
     """Reaction time of the arm: transport delay and response time [s]."""
-    u_max: float
-    """Largest acceleration that the policy commands [m/s^2]."""
     min_manipulability: float
     """Minimum |det J| [m^3]."""
     h: float
@@ -167,7 +165,6 @@ def make_safety_params(
     arm: Arm,
     *,
     reaction: float,
-    u_max: float,
     h: float,
     speed: float = inf,
     margin: float = POSITION_MARGIN,
@@ -179,7 +176,6 @@ def make_safety_params(
     Args:
         arm: The rig's arm, with its home posture.
         reaction: Transport delay and response time of the arm [s].
-        u_max: Largest acceleration that the policy commands [m/s^2].
         h: Time between ticks [s].
         speed: Flange speed limit [m/s]; inf for none.
         margin: Margin of setpoints inside the joints' position limits [rad].
@@ -192,7 +188,6 @@ def make_safety_params(
         limits=limits_of(arm, margin=margin, speed_fraction=speed_fraction),
         torque=tuple(torque_fraction * joint.torque for joint in arm.joints),
         reaction=reaction,
-        u_max=u_max,
         min_manipulability=SINGULAR_FRACTION * at_home,
         h=h,
         speed=speed,
@@ -241,10 +236,9 @@ def check_first(limits: Limits, q: Sequence[float], measured: Sequence[float]) -
     for values, name in ((q, "a setpoint"), (measured, "the measured posture")):
         if invalid := _invalid_numbers(limits, values, name):
             return invalid
-    for joint, (angle, measured_angle) in enumerate(zip(q, measured, strict=True), start=1):
-        distance = abs(angle - measured_angle)
-        if distance > FIRST_LIMIT:
-            return _violation(Outcome.FIRST, distance, FIRST_LIMIT, joint=joint)
+    distance, joint = largest_difference(q, measured)
+    if distance > FIRST_LIMIT:
+        return _violation(Outcome.FIRST, distance, FIRST_LIMIT, joint=joint)
     return check_setpoint(limits, q, q, q, inf)
 
 
@@ -468,7 +462,7 @@ def stopping_reach(params: SafetyParams, x: float, x_dot: float) -> float:
         x_dot: Its velocity [m/s]; at rest the outward side counts.
     """
     s = copysign(1.0, x_dot if x_dot != 0.0 else x)
-    speed, T, u_max = abs(x_dot), params.h + params.reaction, params.u_max
+    speed, T, u_max = abs(x_dot), params.h + params.reaction, paper.U_MAX
     gained = speed * T + 0.5 * u_max * T**2
     return s * x + gained + (speed + u_max * T) ** 2 / (2.0 * STOP_DECELERATION)
 

@@ -11,7 +11,6 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from equipoise import paper
 from equipoise.arm.arm import FREE_JOINTS
 from equipoise.arrays import Array, IntArray, Records, new_records, rows_of
 from equipoise.control.control_step import (
@@ -168,9 +167,7 @@ class TwinSimulation(Simulation):
         """Constants of the controller."""
         self.max_speed = min(self.max_speed, numbers.max_speed or inf)
         reaction = horizon(arm, actuator, 0.0)
-        self.safety = make_safety_params(
-            arm, reaction=reaction, u_max=paper.U_MAX, h=h, speed=self.max_speed
-        )
+        self.safety = make_safety_params(arm, reaction=reaction, h=h, speed=self.max_speed)
         """Safety limits of a trial: those of a rig."""
 
     def loop(self) -> "TwinLoop":
