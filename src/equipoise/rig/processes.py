@@ -156,9 +156,9 @@ def _drain(
         with suppress(EOFError, OSError):  # the loop's process has ended
             if series.poll():
                 end, conditions = series.recv()
-                ended(end)
                 logs.follow(recorder, time.monotonic(), end, conditions)
                 series.send(None)
+                ended(end)
 
 
 def _attend(
