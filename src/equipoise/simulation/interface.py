@@ -122,10 +122,6 @@ class CompiledLoop(ClosedLoop):
     def prepare(self, trial: Trial) -> Any:
         """Return the world with the pendulum of a trial, before its release."""
 
-    @abstractmethod
-    def time(self) -> float:
-        """Return the time since the release [s]."""
-
     def reset(self, trial: Trial) -> None:
         """Release the pendulum under the conditions of a trial."""
         self._seed[0], self._tick[0], self._number[0] = self.simulation.seed, 0, trial.number
@@ -138,7 +134,7 @@ class CompiledLoop(ClosedLoop):
         self.controller.u[0] = u
         self.KERNELS.advance_alone(self._world, self._seed, self._tick, self._number, 1)
         self._tick += 1
-        self.now, self.tracked = self.time(), float(self._batch.u_tracked[0])
+        self.now, self.tracked = float(self._batch.time[0]), float(self._batch.u_tracked[0])
         return int(self._batch.cause[0])
 
     def state(self) -> Array:
