@@ -144,17 +144,7 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
             SettingsError: The world does not exist.
             ArmError: The twin does not know the masses of the arm.
         """
-        EzPickle.__init__(
-            self,
-            world,
-            discrete=discrete,
-            reward=reward,
-            pendulum=pendulum,
-            arm=arm,
-            actuator=actuator,
-            settings=settings,
-            render_mode=render_mode,
-        )
+        EzPickle.__init__(**locals())
         response = read_actuator(actuator)
         self.task = Setup(
             read_pendulum(pendulum),
