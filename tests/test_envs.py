@@ -13,6 +13,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
+from equipoise.arm.iiwa import iiwa
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, OutsideError
 from equipoise.learning.rewards import centred
@@ -278,6 +279,17 @@ def test_more_lanes_than_one_thread_takes_are_equal_to_few():
         for one, other in zip(ours[:4], theirs[:4], strict=True):
             np.testing.assert_array_equal(one, other[-5:])  # of another thread
     many.close()
+
+
+def test_lanes_give_the_time_of_a_stop_within_a_tick():
+    arm = iiwa(7)
+    slow = [joint.model_copy(update={"velocity": 0.05 * joint.velocity}) for joint in arm.joints]
+    arm = arm.model_copy(update={"joints": tuple(slow)})
+    ours, theirs = alike("twin:nominal", 2, AutoresetMode.NEXT_STEP, arm=arm)
+    for _ in range(3):
+        results = ours.step(np.full((2, 1), 2.0)), theirs.step(np.full((2, 1), 2.0))
+        assert_same(results[0][4], results[1][4])
+    assert results[0][4]["time"].tolist() == [0.025, 0.025]
 
 
 def test_lanes_swing_up_and_take_discrete_actions_and_own_rewards_as_single_ones_do():

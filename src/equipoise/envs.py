@@ -144,17 +144,7 @@ class BalanceEnv(gym.Env[Array, Any], EzPickle):
             SettingsError: The world does not exist.
             ArmError: The twin does not know the masses of the arm.
         """
-        EzPickle.__init__(
-            self,
-            world,
-            discrete=discrete,
-            reward=reward,
-            pendulum=pendulum,
-            arm=arm,
-            actuator=actuator,
-            settings=settings,
-            render_mode=render_mode,
-        )
+        EzPickle.__init__(**locals())
         response = read_actuator(actuator)
         self.task = Setup(
             read_pendulum(pendulum),
@@ -308,7 +298,7 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, npt.NDArray[Any]]):
         self.metadata = {**self.metadata, "autoreset_mode": autoreset_mode}
         reward, own = compile_reward(env.reward), env.reward in rewards.REWARDS.values()
         self._lanes = Lanes(env.simulation, num_envs, reward, own)
-        self._h, self._max_steps = env.task.h, max_episode_steps
+        self._max_steps = max_episode_steps
         self._all, self._over = np.ones(num_envs, np.bool_), None
 
     @checked
@@ -368,9 +358,9 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, npt.NDArray[Any]]):
 
     def _info(self, values: Records, rows: Flags) -> dict[str, Any]:
         """Return the info of some rows, in the form of Gymnasium."""
-        time, outcome = values["tick"] * self._h, OUTCOMES.take(values["cause"])
-        masks = {"_time": rows, "_state": rows, "_outcome": rows}
-        return {"time": time, "state": values["state"], "outcome": outcome, **masks}
+        info = {"time": values["time"], "state": values["state"]}
+        info["outcome"] = OUTCOMES.take(values["cause"])
+        return info | {f"_{name}": rows for name in info}
 
 
 def accelerations(actions: Any, space: gym.Space[Any]) -> Array:

@@ -320,12 +320,25 @@ simulation. One search there chose the numbers of the learning that the paper le
 
 
 def changed(settings: Settings, changes: Mapping[str, Any]) -> Settings:
-    """Return settings with other values of some of them, by their full names; None changes none."""
+    """Return settings with other values of some of them, by their full names; None changes none.
+
+    Raises:
+        SettingsError: A name is unknown.
+        ValidationError: A value is invalid.
+    """
     tree = settings.model_dump()
+    known = ", ".join(tree)
+    key_of = {f"{section}.{key}": key for section, fields in tree.items() for key in fields}
     for name, value in changes.items():
+        section, _, key = name.partition(".")
+        if name not in key_of:
+            close = [] if name in tree else get_close_matches(key or name, key_of.values(), n=1)
+            near = [similar for similar in key_of if key_of[similar] in close]
+            remedy = f"did you mean {' or '.join(near)}?" if near else f"sections: {known}"
+            raise SettingsError(f"there is no setting {quoted(name)}; {remedy}")
         if value is not None:
-            _put(tree, name, value)
-    return Settings.model_validate(tree)
+            tree[section][key] = value
+    return Settings.read(tree)
 
 
 def resolve(
@@ -349,26 +362,22 @@ def resolve(
     """
     if str(recipe) not in RECIPES:
         raise SettingsError(f"there is no recipe {recipe!r}; choose one of {', '.join(RECIPES)}")
-    # `model_dump` would omit some fields.
-    tree: dict[str, dict[str, Any]] = {name: dict(section) for name, section in Settings()}
-    differences = [*RECIPES[recipe].items()]
+    changes = dict(RECIPES[recipe])
     if file is not None:
         for section, fields in read_toml(Path(file), "the settings").items():
             if isinstance(fields, dict):
-                differences += [(f"{section}.{key}", value) for key, value in fields.items()]
+                changes |= {f"{section}.{key}": value for key, value in fields.items()}
             else:
-                differences.append((section, fields))
-    for name, value in differences:
-        _put(tree, name, value)
+                changes[section] = fields
     for override in overrides:
         name, sign, text = str(override).partition("=")
         if not sign:
             raise SettingsError(
                 f"{quoted(override)} is no setting; expected NAME=VALUE, e.g. learning.gamma=0.98"
             )
-        _put(tree, name.strip(), _toml_value(text.strip()))
+        changes[name.strip()] = _toml_value(text.strip())
     try:
-        return Settings.read(tree)
+        return changed(Settings(), changes)
     except ValidationError as error:
         raise SettingsError(f"setting {first_fault(error)}") from None
 
@@ -395,17 +404,6 @@ def _differences(settings: Settings, recipe: Settings) -> Iterator[str]:
             for key, value in values:
                 if value != getattr(getattr(recipe, section), key):
                     yield f"{section}.{key} = {value}"
-
-
-def _put(tree: dict[str, dict[str, Any]], name: str, value: Any) -> None:
-    section, _, key = name.partition(".")
-    if key not in tree.get(section, {}):
-        keys = {f"{part}.{option}": option for part, fields in tree.items() for option in fields}
-        close = [] if name in tree else get_close_matches(key or name, keys.values(), n=1)
-        near = [full_name for full_name, option in keys.items() if option in close]
-        remedy = f"did you mean {' or '.join(near)}?" if near else f"sections: {', '.join(tree)}"
-        raise SettingsError(f"there is no setting {quoted(name)}; {remedy}")
-    tree[section][key] = value
 
 
 def read_toml(path: Path, kind: str) -> dict[str, Any]:

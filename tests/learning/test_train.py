@@ -8,7 +8,7 @@ from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, SettingsError
 from equipoise.files import Estimate
 from equipoise.learning import train as train_module
-from equipoise.learning.episodes import Training
+from equipoise.learning.episodes import learn
 from equipoise.learning.train import check_task, measure_survival, train, train_to_target
 from equipoise.model.actuator import shipped_actuator
 from equipoise.settings import resolve
@@ -94,11 +94,11 @@ def test_the_candidate_with_the_best_score_is_the_policy(pendulum, policies):
     assert best.score >= others[0].score
     # The table of the policy is the running average when that candidate was taken.
     setup = Setup(pendulum, ARM, settings(), shipped_actuator(), 0.01)
-    training, average = Training(setup, "model", 5), np.zeros((270, 8))
-    selection = setup.settings.selection
-    for taken in range(1, best.episodes // selection.every + 1):
-        training.run(taken * selection.every)
-        average += max(selection.averaging, 1.0 / taken) * (training.tables.Q - average)
+    average, selection = np.zeros((270, 8)), setup.settings.selection
+    for taken, (point, tables) in enumerate(learn(setup, "model", 5, selection.every), 1):
+        average += max(selection.averaging, 1.0 / taken) * (tables.Q - average)
+        if point.episodes == best.episodes:
+            break
     np.testing.assert_allclose(policy.table, average, rtol=0.0, atol=1e-12)
 
 

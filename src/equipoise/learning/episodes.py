@@ -10,6 +10,7 @@ The learning rule is in `equipoise.learning.q_learning`, the rewards in
 """
 
 import functools
+from collections.abc import Generator
 from math import inf
 from typing import Annotated, Any, NamedTuple, Protocol
 
@@ -30,17 +31,8 @@ from equipoise.learning.q_learning import (
     epsilon_greedy,
     new_tables,
 )
+from equipoise.model import random
 from equipoise.model.grid import TRUNCATED, Grid, make_grid
-from equipoise.model.random import (
-    TRAINING_ACTION,
-    TRAINING_ACTUATOR,
-    TRAINING_EPISODE,
-    TRAINING_NOISE,
-    TRAINING_START,
-    normal_pair,
-    philox,
-    uniform,
-)
 from equipoise.model.worlds import MODEL
 from equipoise.settings import Settings
 from equipoise.simulation import ClosedLoop, Setup, predicted, simulate
@@ -145,35 +137,26 @@ def new_training_state(boxes: int, tables: int = 0) -> TrainingState:
 
 
 @inlined
-def exploration(episode: int, config: TrainingConfig) -> float:
-    """Return the probability of a random action in an episode."""
-    if config.epsilon_until <= 0.0:
-        return config.epsilon_initial
-    done = episode / (config.epsilon_until * config.episodes)
-    return config.epsilon_initial * max(0.0, 1.0 - done)
-
-
-@inlined
 def draw_episode(config: TrainingConfig, episode: int) -> Trial:
     """Return the conditions of an episode."""
     seed, spread = config.seed, config.spread
-    w0, w1, w2, w3 = philox(seed, 0, episode, 0, TRAINING_EPISODE)
-    inertia_noise, friction_noise = normal_pair(w0, w1)
-    w0, w1, w2, w3 = philox(seed, 0, episode, 0, TRAINING_ACTUATOR)
+    w0, w1, w2, w3 = random.philox(seed, 0, episode, 0, random.TRAINING_EPISODE)
+    inertia_noise, friction_noise = random.normal_pair(w0, w1)
+    w0, w1, w2, w3 = random.philox(seed, 0, episode, 0, random.TRAINING_ACTUATOR)
     variation = DomainRandomization(
         1.0 + spread.inertia_factor * inertia_noise,
         1.0 + spread.friction_factor * friction_noise,
-        uniform(w0, -spread.delay, spread.delay),
-        uniform(w1, 1.0 - spread.lag_factor, 1.0 + spread.lag_factor),
-        uniform(w2, -spread.zero, spread.zero),
+        random.uniform(w0, -spread.delay, spread.delay),
+        random.uniform(w1, 1.0 - spread.lag_factor, 1.0 + spread.lag_factor),
+        random.uniform(w2, -spread.zero, spread.zero),
     )
-    w0, w1, w2, w3 = philox(seed, 0, episode, 0, TRAINING_START)
+    w0, w1, w2, w3 = random.philox(seed, 0, episode, 0, random.TRAINING_START)
     x, x_dot, phi, phi_dot = config.start
     start = (
-        uniform(w0, -x, x),
-        uniform(w1, -x_dot, x_dot),
-        uniform(w2, -phi, phi),
-        uniform(w3, -phi_dot, phi_dot),
+        random.uniform(w0, -x, x),
+        random.uniform(w1, -x_dot, x_dot),
+        random.uniform(w2, -phi, phi),
+        random.uniform(w3, -phi_dot, phi_dot),
     )
     return Trial(episode, start, variation)
 
@@ -188,7 +171,7 @@ def release_on_plant(plant: LoopParams, batch: BatchState, trial: Trial, n: int)
 def step_on_plant(plant: LoopParams, config: TrainingConfig, running: Episodes, lanes: int) -> None:
     """Advance the episodes of the first lanes on the compiled plant."""
     noise, tick, episode = running.batch.controller.noise, running.tick, running.episode
-    draw_noise(noise, config.seed, tick, episode, TRAINING_NOISE, lanes)
+    draw_noise(noise, config.seed, tick, episode, random.TRAINING_NOISE, lanes)
     call(plant.step, (plant, running.batch, lanes))
 
 
@@ -240,7 +223,9 @@ def episode_loop(update: Kernel, reward: Kernel, release: Kernel, advance: Kerne
         def begin(n: int) -> None:
             release(world, batch, draw_episode(config, totals.begun), n)
             box[n] = box_of(seen, config.boxes, n)
-            epsilon[n] = exploration(totals.begun, config)
+            falls = config.epsilon_until * config.episodes
+            done = min(totals.begun / falls, 1.0) if falls > 0.0 else 0.0
+            epsilon[n] = config.epsilon_initial * (1.0 - done)
             episode[n], tick[n] = totals.begun, 0
             totals.begun += 1
 
@@ -249,10 +234,10 @@ def episode_loop(update: Kernel, reward: Kernel, release: Kernel, advance: Kerne
             lanes += 1
         while totals.ended < until and lanes > 0:
             for n in range(lanes):
-                w0, w1, w2, _ = philox(seed, tick[n], episode[n], 0, TRAINING_ACTION)
-                explore, choice = uniform(w0, 0.0, 1.0), uniform(w1, 0.0, 1.0)
+                w0, w1, w2, _ = random.philox(seed, tick[n], episode[n], 0, random.TRAINING_ACTION)
+                explore, choice = random.uniform(w0, 0.0, 1.0), random.uniform(w1, 0.0, 1.0)
                 action[n] = epsilon_greedy(tables.Q, box[n], epsilon[n], explore, choice)
-                u[n], chance[n] = config.actions[action[n]], uniform(w2, 0.0, 1.0)
+                u[n], chance[n] = config.actions[action[n]], random.uniform(w2, 0.0, 1.0)
             for n in range(BATCH_SIZE):
                 before.x[n], before.x_dot[n] = seen.x[n], seen.x_dot[n]
                 before.phi[n], before.phi_dot[n] = seen.phi[n], seen.phi_dot[n]
@@ -284,60 +269,55 @@ def episode_loop(update: Kernel, reward: Kernel, release: Kernel, advance: Kerne
     return train_episodes
 
 
-class Training:
-    """Episodes of one algorithm in a world."""
+def learn(
+    setup: Setup, world: str, seed: int, every: int
+) -> Generator[tuple[LearningPoint, Tables]]:
+    """Train tables of zeros, and yield them again and again on the way.
 
-    def __init__(self, setup: Setup, world: str, seed: int) -> None:
-        """Begin with tables of zeros.
+    Args:
+        setup: Pendulum, arm and controller; resolved settings.
+        world: `model`, the compiled plant, or any other world.
+        seed: Master seed.
+        every: Minimum number of episodes between two yields.
 
-        Args:
-            setup: Pendulum, arm and controller; resolved settings.
-            world: `model`, the compiled plant, or any other world.
-            seed: Master seed.
+    Yields:
+        Point of the learning curve, and the tables, which the next episodes change.
 
-        Raises:
-            InputError: A user's function has another type or cannot be compiled.
-            SettingsError: The world does not exist.
-        """
-        self._settings = setup.settings
-        algorithm = load_algorithm(setup.settings.learning)
-        update, reward, cached = compile_functions(setup.settings.learning)
-        self._config = training_config(setup.settings, setup.pendulum.parameters().k, seed)
-        self._state = new_training_state(setup.settings.boxes.count, algorithm.tables)
-        self.tables = self._state.tables
-        """The tables."""
-        self.totals: Totals = self._state.totals[0]
-        """Progress."""
-        if world == MODEL:
-            plant = PlantSimulation(MODEL, setup, seed=seed, stream=TRAINING_NOISE)
-            # The boxes do not resolve speeds below the limit; selection finds tables that keep it.
-            self._world: Any = plant.params._replace(max_speed=inf)
-            self._train_episodes = compiled_loop(update, reward, cached)
-        else:
-            self._world = simulate(world, setup, seed=seed, stream=TRAINING_NOISE).loop()
-            self._train_episodes = episode_loop(update, reward, release_in_world, step_in_world)
-        self._batch_size = BATCH_SIZE if world == MODEL else 1
-
-    def run(self, until: int) -> LearningPoint:
-        """Train until a number of episodes have ended, and return the point of the curve.
-
-        Raises:
-            InputError: A user's function raised an error, or a value is not finite.
-        """
-        totals, learning = self.totals, self._settings.learning
+    Raises:
+        InputError: A user's function has another type, cannot be compiled or raised an error, or a
+            value is not finite.
+        SettingsError: The world does not exist.
+    """
+    settings, learning = setup.settings, setup.settings.learning
+    update, reward, cached = compile_functions(learning)
+    config = training_config(settings, setup.pendulum.parameters().k, seed)
+    training = new_training_state(settings.boxes.count, load_algorithm(learning).tables)
+    tables, totals = training.tables, training.totals[0]
+    if world == MODEL:
+        plant = PlantSimulation(MODEL, setup, seed=seed, stream=random.TRAINING_NOISE)
+        # The boxes do not resolve speeds below the limit; selection finds tables that keep it.
+        lanes: Any = plant.params._replace(max_speed=inf)
+        train_episodes, batch_size = compiled_loop(update, reward, cached), BATCH_SIZE
+    else:
+        lanes = simulate(world, setup, seed=seed, stream=random.TRAINING_NOISE).loop()
+        train_episodes = episode_loop(update, reward, release_in_world, step_in_world)
+        batch_size = 1
+    while totals.ended < learning.episodes:
         ended, ended_steps = int(totals.ended), int(totals.ended_steps)
+        until = min(ended + every, learning.episodes)
         with user_code(f"the algorithm {learning.algorithm} or the reward {learning.reward}"):
-            self._train_episodes(self._world, self._config, self._state, until, self._batch_size)
-        if not np.isfinite(self.tables.Q).all():
+            train_episodes(lanes, config, training, until, batch_size)
+        if not np.isfinite(tables.Q).all():
             raise InputError(
                 f"the table holds a value that is not finite after {totals.ended} episodes with "
                 f"the algorithm {learning.algorithm} and the reward {learning.reward}; bound the "
                 "reward, or lower the learning rate"
             )
         duration = paper.STEP * (totals.ended_steps - ended_steps) / (totals.ended - ended)
-        return LearningPoint(
+        point = LearningPoint(
             episodes=int(totals.ended), steps=int(totals.steps), duration=float(duration)
         )
+        yield point, tables
 
 
 @functools.cache

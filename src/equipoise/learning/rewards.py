@@ -32,8 +32,6 @@ def centred(state: "Observation", u: float, next_state: "Observation", failed: b
 
 
 REWARDS: Final[Mapping[str, Callable[["Observation", float, "Observation", bool], float]]] = {
-    "failure": failure,
-    "alive": alive,
-    "centred": centred,
+    reward.__name__: reward for reward in (failure, alive, centred)
 }
 """Rewards of the project by name, for `equipoise train --reward NAME`."""

@@ -35,7 +35,8 @@ from equipoise.errors import InputError
 from equipoise.executors import Show, completed, counted
 from equipoise.files import Fraction, Seed, StrPath
 from equipoise.learning.choice import with_digests
-from equipoise.learning.episodes import Training
+from equipoise.learning.episodes import learn
+from equipoise.learning.q_learning import new_tables
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, read_actuator, shipped_actuator
 from equipoise.model.grid import TRUNCATED, greedy_accelerations, make_grid
 from equipoise.model.pendulum import Pendulum, read_pendulum
@@ -101,35 +102,33 @@ def train(
     settings = settings.model_copy(update={"learning": with_digests(settings.learning)})
     selection, episodes = settings.selection, settings.learning.episodes
     setup = Setup(pendulum, arm, settings, response, paper.STEP)
-    training = Training(setup, world, seed)
-    Q = training.tables.Q
-    average, candidates = np.zeros_like(Q), list[tuple[int, Array]]()
+    tables, candidates = new_tables(settings.boxes.count, 0), list[tuple[int, Array]]()
+    average = tables.Q
     every = selection.every or max(1, episodes // 50)  # points of a curve without candidates
     curve: list[LearningPoint] = []
-    while (ended := int(training.totals.ended)) < episodes:
-        point = training.run(min(ended + every, episodes))
+    for point, tables in learn(setup, world, seed, every):
         curve.append(point)
-        average += max(selection.averaging, 1.0 / len(curve)) * (Q - average)
+        average = average + max(selection.averaging, 1.0 / len(curve)) * (tables.Q - average)
         if selection.every and point.episodes > (1.0 - selection.late) * episodes:
-            candidates.append((point.episodes, average.copy()))
+            candidates.append((point.episodes, average))
         show("train", point.episodes / episodes, f"mean episode: {point.duration:.1f} s")
     policies = [(n, greedy_accelerations(table)) for n, table in candidates]
     done = counted("select", selection.trials * len(policies), show)
     results = score_tables(setup, policies, seed=seed, workers=workers, done=done)
     order = sorted(range(len(results)), key=lambda i: -results[i].score)
-    chosen = candidates[order[0]][1] if order else Q
+    chosen = candidates[order[0]][1] if order else tables.Q
     return TabularPolicy(
         actions=paper.ACTIONS,
         Q=tuple(tuple(row) for row in chosen.tolist()),
-        visits=tuple(tuple(row) for row in training.tables.visits.tolist()),
+        visits=tuple(tuple(row) for row in tables.visits.tolist()),
         h=paper.STEP,
         pendulum=pendulum,
         arm=arm,
         actuator=response,
         settings=settings,
         seed=seed,
-        episodes=int(training.totals.ended),
-        steps=int(training.totals.steps),
+        episodes=curve[-1].episodes,
+        steps=curve[-1].steps,
         learning_curve=tuple(curve),
         checkpoints=tuple(results[i] for i in order),
     )

@@ -12,24 +12,15 @@ from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import SettingsError
 from equipoise.jit import call, inlined
 from equipoise.model.worlds import IDEAL, MODEL, World
+from equipoise.simulation import plant
 from equipoise.simulation.interface import CompiledLoop, Setup, Simulation
-from equipoise.simulation.plant import (
-    BatchState,
-    LoopParams,
-    Trial,
-    draw_uniform,
-    make_loop_params,
-    measure,
-    scaled,
-    to_normal,
-)
 from equipoise.simulation.trials import kernels_of
 
 
 class PlantWorld(NamedTuple):
     """The plant as a world of compiled trials."""
 
-    plant: LoopParams
+    plant: plant.LoopParams
     """Constants of the closed loop."""
     states: Records
     """`BatchState`."""
@@ -46,12 +37,13 @@ class PlantWorld(NamedTuple):
 
 
 @inlined
-def place(world: PlantWorld, trial: Trial, n: int) -> None:
+def place(world: PlantWorld, trial: plant.Trial, n: int) -> None:
     """Place lane `n` at the start of a trial, see `plant.reset`, and measure."""
     batch = world.states[0]
     call(world.plant.reset, (world.plant, batch, trial, n))
+    batch.time[n] = 0.0
     if world.plant.controller.has_sensor:
-        measure(world.plant.controller, batch)
+        plant.measure(world.plant.controller, batch)
 
 
 @inlined
@@ -70,9 +62,11 @@ def advance(
     batch = world.states[0]
     noise = batch.controller.noise
     for n in range(lanes):
-        draw_uniform(noise, seed[n], tick[n], number[n], world.stream, n)
-    to_normal(noise, lanes)
+        plant.draw_uniform(noise, seed[n], tick[n], number[n], world.stream, n)
+    plant.to_normal(noise, lanes)
     call(world.plant.step, (world.plant, batch, lanes))
+    for n in range(lanes):
+        batch.time[n] = (tick[n] + 1) * world.plant.controller.h
 
 
 class PlantSimulation(Simulation):
@@ -92,7 +86,7 @@ class PlantSimulation(Simulation):
             raise SettingsError(f"there is no world {world}; choose {IDEAL} or {MODEL}")
         super().__init__(world, setup, seed=seed, stream=stream)
         arm, settings = setup.arm, setup.settings
-        self.params = make_loop_params(arm, settings, setup.h, self.pendulum, setup.actuator)
+        self.params = plant.make_loop_params(arm, settings, setup.h, self.pendulum, setup.actuator)
         """Constants of the closed loop."""
 
     def loop(self) -> "PlantLoop":
@@ -113,21 +107,17 @@ class PlantLoop(CompiledLoop):
 
     def __init__(self, simulation: PlantSimulation) -> None:
         """Allocate the state."""
-        params, states = simulation.params, new_records(BatchState)
+        params, states = simulation.params, new_records(plant.BatchState)
         law = make_swing_up(params.controller, simulation.max_speed)
         world = PlantWorld(params, states, rows_of(states, BATCH_SIZE), law, 0, 0)
         super().__init__(simulation, params.controller, world)
 
-    def prepare(self, trial: Trial) -> PlantWorld:
+    def prepare(self, trial: plant.Trial) -> PlantWorld:
         """Return the world, before the release of a trial."""
         simulation = self.simulation
-        self.pendulum = scaled(simulation.pendulum, trial.variation)
+        self.pendulum = plant.scaled(simulation.pendulum, trial.variation)
         self.zero = trial.variation.zero if self.params.has_sensor else None
         return self._world._replace(seed=simulation.seed, stream=simulation.stream)
-
-    def time(self) -> float:
-        """Return the time since the release [s]."""
-        return float(self._tick[0]) * self.params.h
 
     def joints(self) -> Array:
         """Return the true positions of all joints [rad], shape (n,)."""

@@ -121,10 +121,6 @@ class CompiledLoop(ClosedLoop):
     def prepare(self, trial: Trial) -> Any:
         """Return the world with the pendulum of a trial, before its release."""
 
-    @abstractmethod
-    def time(self) -> float:
-        """Return the time since the release [s]."""
-
     def reset(self, trial: Trial) -> None:
         """Release the pendulum under the conditions of a trial."""
         self._seed[0], self._tick[0], self._number[0] = self.simulation.seed, 0, trial.number
@@ -137,7 +133,7 @@ class CompiledLoop(ClosedLoop):
         self.controller.u[0] = u
         self.KERNELS.advance_alone(self._world, self._seed, self._tick, self._number, 1)
         self._tick += 1
-        self.now, self.tracked = self.time(), float(self._batch.u_tracked[0])
+        self.now, self.tracked = float(self._batch.time[0]), float(self._batch.u_tracked[0])
         return int(self._batch.cause[0])
 
     def state(self) -> Array:
@@ -216,7 +212,7 @@ class Simulation(ABC):
             loop = self.loop()
         for part in trials.parts(self.PIECE):
             world = loop.prepare(part.trial(0))
-            if self._hanging:
+            if self._swings_up(policy):
                 world = world._replace(swing_up=compiled_for(world.swing_up, policy))
             loop.KERNELS.run_trials(world, policy, part, round(duration / self.setup.h))
         self._idle.append(loop)
@@ -245,7 +241,7 @@ class Simulation(ABC):
             InputError: No swing-up can be, or end with the policy; or an executor is given for
                 trials that run from Python.
         """
-        self._check_start(policy)
+        self._swings_up(policy.kernel)
         kernel, count = policy.kernel, len(trials.number)
         if kernel is None or not self.PIECE:
             if not isinstance(workers, int):
@@ -282,29 +278,23 @@ class Simulation(ABC):
             InputError: A swing-up cannot end with this policy.
             SettingsError: The pendulum is linearised.
         """
-        self._check_start(policy)
-        if self._hanging and policy.kernel is not None:
+        if self._swings_up(policy.kernel) and policy.kernel is not None:
             return SwingUpPolicy(policy.kernel, make_swing_up(loop.params, self.max_speed))
         return tick_policy(policy)
 
-    @property
-    def _hanging(self) -> bool:
-        """Whether trials begin with a hanging pendulum."""
-        return self.setup.settings.evaluation.start == HANGING
-
-    def _check_start(self, policy: TaskPolicy | KernelPolicy) -> None:
-        """Refuse a swing-up that cannot be, or cannot end."""
-        if not self._hanging:
-            return
-        if not isinstance(policy, KernelPolicy) and policy.kernel is None:
+    def _swings_up(self, policy: PolicyKernel | None) -> bool:
+        """Return whether trials begin hanging; refuse a swing-up that cannot be, or cannot end."""
+        hanging = self.setup.settings.evaluation.start == HANGING
+        if hanging and policy is None:
             raise InputError(
-                f"no swing-up can end with {policy.name}: it simulates the policy in each tick, "
-                "expected a table, lqr or lqr-snapped; take one of those, or start by hand"
+                "no swing-up can end with a policy in Python: it simulates the policy in each "
+                "tick, expected a table, lqr or lqr-snapped; take one of those, or start by hand"
             )
-        if self.setup.settings.plant.linearised:
+        if hanging and self.setup.settings.plant.linearised:
             raise SettingsError(
                 "plant.linearised is true, and a linearised pendulum does not hang; start by hand"
             )
+        return hanging
 
 
 @functools.lru_cache(maxsize=8)

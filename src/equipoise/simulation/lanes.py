@@ -39,6 +39,8 @@ class Lane(Protocol):
     """Number of the episode."""
     tick: int
     """Number of its steps."""
+    time: float
+    """Time since the release [s]."""
     upright: int
     """Number of ticks within the failure angle, after a hanging start."""
     observation: Annotated[Array, (4,)]
@@ -121,6 +123,7 @@ def compiled_lanes(
                 read(batch, lane, n)
 
     def read(batch: Any, lane: Any, n: int) -> None:
+        lane.time = batch.time[n]
         for i in range(4):
             lane.observation[i] = observed(batch.controller.observation, n)[i]
             lane.state[i] = observed(batch.state, n)[i]

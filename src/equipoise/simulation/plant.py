@@ -133,6 +133,8 @@ class BatchState(Protocol):
     """Parameters of the pendulums."""
     state: Observed
     """True states."""
+    time: Annotated[Array, LANES]
+    """Time since the release [s]; a rule may end a trial within a tick."""
     pivot_v: Annotated[Array, LANES]
     """Velocity of the pivot along x before the step [m/s]."""
     u_tracked: Annotated[Array, LANES]

@@ -25,19 +25,6 @@ STIFFNESS: Final = 200.0
 level."""
 TONES: Final = 8
 """Number of sines in a tremor."""
-RANGES: Final = {
-    "tremor frequency": (4.0, 10.0),  # [Hz]
-    "tremor": (radians(0.05), radians(0.3)),  # root mean square [rad]
-    "drift frequency": (0.05, 0.3),  # [Hz]
-    "drift": (radians(0.1), radians(1.0)),  # amplitude [rad]
-    "lifting": (1.5, 3.0),  # time from hanging to upright [s]
-    "holding": (2.0, 20.0),  # time upright [s]
-    "opening": (0.005, 0.030),  # time of the fingers [s]
-    "dragging": (0.05, 0.4),  # that of dragging fingers [s]
-    # Change of rate [rad/s]; after the largest, 40/8.4 deg ahead, the pendulum could be caught.
-    "push": (radians(5.0), radians(40.0)),
-}
-"""Minimum and maximum of what `draw_hand_params` draws."""
 PUSH_TIME: Final = 0.05
 """Duration of a push [s]."""
 
@@ -73,17 +60,18 @@ def draw_hand_params(
         side: Side of the lift (default: drawn).
         clumsy: Probability of a push or a drag at the release.
     """
-    size, weights = random.uniform(*RANGES["tremor"]), random.uniform(0.5, 1.0, TONES)
+    size = random.uniform(radians(0.05), radians(0.3))  # root mean square [rad]
+    weights = random.uniform(0.5, 1.0, TONES)
     tremor = size * (weights / np.linalg.norm(weights)) * sqrt(2.0)
-    drift = random.uniform(*RANGES["drift"]) * np.array([0.6, 0.4])
+    drift = random.uniform(radians(0.1), radians(1.0)) * np.array([0.6, 0.4])
     drawn: Side = "front" if random.random() < 0.5 else "back"
     kind = random.random()
     pushes, drags = kind < 0.5 * clumsy, 0.5 * clumsy <= kind < clumsy
-    opening = random.uniform(*RANGES["dragging" if drags else "opening"])
-    push = random.uniform(*RANGES["push"]) * (1.0 if random.random() < 0.5 else -1.0)
-    lifting, holding = random.uniform(*RANGES["lifting"]), random.uniform(*RANGES["holding"])
-    tones = random.uniform(*RANGES["tremor frequency"], TONES)
-    slow = random.uniform(*RANGES["drift frequency"], 2)
+    opening = random.uniform(0.05, 0.4) if drags else random.uniform(0.005, 0.030)
+    # After the largest push, 40/8.4 deg ahead, the pendulum could be caught.
+    push = random.uniform(radians(5.0), radians(40.0)) * (1.0 if random.random() < 0.5 else -1.0)
+    lifting, holding = random.uniform(1.5, 3.0), random.uniform(2.0, 20.0)
+    tones, slow = random.uniform(4.0, 10.0, TONES), random.uniform(0.05, 0.3, 2)  # [Hz]
     return HandParams(
         side=side or drawn,
         lifting=lifting,

@@ -51,7 +51,7 @@ class TwinWorld(NamedTuple):
     params: ControllerParams
     """Constants of the controller."""
     states: Records
-    """`BatchState`, of which the twin uses controller, swing-up, state and cause."""
+    """`BatchState`, of which the twin uses controller, swing-up, state, time and cause."""
     rows: IntArray
     """Its rows of lanes, from `rows_of`."""
     q: Array
@@ -92,6 +92,7 @@ def release(world: TwinWorld, trial: Trial, n: int) -> None:
 def _read_truth(world: TwinWorld) -> None:
     real, batch = truth(world.twins[0], world.arrays[0]), world.states[0]
     state = batch.state
+    batch.time[0] = world.twins[0].now * TICK
     batch.u_tracked[0] = (real.x_dot - state.x_dot[0]) / world.params.h
     state.x[0], state.x_dot[0], state.phi[0], state.phi_dot[0] = real
     state.phi[0] = wrapped(state.phi[0])
@@ -199,10 +200,6 @@ class TwinLoop(CompiledLoop):
         self._twin.set_trial(self.pendulum, simulation.seed, trial.number)
         self.zero = float(self._twin.state.zero)
         return self._world._replace(seed=simulation.seed, stream=simulation.stream)
-
-    def time(self) -> float:
-        """Return the time since the release [s]; a rule may end a trial within a tick."""
-        return self._twin.now
 
     def push(self, rate: float) -> None:
         """Push the pendulum, which changes its rate [rad/s]."""
