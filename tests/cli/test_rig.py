@@ -45,11 +45,10 @@ def test_an_arm_that_fits_no_policy_leads_to_a_training_for_it(equipoise, pendul
     worst = tuple(tuple(-value for value in row) for row in shipped.Q)
     new = {"pendulum": pendulum, "actuator": slow, "Q": worst}
     shipped.model_copy(update=new).save(tmp_path / "slow.json", command="test")
-    pendulum.save(tmp_path / "my-pendulum.json", command="test")
     options = ("--arm", "iiwa7", "--identify")
     ran = equipoise("deploy", "slow.json", "--robot", "twin:nominal", *options)
     assert "arm not identified" in ran.out, ran
-    then = "train my-pendulum.json --arm iiwa7 --actuator run-actuator.json"
+    then = "train PENDULUM --arm iiwa7 --actuator run-actuator.json"
     assert ran.out.endswith(f"next: equipoise {then}\n")
 
 

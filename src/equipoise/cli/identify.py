@@ -64,13 +64,8 @@ def identify(
         length = eq.Estimate.normal(fit.length, fit.length_uncertainty, "given")
     elif fit.mass is not None or fit.length is not None:
         raise InputError("I and b need both --mass and --length; give the other one too")
-    recorded = eq.read_swing(
-        recording,
-        counts_per_rev=fit.counts_per_rev,
-        from_upright=fit.from_upright,
-        start=fit.start,
-        end=fit.end,
-    )
+    part = fit.model_dump(include={"start", "end", "counts_per_rev", "from_upright"})
+    recorded = eq.read_swing(recording, **part)
     out = files.file(output, "pendulum.json", recording, beside=(".svg", ".png"))
     with output.busy(f"fitting {len(recorded.time):,} samples") as show:
         pendulum = eq.identify(recorded, settings.identification, mass, length, show)
@@ -98,7 +93,7 @@ def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:
     with output.busy(f"fitting {len(run.replies.time):,} measured postures"):
         actuator = eq.identify_run(run)
     actuator.save(out, command="identify", inputs={"run": run.digest})
-    pendulum = opt.file_of(run.conditions.pendulum_digest, eq.shipped_pendulum())
+    pendulum = opt.name_of_file(run.conditions.pendulum_digest, eq.shipped_pendulum())
     output.result(
         actuator,
         warnings=list(filter(None, [run.damage])),
@@ -127,8 +122,8 @@ def refine(output: Output, policy: Path, runs: list[Path], *, files: opt.Files) 
         findings = inspect(table, *logs)
     inputs = {f"run {number}": log.digest for number, log in enumerate(logs, start=1)}
     inputs["policy"] = table.digest
-    pendulum = opt.file_of(table.pendulum.digest, eq.shipped_pendulum())
-    actuator = opt.file_of(table.actuator.digest, eq.shipped_actuator())
+    pendulum = opt.name_of_file(table.pendulum.digest, eq.shipped_pendulum())
+    actuator = opt.name_of_file(table.actuator.digest, eq.shipped_actuator())
     paths: dict[str, Any] = {}
     if findings.pendulum.digest != table.pendulum.digest:
         paths["pendulum"] = pendulum = out
