@@ -345,17 +345,17 @@ def temporary_name(path: Path) -> Path:
 
 @contextmanager
 def reserved(paths: Iterable[Path], *, replace: bool = False) -> Generator[None]:
-    """Reserve the names of files, so that no other process writes them.
+    """Reserve the names of files and folders, so that no other process writes them.
 
     A reservation is a lock on a hidden file beside, which the system releases when the process ends
     in any way.
 
     Args:
-        paths: The files; missing folders are created.
-        replace: Whether existing files are accepted.
+        paths: Their paths; missing folders above are created.
+        replace: Whether existing files are accepted, and folders that have some.
 
     Raises:
-        FileExistsError: A file exists, or another process writes it.
+        FileExistsError: A file exists, a folder has one, or another process writes it.
         OSError: A folder cannot be written.
     """
     with ExitStack() as locks:
@@ -366,7 +366,8 @@ def reserved(paths: Iterable[Path], *, replace: bool = False) -> Generator[None]
             free = lock(file) and os.fstat(file.fileno()).st_nlink > 0
             if free:
                 locks.callback(marker.unlink)
-            if not free or (path.exists() and not replace):
+            taken = any(path.glob("[!.]*")) if path.is_dir() else path.exists()
+            if not free or (taken and not replace):
                 raise FileExistsError(errno.EEXIST, "taken", str(path))
         yield
 

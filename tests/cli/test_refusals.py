@@ -9,13 +9,13 @@ REFUSED = {
     # Names of files
     ("evaluate", "none.json"): "none.json",
     ("evaluate", "--out", "x.txt"): "ends in .json",
-    ("evaluate", "small.json", "--out", "small.json"): "is read and would be written over",
+    ("evaluate", "small.json", "--out", "small.json", "--force"): "is read",
     ("evaluate", "--out", "taken.json"): "--force",
     # A missing input comes first: nothing would be written.
     ("identify", "none.csv", "--out", "taken.json"): "none.csv",
     ("reproduce", "--swing", "none.csv", "--out", "full"): "none.csv",
     ("refine", "small.json", "none.mcap", "--out", "taken.json"): "none.mcap",
-    ("reproduce", "--out", "full"): "is not empty",
+    ("reproduce", "--out", "full"): "--force",
     # Kinds of files
     ("evaluate", "pen.json"): "equipoise-policy",
     # Values
@@ -23,17 +23,17 @@ REFUSED = {
     ("train", "--set", "learning.gama=1"): "learning.gama",
     ("train", "--arm", "ur5"): "iiwa7",
     ("evaluate", "--duration", "nan"): "--duration",
-    ("evaluate", "--claim", "0.99", "--trials", "10"): "299",
+    ("evaluate", "--claim", "0.99", "--trials", "10"): "give 1000",
     ("evaluate", "small.json", "--arm", "iiwa7"): "iiwa14",
     ("identify", "swing.csv", "--mass", "1"): "--length",
     ("play", "nowhere"): "nowhere",
+    ("evaluate", "--world", "nominal", "--out", "new.json"): "did you mean twin:nominal?",
+    ("evaluate", "--world", "twin:w\udcff.toml"): "not UTF-8",
+    ("evaluate", "--actuator", "none.json"): "none.json",
     # A wrong word comes before the name of a file.
-    ("evaluate", "--world", "nominal", "--out", "taken.json"): "did you mean twin:nominal?",
-    ("evaluate", "--world", "twin:w\udcff.toml", "--out", "taken.json"): "not UTF-8",
-    ("evaluate", "--actuator", "none.json", "--out", "taken.json"): "none.json",
     ("train", "--algorithm", "sarsaa", "--out", "taken.json"): "unknown algorithm 'sarsaa'",
     ("train", "--reward", "nope", "--out", "taken.json"): "unknown reward 'nope'",
-    ("deploy", "--excite", "--world", "frii", "--out", "taken.mcap"): "did you mean twin:fri?",
+    ("deploy", "--excite", "--world", "frii"): "did you mean twin:fri?",
     ("deploy", "--robot", KST, "--encoder", "usb:///x", "--out", "taken.mcap"): "serial:",
     ("rig", "record", "--encoder", "usb:///x", "--out", "swing.csv"): "serial:",
     # The rig

@@ -99,7 +99,7 @@ def test_the_page_pushes_and_changes_the_rig(monkeypatch):
     assert "shipped table" not in page._page._state.content
     assert "after 43 ms: 25 ms transport + 18 ms servo" in page._page._state.content
     assert not page._table.visible
-    page._hang()
+    page.playground.begin(hanging=True)
     page.advance(0)
     assert "swinging up" in page._page._state.content
     monkeypatch.setattr(page.playground.loop, "push", pushes.append)

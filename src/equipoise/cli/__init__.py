@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import Final
 
-from equipoise.errors import INTERRUPTED, EquipoiseError, OutsideError
+from equipoise.errors import EquipoiseError, OutsideError
 
 READER_GONE: Final = 141
 """Exit code of a program that the system ends because nobody reads its output."""
@@ -43,10 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         # Otherwise the interpreter tries at its end to write the rest again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), stdout.fileno())
-        if isinstance(error, BrokenPipeError):
-            return READER_GONE
-        code = OutsideError.exit_code
-        message = f"cannot write to standard output: {error}; make room"
+        code, message = _failed(error)
     if message:
         complain(message, "error: ")
     return code
@@ -61,12 +58,16 @@ def _run(arguments: Sequence[str]) -> tuple[int, str]:
     except SystemExit as end:
         if isinstance(end.__context__, BrokenPipeError):  # from rich or typer
             return READER_GONE, ""
-        return (end.code if isinstance(end.code, int) else int(bool(end.code))), ""
+        return (end.code if isinstance(end.code, int) else 1), ""
     except EquipoiseError as error:
         return error.exit_code, str(error)
-    except KeyboardInterrupt:
-        return INTERRUPTED, ""
     except OSError as error:
-        message = f"a file or a link failed: {error}; check it, and repeat the command"
-        return OutsideError.exit_code, message
+        return _failed(error)
     return 0, ""
+
+
+def _failed(error: OSError) -> tuple[int, str]:
+    if isinstance(error, BrokenPipeError):
+        return READER_GONE, ""
+    message = f"a file or a link failed: {error}; check it, and repeat the command"
+    return OutsideError.exit_code, message

@@ -4,6 +4,7 @@ from functools import partial
 
 import typer
 
+from equipoise import __version__
 from equipoise.cli.deploy import console, deploy
 from equipoise.cli.evaluate import evaluate, play
 from equipoise.cli.identify import identify, refine
@@ -38,18 +39,9 @@ app.add_typer(rig, name="rig", rich_help_panel="The robot")
 app.add_typer(log, name="log", rich_help_panel="Logs")
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
-        from equipoise import __version__
-
+@app.callback(invoke_without_command=True)
+def _command(version: bool = typer.Option(False, "--version", help="Print the version.")) -> None:
+    """Carry the options that belong to no verb; typer takes its help from `app`."""
+    if version:
         print(f"equipoise {__version__}")
         raise typer.Exit
-
-
-@app.callback()
-def _command(
-    version: bool = typer.Option(
-        False, "--version", callback=_version, is_eager=True, help="Print the version."
-    ),
-) -> None:
-    """Carry the options that belong to no verb; typer takes its help from `app`."""

@@ -5,8 +5,9 @@ run, an emulated rig and a real rig.
 """
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
@@ -74,47 +75,45 @@ def deploy(
     on_a_rig = any((rig.robot, rig.encoder, rig.rig))
     if run.excite and (policy or on_a_rig or task.actuator or task.settings):
         raise InputError("--excite moves a simulated arm; give it --arm and --pendulum alone")
-    if not on_a_rig and rig != OnRig():
-        raise InputError("--dry-run, --max-speed, --identify and --runs need --robot")
     if on_a_rig:
         _run_on_rig(output, policy, run, task, rig, files)
-        return
-
-    from equipoise.outcomes import Outcome
-    from equipoise.simulation import setup_of
-
-    world, seed = run.world, run.seed
-    if run.excite:
-        arm, _ = opt.read_arm(task.arm or "iiwa7"), eq.read_world(world)
-        out = files.file(output, "run.mcap", task.pendulum, suffix=".mcap")
-        length = run.duration or 10.0
-        with output.busy("moving the arm"):
-            log = eq.excite(arm, pendulum=task.pendulum, duration=length, world=world, seed=seed)
-        code, then, inputs = 0, opt.command("identify", out), dict[str, str]()
+    elif rig != OnRig():
+        raise InputError("--dry-run, --max-speed, --identify and --runs need --robot")
     else:
-        loaded, actuator = task.read(policy), task.actuator
-        setup_of(loaded, world, actuator=actuator)
-        out = files.file(output, "run.mcap", policy, task.pendulum, suffix=".mcap")
+        _simulate(output, policy, run, task, files)
+
+
+def _simulate(
+    output: Output, policy: Path | None, run: RunOptions, task: opt.Task, files: opt.Files
+) -> None:
+    """Simulate a run or an excitation, write the log, and print the result."""
+    from equipoise.outcomes import Outcome
+
+    if run.excite:
+        arm, duration = opt.read_arm(task.arm or "iiwa7"), run.duration or 10.0
+        simulated = partial(eq.excite, arm, pendulum=task.pendulum, duration=duration)
+    else:
+        loaded = task.read(policy)
         output.warn(loaded.shortfall)
-        with output.busy("running"):
-            log = eq.simulate_run(
-                loaded,
-                world=world,
-                actuator=actuator,
-                duration=run.duration,
-                seed=seed,
-                settings=changed(loaded.settings, {"evaluation.start": run.start}),
-            )
-        code, then = int(log.outcome != Outcome.SURVIVED), opt.command("log explain", out)
-        inputs = {"policy": log.conditions.policy}
-    log.save(out, command="deploy", inputs=inputs)
+        settings = changed(loaded.settings, {"evaluation.start": run.start})
+        simulated = partial(
+            eq.simulate_run,
+            loaded,
+            actuator=task.actuator,
+            duration=run.duration,
+            settings=settings,
+        )
+    out = files.file(output, "run.mcap", policy, task.pendulum)
+    with output.busy("running"):
+        log = simulated(world=run.world, seed=run.seed)
+    log.save(out, command="deploy", inputs={} if run.excite else {"policy": log.conditions.policy})
     output.result(
         outcome=log.outcome,
         survival_s=log.survival,
         run=out,
         world=log.conditions.world,
-        code=code,
-        then=then,
+        code=int(log.outcome not in (Outcome.SURVIVED, Outcome.EXCITED)),
+        then=opt.command("identify" if run.excite else "log explain", out),
     )
 
 
@@ -133,7 +132,7 @@ def _run_on_rig(
     from equipoise.log.conditions import RunEnd
     from equipoise.model.actuator import read_actuator
     from equipoise.outcomes import Outcome
-    from equipoise.rig.checks import check_fit, check_swing_up, require
+    from equipoise.rig.checks import check_swing_up, require
     from equipoise.rig.config import RigSettings, read_rig, world_of
     from equipoise.rig.connection import connect
     from equipoise.rig.processes import run_in_processes
@@ -175,7 +174,7 @@ def _run_on_rig(
         runs=rig.runs,
     )
     with output.busy("checking policy and addresses"):
-        require(check_fit(request.policy, request.actuator, request.settings))
+        require(request.fit)
         swings = [check_swing_up(request)] if request.start == HANGING else []
         require(swings)
         with user_code(f"the driver of {robot}"):
@@ -185,7 +184,7 @@ def _run_on_rig(
     beside = ["-actuator.json"] if rig.identify else []
     beside += ["-series.json", "-001.mcap"] if request.runs > 1 else []
     read, ends = (policy, task.pendulum, rig.rig), list[RunEnd]()
-    out = files.file(output, "run.mcap", *read, suffix=".mcap", beside=beside)
+    out = files.file(output, "run.mcap", *read, beside=beside)
     if emulated:
         with signals() as stopped, user_code(f"the driver of {robot}"):
             operator = TerminalOperator(output, stopped)
@@ -195,13 +194,11 @@ def _run_on_rig(
             operator = TerminalOperator(output)
             end = run_in_processes(request, out, operator, operator.live, ended=ends.append)
     ends.append(end)
-    series: dict[str, Any] = summarise(ends) if request.runs > 1 else {}
     last = run_path(out, len(ends), request.runs)
     actuator, then = None, opt.command("log explain", last)
-    found = ends[0].identified
-    if found is not None:
+    if (found := ends[0].identified) is not None:
         actuator = out.with_name(f"{out.stem}-actuator.json")
-        found.save(actuator, command="deploy", inputs={})
+        found.save(actuator, command="deploy")
     if end.outcome is Outcome.DRY_RUN:
         then = opt.command("deploy", policy, run, rig.model_copy(update={"dry_run": False}), task)
     elif end.outcome is Outcome.UNIDENTIFIED and actuator is not None:
@@ -209,7 +206,7 @@ def _run_on_rig(
         arm = task.arm or rig.rig or opt.name_of(loaded.arm)
         then = opt.command("train", task.pendulum or pendulum, arm=arm, actuator=actuator)
     output.result(
-        **series,
+        **(summarise(ends) if request.runs > 1 else {}),
         outcome=end.outcome,
         reason=end.reason,
         survival_s=end.survival,

@@ -1,6 +1,5 @@
 """Verbs that try a policy in simulation: `equipoise evaluate` and `play`."""
 
-from math import ceil, log
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -57,28 +56,21 @@ def evaluate(
     """
     from equipoise.control.bound_policy import BUILT_IN
     from equipoise.executors import counted, open_workers
-    from equipoise.simulation import setup_of
-    from equipoise.simulation.evaluation import CLAIM_CONFIDENCE, allowed_failures
+    from equipoise.simulation.evaluation import CLAIM_CONFIDENCE
 
     chosen, claim = task.read(policy), trials.claim
-    count = trials.trials
-    if count is None and claim is not None:
-        count = eq.trials_for(claim)
-    changes = {
-        "evaluation.trials": count,
-        "evaluation.duration": trials.duration,
-        "evaluation.start": trials.start,
-    }
+    values = trials.model_dump(include={"trials", "duration", "start"})
+    if claim is not None and trials.trials is None:
+        values["trials"] = eq.trials_for(claim)
+    changes = {f"evaluation.{name}": value for name, value in values.items()}
     settings = changed(chosen.settings, changes)
     count = settings.evaluation.trials
-    setup_of(chosen, trials.world, settings, task.actuator)
-    if claim is not None and allowed_failures(count, claim) == -1:
-        least = ceil(log(1.0 - CLAIM_CONFIDENCE) / log(claim))
+    if claim is not None and eq.lower_bound(count, count, CLAIM_CONFIDENCE) < claim:
         raise InputError(
-            f"{count:,} trials cannot grant a claim of {claim:g}, even if all survive; give "
-            f"--trials {least} or more"
+            f"{count:,} trials cannot grant a claim of {claim:g}, even if all survive; leave out "
+            f"--trials, or give {eq.trials_for(claim)}"
         )
-    out = files.out and files.file(output, "", policy, task.pendulum)
+    out = files.out and files.file(output, "evaluation.json", policy, task.pendulum)
     output.warn(chosen.shortfall)
     with_baselines = not trials.no_baselines and claim is None
     total = count * (1 + len(BUILT_IN)) if with_baselines else count
@@ -96,15 +88,15 @@ def evaluate(
     if out is not None:
         inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
         evaluation.save(out, command="evaluate", inputs=inputs)
-    fields: dict[str, Any] = _trial_fields(evaluation.results)
-    code = int(fields["median_s"] < evaluation.duration)
+    fields, claimed = _trial_fields(evaluation.results), dict[str, Any]()
+    good = fields["median_s"] >= evaluation.duration
     if claim is not None:
         bound = eq.lower_bound(fields["survived"], count, CLAIM_CONFIDENCE)
-        granted = bound >= claim
-        fields = {"granted": granted, "claim": claim, "bound_95": bound} | fields
-        code = int(not granted)
+        good = bound >= claim
+        claimed = {"granted": good, "claim": claim, "bound_95": bound}
     twin = trials.world if trials.world.startswith("twin:") else None
     output.result(
+        **claimed,
         **fields,
         duration_s=evaluation.duration,
         world=evaluation.world,
@@ -112,7 +104,7 @@ def evaluate(
         seed=evaluation.seed,
         baselines={row.name: _trial_fields(row) for row in evaluation.baselines},
         file=out,
-        code=code,
+        code=int(not good),
         then=opt.command("deploy", policy, task, world=twin, start=trials.start),
     )
 

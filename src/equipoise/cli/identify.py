@@ -64,13 +64,8 @@ def identify(
         length = eq.Estimate.normal(fit.length, fit.length_uncertainty, "given")
     elif fit.mass is not None or fit.length is not None:
         raise InputError("I and b need both --mass and --length; give the other one too")
-    recorded = eq.read_swing(
-        recording,
-        counts_per_rev=fit.counts_per_rev,
-        from_upright=fit.from_upright,
-        start=fit.start,
-        end=fit.end,
-    )
+    part = fit.model_dump(include={"start", "end", "counts_per_rev", "from_upright"})
+    recorded = eq.read_swing(recording, **part)
     out = files.file(output, "pendulum.json", recording, beside=(".svg", ".png"))
     with output.busy(f"fitting {len(recorded.time):,} samples") as show:
         pendulum = eq.identify(recorded, settings.identification, mass, length, show)

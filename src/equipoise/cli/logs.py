@@ -125,7 +125,7 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
     if video is None:
         tables = log.export(files.folder(output, run.with_name(f"{run.stem}-csv")))
     else:
-        opt.Files(out=video, force=files.force).file(output, "", run, suffix=suffix)
+        opt.Files(out=video, force=files.force).file(output, f"film{suffix}", run)
         with output.busy("drawing the film"):
             write_film(log, video, film.from_, film.to)
     output.result(

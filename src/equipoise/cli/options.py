@@ -209,12 +209,7 @@ class Files(Options):
     """Replace existing files; otherwise they are kept."""
 
     def file(
-        self,
-        output: Output,
-        default: str,
-        *inputs: Path | None,
-        suffix: str = ".json",
-        beside: Iterable[str] = (),
+        self, output: Output, default: str, *inputs: Path | None, beside: Iterable[str] = ()
     ) -> Path:
         """Return the file to write; its name is reserved until the end of the verb.
 
@@ -222,25 +217,21 @@ class Files(Options):
             output: Output of the verb.
             default: Name without `--out`; a number is added where it is taken.
             inputs: Files that the verb reads; they are never replaced.
-            suffix: Required end of the name.
             beside: Ends of the names of further files, after the stem.
 
         Raises:
             InputError: The name has another suffix, or a file exists or is read.
             OSError: It cannot be written.
         """
+        suffix = Path(default).suffix
+        if self.out and self.out.suffix.lower() != suffix:
+            raise InputError(f"{self.out} is to be written; give a name that ends in {suffix}")
+        out, *others = self._reserve(output, Path(default), beside)
         read = [path for path in inputs if path and os.path.exists(path)]
-
-        def reserve(out: Path) -> None:
-            if out.suffix.lower() != suffix:
-                raise InputError(f"{out} is to be written; give a name that ends in {suffix}")
-            paths = [out, *(out.with_name(out.stem + end) for end in beside)]
-            for path in paths if self.out or self.force else ():
-                if path.exists() and any(map(path.samefile, read)):
-                    raise InputError(f"{path} is read and would be written over; give another name")
-            output.reserved_names.enter_context(reserved(paths, replace=self.force))
-
-        return self._reserve(output, Path(default), reserve)
+        for path in (out, *others):
+            if path.exists() and any(map(path.samefile, read)):
+                raise InputError(f"{path} is read and would be written over; give another name")
+        return out
 
     def folder(self, output: Output, default: Path) -> Path:
         """Return the folder to write; it is created, and removed if it stays empty.
@@ -249,35 +240,30 @@ class Files(Options):
             InputError: It has files that shall not be replaced.
             OSError: It cannot be created.
         """
+        (out,) = self._reserve(output, default)
+        if not out.exists():
+            output.reserved_names.callback(_remove_empty, out)
+        out.mkdir(parents=True, exist_ok=True)
+        return out
 
-        def reserve(out: Path) -> None:
-            if not out.exists():
-                output.reserved_names.callback(_remove_empty, out)
-            out.mkdir(parents=True, exist_ok=self.out is not None or self.force)
-            if not self.force and any(path.name[0] != "." for path in out.iterdir()):
-                raise InputError(
-                    f"{out} is not empty; give another name, or --force to write there"
-                )
-
-        return self._reserve(output, default, reserve)
-
-    def _reserve(self, output: Output, default: Path, reserve: Callable[[Path], None]) -> Path:
-        """Return the first name that is free: that of `--out`, or the default with a number."""
+    def _reserve(self, output: Output, default: Path, beside: Iterable[str] = ()) -> list[Path]:
+        """Reserve the first free names: that of `--out`, or the default with a number."""
         out, number = self.out or default, 2
         while True:
+            paths = [out, *(out.with_name(out.stem + end) for end in beside)]
             try:
-                reserve(out)
+                output.reserved_names.enter_context(reserved(paths, replace=self.force))
             except FileExistsError as error:
                 if self.out is not None:
                     raise InputError(
-                        f"{error.filename} exists; give another name, or --force to replace it"
+                        f"{error.filename} exists; give another name, or --force to write over it"
                     ) from None
                 out = default.with_stem(f"{default.stem}-{number}")
                 number += 1
             else:
-                if out not in (self.out, default):
+                if number > 2:
                     output.tell(f"{default} is taken; writing {out}")
-                return out
+                return paths
 
 
 def _remove_empty(folder: Path) -> None:

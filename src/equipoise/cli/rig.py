@@ -166,7 +166,7 @@ def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
 
     clock = SystemClock()
     sensor = open_encoder(recording.encoder, clock, counts_per_rev=recording.counts_per_rev)
-    out = files.file(output, "swing.csv", suffix=".csv")
+    out = files.file(output, "swing.csv")
     driver = user_code(f"the driver of {recording.encoder}")
     with output.busy("connecting") as rename, driver, closing(sensor):
         sensor.connect()

@@ -50,7 +50,7 @@ class TerminalOperator:
         if event.name != "word":
             self._answers = tuple(event.answers)
             if self._stopped is None:
-                _edit_lines(edits=bool(self._answers))
+                _set_keys(single=not self._answers)
         if "\a" in event.text and self._output.stream.isatty():
             self._output.stream.write("\a")
         text = printable(event.text.replace("\a", ""))
@@ -95,15 +95,13 @@ class TerminalOperator:
         self._live = True
 
 
-def _edit_lines(*, edits: bool) -> None:
-    """Let a terminal show and edit a line until Enter, or deliver each key at once."""
+def _set_keys(*, single: bool) -> None:
+    """Let a terminal deliver each key at once, or show and edit a line until Enter."""
     import termios
 
     with suppress(termios.error, OSError, ValueError):  # no terminal, or closed
-        modes = termios.tcgetattr(sys.stdin)
-        modes[3] &= ~(termios.ICANON | termios.ECHO)
-        if edits:
-            modes[3] |= termios.ICANON | termios.ECHO
+        modes, editing = termios.tcgetattr(sys.stdin), termios.ICANON | termios.ECHO
+        modes[3] = modes[3] & ~editing if single else modes[3] | editing
         termios.tcsetattr(sys.stdin, termios.TCSANOW, modes)
 
 
@@ -112,13 +110,11 @@ def single_keys() -> Generator[None]:
     """Deliver each key at once while the context is open, on a terminal."""
     import termios
 
-    if not sys.stdin.isatty():
-        yield
-        return
-    before = termios.tcgetattr(sys.stdin)
+    before = termios.tcgetattr(sys.stdin) if sys.stdin.isatty() else None
+    _set_keys(single=True)
     try:
-        _edit_lines(edits=False)
         yield
     finally:
         with suppress(termios.error):  # the terminal was closed
-            termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+            if before is not None:
+                termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)

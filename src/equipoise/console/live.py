@@ -12,7 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing, suppress
 from importlib import resources
 from math import degrees, inf, isfinite, nan
 from pathlib import Path
@@ -59,8 +59,6 @@ class RunWatch:
         """Conditions of the run, and its rings."""
         self.time = nan
         """Time of the last tick [s]; NaN before the first."""
-        self.silence = 0.0
-        """Time since the last tick [s]; 0 while the run does not tick."""
         self.phase: Phase | None = None
         """Phase; None before the first tick."""
         self.q: Array | None = None
@@ -68,12 +66,6 @@ class RunWatch:
         self.phi, self.u = nan, 0.0
         """Angle of the pendulum from upright [rad], NaN while unknown or too old, and
         commanded acceleration of the flange [m/s^2], 0 while no policy acts."""
-        self.late = nan
-        """Largest lateness of the new ticks [s]; NaN without any."""
-        self.events: list[OperatorMessage] = []
-        """New events, the oldest first."""
-        self.question: OperatorMessage | None = None
-        """Question that the run asks now."""
         self.ended = False
         """Whether the process of the run has ended."""
         self._folder = folder
@@ -87,18 +79,22 @@ class RunWatch:
 
     def observe(self) -> None:
         """Read the state of the run, and what is new since the last observation."""
-        # Before the rows, so that the last ones are read.
-        self.ended, now = not is_alive(self._folder), time.monotonic()
-        ticks, replies, samples = self._new("tick"), self._new("reply"), self._new("encoder")
-        self.events, self.question = read_events(self._new("event")), self._recorder.question()
-        pulse = self._recorder.pulse
+        self.ended = not is_alive(self._folder)  # before the rows, so that the last ones are read
+        now, pulse = time.monotonic(), self._recorder.pulse
         self.silence = now - float(pulse["time"]) if pulse["ticks"] > 0 else 0.0
+        """Time since the last tick [s]; 0 while the run does not tick."""
+        self.question = self._recorder.question()
+        """Question that the run asks now; None without one."""
+        self.events = read_events(self._new("event"))
+        """New events, the oldest first."""
+        ticks, replies, samples = self._new("tick"), self._new("reply"), self._new("encoder")
+        self.late = float(np.max(ticks["late"], initial=-inf))
+        """Largest lateness of the new ticks [s]; minus infinity without any."""
         measured = replies[np.isfinite(replies["q"]).all(axis=1)]
         if len(measured):
             self._measured, self.q = float(measured["time"][-1]), measured["q"][-1]
         if len(samples):
             self._sampled = float(samples["received"][-1])
-        self.late = float(np.max(ticks["late"])) if len(ticks) else nan
         if len(ticks):
             last, phases = ticks[-1], self.conditions.phases
             self.time, self.phi = float(last["time"]), float(last["estimated_phi"])
@@ -139,12 +135,8 @@ class LivePage:
         """
         self._server = server
         self._watch: RunWatch | None = None
-        self._lock = threading.RLock()
         self._question: OperatorMessage | None = None
         self._buttons: list[Any] = []
-        self._history: deque[tuple[float, ...]] = deque()
-        self._messages: deque[OperatorMessage] = deque(maxlen=40)
-        self._began = self._ended = nan
         self._page = RigPage(server, "Equipoise console", len(PLOTS))
         self._asked = server.gui.add_html("", order=10, visible=False)
         self._folder = server.gui.add_folder("Messages", order=60, visible=False)
@@ -161,17 +153,16 @@ class LivePage:
 
     def begin(self, watch: RunWatch) -> None:
         """Show another run from its begin."""
-        with self._lock:
-            self._watch = watch
-            self._page.show_arm(watch.conditions.arm)
-            self._history.clear()
-            self._messages.clear()
-            self._page.draw(np.zeros(0), np.zeros((len(PLOTS), 0)))
-            self._began = self._ended = nan
+        self._watch = watch
+        self._page.show_arm(watch.conditions.arm)
+        self._page.draw(np.zeros(0), np.zeros((len(PLOTS), 0)))
+        self._history: deque[tuple[float, ...]] = deque(maxlen=round(SPAN / PERIOD))
+        self._messages: deque[OperatorMessage] = deque(maxlen=40)
+        self._began = self._ended = nan
 
     def show(self, run: RunWatch) -> None:
         """Show the state of the run."""
-        with self._lock, self._server.atomic():
+        with self._server.atomic():
             self._messages.extend(run.events)
             self._listed.content = messages_list(
                 (event.text or event.name, COLOURS.get(event.name, INK)) for event in self._messages
@@ -181,7 +172,11 @@ class LivePage:
             if isfinite(run.late):
                 late = 1e3 * max(run.late, 0.0)
                 self._history.append((run.time, degrees(run.phi), 1e3 * x, run.u, late))
-                self._draw_plots()
+                rows = np.array(self._history).T
+                moment, phi, *others = rows[:, rows[0] >= run.time - SPAN]
+                known = np.isfinite(phi)  # the newest one stays, the others are continuous
+                phi[known] = np.unwrap(phi[known][::-1], period=360.0)[::-1]
+                self._page.draw(moment - run.time, np.array([phi, *others]))
             if any(event.name == "run" for event in run.events):  # the next one of a series
                 self._began = nan
             if run.phase is Phase.BALANCING:
@@ -192,9 +187,8 @@ class LivePage:
 
     def end(self) -> None:
         """Detach from a run that has ended; its last picture stays."""
-        with self._lock:
-            self._watch = None
-            self._ask(None)
+        self._watch = None
+        self._ask(None)
 
     def stop(self) -> str:
         """Send a stop to the run; return a text for the STOP button. Never blocks."""
@@ -211,8 +205,6 @@ class LivePage:
         name, colour, lines = "before the motion", BLUE, [title]
         if run.phase is not None:
             name, colour = run.phase.value, COLOURS.get(run.phase, BLUE)
-        elif not (run.question or run.ended):
-            lines += [event.text for event in self._messages][-1:]
         lines += [event.text for event in self._messages if event.name == "run"][-1:]
         if isfinite(self._began):
             balanced = self._ended - self._began
@@ -227,15 +219,6 @@ class LivePage:
             lines.append("The next run appears here.")
         self._page.describe(name, colour, lines)
 
-    def _draw_plots(self) -> None:
-        history = self._history
-        while history[0][0] < history[-1][0] - SPAN:
-            history.popleft()
-        time, *rows = np.array(history).T
-        known = np.isfinite(rows[0])  # the newest one stays, the others are continuous
-        rows[0][known] = np.unwrap(rows[0][known][::-1], period=360.0)[::-1]
-        self._page.draw(time - time[-1], np.array(rows))
-
     def _ask(self, run: RunWatch | None) -> None:
         """Show the question of a run with its buttons; the run takes the first answer to it."""
         question = run and run.question
@@ -249,26 +232,14 @@ class LivePage:
             return
         look = f"font-size:16px;font-weight:600;border-left:5px solid {ORANGE};background:#fff7e6"
         self._asked.content = card("question", shown(question.text), look)
-        for place, (word, label) in enumerate(answers(question).items()):
-            button = self._server.gui.add_button(label, order=11.0 + place)
+        labels = {"y": "Yes", "n": "No", OK: "OK"}
+        # A word that is typed to acknowledge a question has a denial as well.
+        words = (*question.answers, "n") if question.name == "checklist" else question.answers
+        for place, word in enumerate(words, start=11):
+            label = labels.get(word, f"Yes: {word}")
+            button = self._server.gui.add_button(label, order=float(place))
             button.on_click(lambda _, word=word: run.say(word, question.time))
             self._buttons.append(button)
-
-
-def answers(question: OperatorMessage) -> dict[str, str]:
-    """Return the answers to a question with the labels of their buttons.
-
-    A question with one word, which is typed to acknowledge it, has a denial as well.
-
-    Example:
-        >>> answers(OperatorMessage("move", "Move?", ("y", "n")))
-        {'y': 'Yes', 'n': 'No'}
-        >>> answers(OperatorMessage("checklist", "Is the fence closed?", ("fence",)))
-        {'fence': 'Yes: fence', 'n': 'No'}
-    """
-    labels = {"y": "Yes", "n": "No", OK: "OK"}
-    words = {word: labels.get(word, f"Yes: {word}") for word in question.answers}
-    return words | ({"n": "No"} if question.name == "checklist" else {})
 
 
 def serve(
@@ -299,12 +270,12 @@ def serve(
                 time.sleep(PERIOD)
                 continue
             page.begin(watch)
-            while not (watch.ended or stopped()):
-                watch.observe()
-                page.show(watch)
-                time.sleep(PERIOD)
+            with closing(watch):
+                while not (watch.ended or stopped()):
+                    watch.observe()
+                    page.show(watch)
+                    time.sleep(PERIOD)
             page.end()
-            watch.close()
 
 
 def _next_run() -> RunWatch | None:

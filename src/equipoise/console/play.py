@@ -3,7 +3,6 @@
 The twin, the controller and the trials are those of an evaluation.
 """
 
-import threading
 import time
 from collections.abc import Callable
 from itertools import pairwise
@@ -220,21 +219,23 @@ class PlayPage:
             scene: The first scene.
             yours: The policy of the user.
         """
-        self._lock, self._server = threading.RLock(), server
-        self._page = RigPage(server, "Equipoise playground")
+        self._server, self._page = server, RigPage(server, "Equipoise playground")
         compiling = "Compiling the twin: about 20 s the first time, then 3 s."
         self._page.describe("starting", GREY, [compiling])
         self.playground = Playground(scene, yours)
         """The twin behind the page."""
         self._page.show_arm(self.playground.policy.arm)
-        self._page.pendulum.on_drag("left")(self._dragged)
+        user = self._page.on_user_event
+        self._page.pendulum.on_drag("left")(user(self._dragged))
         gui: Any = server.gui
         pushes = gui.add_button_group("Push", ("◀ push left", "push right ▶"), order=10)
-        pushes.on_click(lambda event: self._push(-PUSH if "left" in event.target.value else PUSH))
+        pushes.on_click(
+            user(lambda _: self.playground.loop.push(PUSH if "right" in pushes.value else -PUSH))
+        )
         again = gui.add_button("Release again", order=11)
-        again.on_click(lambda _: self._set(self.playground.scene))
+        again.on_click(user(lambda _: self.playground.begin()))
         self._swing_up = gui.add_button("Swing up", order=12)
-        self._swing_up.on_click(lambda _: self._hang())
+        self._swing_up.on_click(user(lambda _: self.playground.begin(hanging=True)))
         with gui.add_folder("The rig", order=50):
             chosen = next((name for name, other in SCENES.items() if other == scene), "balance")
             scenes = gui.add_dropdown("scene", tuple(SCENES), initial_value=chosen)
@@ -246,11 +247,9 @@ class PlayPage:
             for name, (label, low, high, step) in SLIDERS.items():
                 value = getattr(scene, name)
                 self._controls[name] = gui.add_slider(label, low, high, step, value)
-        scenes.on_update(lambda _: self._take(SCENES[scenes.value]))
+        scenes.on_update(user(lambda _: self._take(SCENES[scenes.value])))
         for control in self._controls.values():
-            control.on_update(
-                lambda event: self._changed() if event.client_id is not None else None
-            )
+            control.on_update(user(lambda _: self._changed()))
         self._table = gui.add_folder("The table: 270 boxes", order=51)
         with self._table:
             self._boxes = gui.add_html(self._drawn_table())
@@ -258,32 +257,20 @@ class PlayPage:
     def _changed(self) -> None:
         """Set the scene of the controls up."""
         values = {name: control.value for name, control in self._controls.items()}
-        self._set(self.playground.scene._replace(**values))
+        self.playground.set(self.playground.scene._replace(**values))
 
     def _take(self, scene: Scene) -> None:
         """Set a scene up, and move the controls there."""
         for name, control in self._controls.items():
             control.value = getattr(scene, name)
-        self._set(scene)
-
-    def _set(self, scene: Scene) -> None:
-        with self._lock:
-            self.playground.set(scene)
-
-    def _hang(self) -> None:
-        with self._lock:
-            self.playground.begin(hanging=True)
+        self.playground.set(scene)
 
     def _dragged(self, event: Any) -> None:
         """Push the pendulum when the mouse lets it go, as far as it was drawn along the track."""
         if event.phase == "end":
             drawn = event.end_position[0] - event.start_position[0]
             # 120 deg/s for a metre of the mouse in the scene, 60 deg/s at most.
-            self._push(radians(float(np.clip(120.0 * drawn, -60.0, 60.0))))
-
-    def _push(self, rate: float) -> None:
-        with self._lock:
-            self.playground.loop.push(rate)
+            self.playground.loop.push(radians(float(np.clip(120.0 * drawn, -60.0, 60.0))))
 
     def advance(self, picture: int) -> None:
         """Advance by one picture.
@@ -291,7 +278,7 @@ class PlayPage:
         Args:
             picture: Number of the picture.
         """
-        with self._lock, self._server.atomic():
+        with self._page.lock, self._server.atomic():
             twin = self.playground
             for _ in range(PICTURE):
                 twin.advance()

@@ -3,7 +3,6 @@
 All browsers see the same position, and each may move it.
 """
 
-import threading
 import time
 from collections.abc import Callable
 from math import isfinite
@@ -67,7 +66,6 @@ class ReplayPage:
         """Position [s]; at first shortly before the release."""
         self.playing = False
         """Whether the position moves by itself."""
-        self._lock = threading.RLock()
         rows = [np.degrees(motion.phi), 1e3 * motion.x, motion.u]
         rows += [1e3 * np.maximum(motion.late, 0.0)] if np.isfinite(motion.late).any() else []
         self._rows = np.array(rows)
@@ -76,30 +74,33 @@ class ReplayPage:
         gui, first = server.gui, round(float(motion.time[0]), 2)
         ends: Any = {"min": first, "max": max(round(motion.end, 2), first + 0.01), "step": 0.01}
         self._slider = gui.add_slider("time [s]", initial_value=first, order=41, **ends)
-        self._slider.on_update(self._on_user_event(lambda: self.jump(self._slider.value)))
+        user = self._page.on_user_event
+        self._slider.on_update(user(lambda _: self.jump(self._slider.value)))
         self._button = gui.add_button("Play", color="blue", order=42)
-        self._button.on_click(self._on_user_event(self.toggle))
+        self._button.on_click(user(lambda _: self.toggle()))
         steps = gui.add_button_group("step", ("−1 tick", "+1 tick"), order=43)
-        steps.on_click(self._on_user_event(lambda: self.step(1 if "+" in steps.value else -1)))
+        steps.on_click(user(lambda _: self.step(1 if "+" in steps.value else -1)))
         self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1×", order=44)
         marks = {
             f"{n}  {typeset(f'{time:+.2f}')} s  {printable(name)}": time
             for n, (time, name) in enumerate(marks_of(run, motion), start=1)
         }
         events = gui.add_dropdown("event", tuple(marks), order=45)
-        events.on_update(self._on_user_event(lambda: self.jump(marks[events.value])))
-        server.on_client_connect(self._on_user_event(self.begin))
+        events.on_update(user(lambda _: self.jump(marks[events.value])))
+        server.on_client_connect(user(lambda _: self.begin()))
         self.show()
 
     def begin(self) -> None:
         """Play, unless a browser has already moved the position."""
         self.playing = self.playing or self.time == self._motion.part()[0]
+        self.show()
 
     def toggle(self) -> None:
         """Play or pause; play from the start if the position is at the end."""
         if not self.playing and self.time >= self._motion.end:
             self.time = float(self._motion.time[0])
         self.playing = not self.playing
+        self.show()
 
     def step(self, ticks: int) -> None:
         """Pause, and move by a number of ticks from the start of the one at the position."""
@@ -111,6 +112,7 @@ class ReplayPage:
         """Pause, and move to a time, at most to the ends of the run [s]."""
         self.playing = False
         self.time = min(max(time, float(self._motion.time[0])), self._motion.end)
+        self.show()
 
     def advance(self, elapsed: float) -> None:
         """Move the position while playing, after a real time [s]; pause at the end."""
@@ -118,6 +120,7 @@ class ReplayPage:
             moved = self.time + SPEEDS[self._speed.value] * elapsed
             self.time = min(moved, self._motion.end)
             self.playing = self.time < self._motion.end
+            self.show()
 
     def play(self, stopped: Callable[[], bool]) -> None:
         """Move the position in real time, and show the run, until stopped."""
@@ -125,10 +128,8 @@ class ReplayPage:
         while not stopped():
             time.sleep(PERIOD)
             now = time.monotonic()
-            with self._lock:
-                if self.playing:
-                    self.advance(now - last)
-                    self.show()
+            with self._page.lock:
+                self.advance(now - last)
             last = now
 
     def show(self) -> None:
@@ -148,14 +149,3 @@ class ReplayPage:
             begin, end = np.searchsorted(self._motion.time, (self.time - SPAN, self.time + 1e-9))
             self._page.draw(self._motion.time[begin:end], self._rows[:, begin:end])
             self._button.label = "Pause" if self.playing else "Play"
-
-    def _on_user_event(self, action: Callable[[], None]) -> Callable[[Any], None]:
-        """Return a callback that does `action`, if a browser caused the event."""
-
-        def callback(event: Any) -> None:
-            if event.client_id is not None:
-                with self._lock:
-                    action()
-                    self.show()
-
-        return callback

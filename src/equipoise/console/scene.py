@@ -5,10 +5,11 @@ one mesh, and MuJoCo computes the poses of the bodies. Coordinates are those of 
 z upwards. All texts are escaped here: they come from logs, plugins and devices.
 """
 
+import threading
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from html import escape
-from math import degrees, isfinite, nan, pi
+from math import degrees, isfinite, nan
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from equipoise.arm.arm import Arm
 from equipoise.arrays import Array
 from equipoise.film import ARROW, ARROW_BELOW, ARROW_PER_U, FOV_DEG, build_scene, camera_axes
-from equipoise.paper import PHI_LIMIT_DEG, X_LIMIT
+from equipoise.paper import PHI_LIMIT, X_LIMIT
 from equipoise.physics_engine import mujoco
 from equipoise.printable import printable
 from equipoise.report.style import BLUE, GREEN, GREY, INK, PALE, PURPLE, VERMILION, typeset
@@ -55,7 +56,8 @@ class RigPage:
             label: Title of the panel.
             plots: Number of plots, the first of `PLOTS`.
         """
-        self._server, self._root = server, None
+        self._server, self._root, self.lock = server, None, threading.RLock()
+        """Lock of what the actions of all browsers and the picture share."""
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         server.gui.set_panel_label(label)
         server.gui.main_panel.dock_right()
@@ -64,6 +66,16 @@ class RigPage:
         self._state = server.gui.add_html("", order=0)
         self._readings = server.gui.add_html("", order=40)
         self._plots = [self._add_plot(n, n == plots - 1) for n in range(plots)]
+
+    def on_user_event(self, action: Callable[[Any], object]) -> Callable[[Any], None]:
+        """Return a callback that does `action` with an event, locked, if a browser caused it."""
+
+        def callback(event: Any) -> None:
+            if event.client_id is not None:
+                with self.lock:
+                    action(event)
+
+        return callback
 
     def show_arm(self, arm: Arm) -> None:
         """Show the surroundings of another arm, from the camera of the films; `show` adds it."""
@@ -172,36 +184,30 @@ class RigPage:
 def _add_bodies(scene: "viser.SceneApi", model: Any) -> dict[int, Any]:
     """Add a mesh for each body, in its colours; return the meshes by the numbers of the bodies."""
     import trimesh
+    from trimesh import creation, transformations
 
-    parts: dict[int, list[Any]] = defaultdict(list)
-    for number in range(model.ngeom):
-        mesh = _mesh(model, number)
-        mesh.visual.face_colors = np.round(255.0 * model.geom_rgba[number]).astype(np.uint8)
-        parts[int(model.geom_bodyid[number])].append(mesh)
+    kinds, parts = mujoco().mjtGeom, defaultdict[int, list[Any]](list)
+    for geom in map(model.geom, range(model.ngeom)):
+        radius, half, _ = geom.size
+        match int(geom.type[0]):
+            case kinds.mjGEOM_CYLINDER:
+                mesh: Any = creation.cylinder(radius, 2.0 * half, sections=24)
+            case kinds.mjGEOM_CAPSULE:
+                mesh = creation.capsule(2.0 * half, radius, count=(24, 24))
+                mesh.apply_translation(-mesh.bounds.mean(axis=0))
+            case kinds.mjGEOM_PLANE:  # the floor
+                mesh = creation.box([2.0 * radius, 2.0 * half, 0.002])
+            case _:
+                mesh = creation.box(2.0 * geom.size)
+        mesh.apply_transform(transformations.quaternion_matrix(geom.quat))
+        mesh.apply_translation(geom.pos)
+        mesh.visual.face_colors = np.round(255.0 * geom.rgba).astype(np.uint8)
+        parts[int(geom.bodyid[0])].append(mesh)
     concatenate: Any = trimesh.util.concatenate
     return {
         body: scene.add_mesh_trimesh(f"{NAME}/body {body}", concatenate(meshes))
         for body, meshes in parts.items()
     }
-
-
-def _mesh(model: Any, number: int) -> Any:
-    """Return the shape of a geom in the frame of its body."""
-    from trimesh import creation, transformations
-
-    kinds, kind = mujoco().mjtGeom, int(model.geom_type[number])
-    radius, half = (float(size) for size in model.geom_size[number][:2])
-    if kind == int(kinds.mjGEOM_CYLINDER):
-        mesh: Any = creation.cylinder(radius, 2.0 * half, sections=24)
-    elif kind == int(kinds.mjGEOM_CAPSULE):
-        mesh = creation.capsule(2.0 * half, radius, count=(24, 24))
-        mesh.apply_translation(-mesh.bounds.mean(axis=0))
-    else:  # a box, or the floor
-        flat = kind == int(kinds.mjGEOM_PLANE)
-        mesh = creation.box(2.0 * model.geom_size[number] * [1.0, 1.0, 1e-3 if flat else 1.0])
-    mesh.apply_transform(transformations.quaternion_matrix(model.geom_quat[number]))
-    mesh.apply_translation(model.geom_pos[number])
-    return mesh
 
 
 def shown(text: str) -> str:
@@ -229,14 +235,15 @@ def readings(phi: float, x: float) -> str:
         x: Displacement of the flange [m]; NaN while unknown.
     """
     texts: list[str] = []
-    for text, value, limit in (
-        (f"φ = {degrees(phi):+.2f}°", phi, PHI_LIMIT_DEG * pi / 180.0),
-        (f"x = {1e3 * x:+.1f} mm", x, X_LIMIT),
+    for name, value, limit, known in (
+        ("φ", phi, PHI_LIMIT, f"{degrees(phi):+.2f}°"),
+        ("x", x, X_LIMIT, f"{1e3 * x:+.1f} mm"),
     ):
-        colour = GREY if not isfinite(value) else VERMILION if abs(value) >= limit else INK
-        known = typeset(text) if isfinite(value) else f"{text[0]} = —"
+        colour, text = VERMILION if abs(value) >= limit else INK, typeset(known)
+        if not isfinite(value):
+            colour, text = GREY, "—"
         look = f"color:{colour};white-space:nowrap;margin-right:14px"
-        texts.append(f'<span style="{look}">{known}</span> ')
+        texts.append(f'<span style="{look}">{name} = {text}</span> ')
     return card("readings", "".join(texts), "font-size:18px;font-weight:600")
 
 

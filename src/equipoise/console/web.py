@@ -16,13 +16,13 @@ and whoever reaches the port chooses the words of a request.
 """
 
 import hmac
+import io
 import logging
-import os
 import re
 import secrets
 import socket
 from collections.abc import Callable, Generator, Mapping
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import contextmanager, redirect_stdout
 from functools import partial
 from http import HTTPStatus
 from importlib import import_module, resources
@@ -100,36 +100,29 @@ class Gate:
 
     def _response(self, connection: Any, request: Any, serve: Callable[[Any, Any], Any]) -> Any:
         headers, address = request.headers, urlsplit(request.path)
-        is_websocket = bool(headers.get_all("Upgrade"))
+        is_websocket, is_own = bool(headers.get_all("Upgrade")), self.is_own(headers["Host"])
+        (token,) = parse_qs(address.query).get("token", [""])
+        if is_own and not is_websocket and _equal(token, self.token):
+            response = connection.respond(HTTPStatus.SEE_OTHER, "")
+            cookie = f"{self._cookie}; Path=/; HttpOnly; SameSite=Strict"
+            response.headers.update({"Location": "/", "Set-Cookie": cookie})
+            return response
         cookies = [part.strip() for text in headers.get_all("Cookie") for part in text.split(";")]
-        has_cookie = any(_equal(cookie, self._cookie) for cookie in cookies)
-        tokens = parse_qs(address.query).get("token", [])
-        is_own = self.is_own(headers["Host"])
-        if is_own and tokens and not is_websocket:
-            if _equal(tokens[0], self.token):
-                response = connection.respond(HTTPStatus.SEE_OTHER, "")
-                cookie = f"{self._cookie}; Path=/; HttpOnly; SameSite=Strict"
-                response.headers.update({"Location": "/", "Set-Cookie": cookie})
-                return response
-        elif is_own and has_cookie:
-            if is_websocket:
-                origin = urlsplit(headers.get("Origin", "")).netloc
-                if origin == headers["Host"]:
-                    return serve(connection, request)
-            elif (action := self._actions.get(address.path)) is not None:
-                if "X-Equipoise" in headers:  # only a script of the page can send it
-                    return connection.respond(HTTPStatus.OK, action())
-            elif address.path in ("/", "/index.html"):
-                with suppress(KeyError):
-                    del headers["Accept-Encoding"]  # viser then sends plain text
-                return self._with_overlay(serve(connection, request))
-            else:
-                return serve(connection, request)
-        advice = "Open this page with its whole address, token included, as the terminal shows it."
-        return connection.respond(HTTPStatus.FORBIDDEN, advice)
-
-    def _with_overlay(self, response: Any) -> Any:
-        """Return viser's page with the overlay."""
+        allowed = is_own and any(_equal(cookie, self._cookie) for cookie in cookies)
+        action = None if is_websocket else self._actions.get(address.path)
+        if is_websocket:
+            allowed &= urlsplit(headers.get("Origin", "")).netloc == headers["Host"]
+        elif action is not None:
+            allowed &= "X-Equipoise" in headers  # only a script of the page can send it
+        if not allowed:
+            advice = "Open this page with its whole address, token included, as the terminal shows."
+            return connection.respond(HTTPStatus.FORBIDDEN, advice)
+        if action is not None:
+            return connection.respond(HTTPStatus.OK, action())
+        if is_websocket or address.path not in ("/", "/index.html"):
+            return serve(connection, request)
+        headers.pop("Accept-Encoding", None)  # viser then sends plain text
+        response = serve(connection, request)
         body = re.sub(rb"<title>.*?</title>", b"<title>Equipoise</title>", response.body, count=1)
         body = re.sub(rb'<link\s+rel="icon".*?/>', b"", body, count=1, flags=re.DOTALL)
         own = resources.files("equipoise.console").joinpath("page.html").read_bytes()
@@ -162,7 +155,7 @@ def serving(
         MissingExtraError: viser is not installed.
         OutsideError: The address or the port is not available.
     """
-    viser = import_optional("viser", "console")
+    import_optional("viser", "console")
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     try:  # viser would try other ports without end
         with socket.create_server((address, port), family=family) as probe:
@@ -175,30 +168,30 @@ def serving(
     everywhere = address in ("0.0.0.0", "::")
     host = socket.gethostname() if everywhere else f"[{address}]" if ":" in address else address
     gate = Gate(host, actions or {}, overlay, any_address=everywhere)
+    with redirect_stdout(io.StringIO()):
+        server = _guarded(gate, address, port)
+    try:
+        yield server, f"http://{host}:{server.get_port()}/?token={gate.token}"
+    finally:
+        with redirect_stdout(io.StringIO()):
+            server.stop()
+
+
+def _guarded(gate: Gate, address: str, port: int) -> Any:
+    """Start a viser server behind a gate.
+
+    Raises:
+        OutsideError: This version of viser starts its server in another way.
+    """
+    import viser
 
     class Server(viser.ViserServer):
         def request_share_url(self, verbose: bool = True) -> str | None:
             """Share nothing, whoever asks."""
             return None
 
-    with _guarding(gate), open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
-        server: Any = Server(address, port, verbose=False)
-    try:
-        yield server, f"http://{host}:{server.get_port()}/?token={gate.token}"
-    finally:
-        with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
-            server.stop()
-
-
-@contextmanager
-def _guarding(gate: Gate) -> Generator[None]:
-    """Put a gate in front of the viser server that starts in this context.
-
-    Raises:
-        OutsideError: This version of viser starts its server in another way.
-    """
-    server: Any = import_module("websockets.asyncio.server")
-    original, guarded = server.serve, list[bool]()
+    websockets: Any = import_module("websockets.asyncio.server")
+    original, guarded = websockets.serve, list[bool]()
     silent = logging.getLogger(f"{__name__}.requests")
     silent.disabled = True
 
@@ -207,12 +200,13 @@ def _guarding(gate: Gate) -> Generator[None]:
         check = partial(gate.check, serve=process_request)
         return original(*arguments, process_request=check, logger=silent, **options)
 
-    server.serve = serve
+    websockets.serve = serve
     try:
-        yield
+        server = Server(address, port, verbose=False)
     finally:
-        server.serve = original
+        websockets.serve = original
     if not guarded:
         raise OutsideError(
             "this version of viser cannot be guarded with a token; install version 1.1"
         )
+    return server
