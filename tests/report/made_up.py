@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from equipoise import paper
-from equipoise.arm.iiwa import iiwa
-from equipoise.control.policy import Checkpoint, LearningPoint, TabularPolicy
-from equipoise.files import Estimate, Provenance
+from equipoise.control.policy import Checkpoint, LearningPoint, shipped_policy
+from equipoise.files import Provenance
 from equipoise.identification.recording import Trajectory
 from equipoise.log.conditions import RunEnd
 from equipoise.log.run_log import simulated_log
@@ -42,66 +41,48 @@ def swing(rate=False, source="swing.csv"):
     return Trajectory(time=time, theta=theta, source=source)
 
 
-def pendulum(trajectory, warnings=(), release=RELEASE):
+def pendulum(trajectory, warnings=()):
     """What was identified from it."""
-    rate = trajectory.theta is None
-
-    def estimate(value):
-        return Estimate.normal(value, 0.001 * value, "identified")
-
-    return Pendulum(
-        w2=estimate(W2),
-        k=estimate(W2 / 9.80665),
-        c=estimate(C),
-        coulomb=Estimate.normal(0.0, 0.0, "assumed"),
-        drag=Estimate.normal(0.0, 0.0, "assumed"),
-        covariance=((0.0,) * 4,) * 4,
-        friction_model="viscous",
-        fit=SwingFit(
-            source=trajectory.source,
-            sha256=trajectory.sha256,
-            quantity="rate" if rate else "angle",
-            window=(RELEASE, 4.995),
-            release=release,
-            samples=900,
-            periods=6.0,
-            rms=2e-4,
-            noise=1e-4,
-            offset=0.0,
-            theta=0.05,
-            theta_dot=0.0,
-            settings=resolve().identification,
-            warnings=tuple(warnings),
-        ),
+    fit = SwingFit(
+        source=trajectory.source,
+        sha256=trajectory.sha256,
+        quantity="rate" if trajectory.theta is None else "angle",
+        window=(RELEASE, 4.995),
+        release=RELEASE,
+        samples=900,
+        periods=6.0,
+        rms=2e-4,
+        noise=1e-4,
+        offset=0.0,
+        theta=0.05,
+        theta_dot=0.0,
+        settings=resolve().identification,
+        warnings=tuple(warnings),
     )
+    return Pendulum.assumed(W2, C).model_copy(update={"fit": fit})
 
 
-def policy(of, recipe="robust", unvisited=7):
+def policy(of, recipe="robust"):
     """A table that pushes towards where the pendulum leans, after a training with a selection."""
     settings = resolve(recipe)
     visits = np.ones((270, 8), dtype=np.int64)
-    visits[:unvisited] = 0
-    lean = np.repeat([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0], 45)
-    selected = settings.selection.every > 0
+    visits[:7] = 0
+    lean = np.repeat([-1.0, 1.0], 135)
     shown = range(1000, 10001, 1000)
     curve = [LearningPoint(episodes=n, steps=40 * n, duration=n / 1000.0) for n in shown]
     found = {"trials": 400, "survived": 399, "mean_duration": 60.0, "rms_x": 0.05, "score": 0.9}
     candidates = [Checkpoint(episodes=n, **found) for n in (9000, 8000, 10000)]
-    return TabularPolicy(
-        actions=paper.ACTIONS,
-        Q=tuple(map(tuple, np.outer(lean, paper.ACTIONS).tolist())),
-        visits=tuple(map(tuple, visits.tolist())),
-        h=0.01,
-        pendulum=of,
-        arm=iiwa(7),
-        actuator=IDEAL_ACTUATOR if recipe == "paper" else shipped_actuator(),
-        settings=settings,
-        seed=0,
-        episodes=10_000,
-        steps=400_000,
-        learning_curve=tuple(curve),
-        checkpoints=tuple(candidates) if selected else (),
-    )
+    trained = {
+        "Q": tuple(map(tuple, np.outer(lean, paper.ACTIONS).tolist())),
+        "visits": tuple(map(tuple, visits.tolist())),
+        "pendulum": of,
+        "actuator": IDEAL_ACTUATOR if recipe == "paper" else shipped_actuator(),
+        "settings": settings,
+        "learning_curve": tuple(curve),
+        "checkpoints": tuple(candidates) if settings.selection.every > 0 else (),
+        "test": None,
+    }
+    return shipped_policy().model_copy(update=trained)
 
 
 def trials(name, falls, count=20, cause=Outcome.TRACK):
@@ -148,12 +129,8 @@ def run(of, survival=60.0, cause=Outcome.SURVIVED, world=MODEL):
     twin = None if world == MODEL else read_world(world)
 
     def state(t):
-        return {
-            "x": 0.12 * np.sin(t),
-            "x_dot": 0.12 * np.cos(t),
-            "phi": 0.05 * np.sin(8.0 * t),
-            "phi_dot": 0.4 * np.cos(8.0 * t),
-        }
+        flange = {"x": 0.12 * np.sin(t), "x_dot": 0.12 * np.cos(t)}
+        return flange | {"phi": 0.05 * np.sin(8.0 * t), "phi_dot": 0.4 * np.cos(8.0 * t)}
 
     was = state(time - AHEAD if twin else time)
     u = np.array(paper.ACTIONS)[np.arange(n) // 3 % 8]
