@@ -6,10 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from equipoise.control.policy import shipped_policy
-from equipoise.log.run_log import RunLog
-from equipoise.model.pendulum import Pendulum
-from equipoise.rig.simulate import simulate_run
+from equipoise import Pendulum, RunLog, shipped_policy, simulate_run
 from tests.cli.conftest import contents
 from tests.program import run_program
 

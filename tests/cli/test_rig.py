@@ -6,9 +6,7 @@ import time
 
 import pytest
 
-from equipoise.control.policy import shipped_policy
-from equipoise.log.run_log import RunLog
-from equipoise.model.actuator import Actuator
+from equipoise import Actuator, RunLog, shipped_policy
 from equipoise.rig import clocks
 from equipoise.robots.kst.robot import KstRobot
 from tests.cli.conftest import contents

@@ -8,14 +8,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from equipoise import Actuator, Evaluation, Pendulum, RunLog, simulate_run
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.files import Estimate, read_document
-from equipoise.log.run_log import RunLog
-from equipoise.model.actuator import Actuator
-from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import TwinSettings, World
-from equipoise.rig.simulate import simulate_run
-from equipoise.simulation.evaluation import Evaluation
 from tests.cli.conftest import contents
 
 SHORT = (
