@@ -7,14 +7,11 @@ import sys
 import numpy as np
 import pytest
 
-from equipoise import paper
-from equipoise.arm.iiwa import iiwa
+from equipoise import Pendulum, Settings, iiwa, paper, shipped_pendulum
 from equipoise.control.bound_policy import BUILT_IN, load_policy
 from equipoise.control.linear import lqr_gains
 from equipoise.control.policy import act, shipped_policy
 from equipoise.errors import ArtefactError, InputError, MissingExtraError
-from equipoise.model.pendulum import Pendulum, shipped_pendulum
-from equipoise.settings import Settings
 from tests.reference.onnx_network import DOUBLE, FLOAT, linear_network
 
 GAINS = lqr_gains(shipped_pendulum().parameters(), 0.01)

@@ -8,20 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from equipoise import paper
+from equipoise import PendulumParameters, bind_policy, evaluate, paper
 from equipoise.arrays import fields, new_records
 from equipoise.control import swing_up
-from equipoise.control.bound_policy import bind_policy
 from equipoise.control.linear import baselines
 from equipoise.control.policy import LINEAR, KernelPolicy, PolicyKernel, shipped_policy
 from equipoise.control.swing_up import SwingUp, SwingUpPolicy, SwingUpState, time_limit
 from equipoise.errors import InputError, SettingsError
 from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.outcomes import Outcome
 from equipoise.settings import changed
 from equipoise.simulation import run_trial, setup_of, simulate
-from equipoise.simulation.evaluation import evaluate
 
 PENDULUM = shipped_policy().pendulum.parameters()
 LAW = SwingUp(PENDULUM, paper.STEP, 0.0, inf)
