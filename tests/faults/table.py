@@ -12,10 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from equipoise import paper
+from equipoise import bind_policy, paper
 from equipoise.arm.arm import Joint
 from equipoise.arm.posture import condition
-from equipoise.control.bound_policy import bind_policy
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.ticks import TickInputs
 from equipoise.outcomes import Outcome

@@ -4,8 +4,7 @@ import re
 
 import pytest
 
-from equipoise.control.policy import shipped_policy
-from equipoise.log.run_log import RunLog
+from equipoise import RunLog, shipped_policy
 from equipoise.outcomes import Outcome
 from equipoise.rig.config import RigSettings
 from tests.program import LONGEST, program, wait_until

@@ -13,9 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from equipoise import paper
-from equipoise.errors import EquipoiseError
-from equipoise.log.run_log import RunLog
+from equipoise import EquipoiseError, RunLog, paper
 from equipoise.outcomes import Outcome
 from equipoise.rig.series import LEADS_ON, run_path
 from equipoise.safety.rules import POSITION_MARGIN, STOP_DECELERATION
