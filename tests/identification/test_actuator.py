@@ -9,11 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from equipoise.arm.iiwa import iiwa
+from equipoise import iiwa, read_world, shipped_pendulum
 from equipoise.errors import RecordingError
 from equipoise.identification.actuator import identify_actuator, identify_run
-from equipoise.model.pendulum import shipped_pendulum
-from equipoise.model.worlds import read_world
 from equipoise.rig.simulate import excite as excite_run
 from equipoise.simulation.twin.servo_model import equivalent_actuator
 
