@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from equipoise import paper
-from equipoise.arm.iiwa import iiwa
+from equipoise import iiwa, paper, shipped_actuator
 from equipoise.control.policy import KernelPolicy, shipped_policy, table_kernel
 from equipoise.learning.train import measure_survival, score_tables
-from equipoise.model.actuator import shipped_actuator
 from equipoise.model.grid import make_grid
 from equipoise.model.random import SELECTION, TARGET_TEST
 from equipoise.settings import changed, resolve
