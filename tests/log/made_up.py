@@ -6,17 +6,15 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from equipoise.arm.iiwa import iiwa
+from equipoise import PendulumParameters, iiwa, resolve
 from equipoise.arm.posture import along_x
 from equipoise.log.columns import tables
 from equipoise.log.conditions import RunConditions, RunEnd
 from equipoise.log.recorder import Recorder
 from equipoise.log.run_log import RunLog, simulated_log
 from equipoise.log.writer import RunWriter
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.run_controller import PHASES
-from equipoise.settings import resolve
 
 JOINTS = 7
 COLUMNS = (

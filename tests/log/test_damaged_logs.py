@@ -2,9 +2,8 @@
 
 import random
 
-from equipoise.errors import EquipoiseError
+from equipoise import EquipoiseError, RunLog
 from equipoise.log.conditions import RunEnd
-from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Outcome
 from tests.cli.damage import mutations
 from tests.log.made_up import drained

@@ -5,8 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from equipoise.arm.iiwa import iiwa
-from equipoise.control.policy import shipped_policy
+from equipoise import iiwa, shipped_policy
 from equipoise.identification.refine import read_motion
 from equipoise.log.run_log import RunLog, load_run
 from equipoise.outcomes import Outcome
