@@ -6,9 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from equipoise.identification.recording import simulate_swing
+from equipoise import PendulumParameters, simulate_swing
 from equipoise.model.encoder import counts_from_theta, theta_from_counts
-from equipoise.model.pendulum import PendulumParameters
 from tests.reference import pendulum as reference
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
