@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from equipoise.arm.arm import Arm
+from equipoise import Arm, iiwa
 from equipoise.arm.chain import rotation_from_rpy, rpy_from_rotation
-from equipoise.arm.iiwa import iiwa
 from equipoise.errors import ArmError
 
 

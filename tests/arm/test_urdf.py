@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from equipoise.arm.iiwa import iiwa
+from equipoise import iiwa, read_urdf
 from equipoise.arm.posture import along_x, condition
-from equipoise.arm.urdf import read_urdf
 from equipoise.errors import ArmError
 from equipoise.paper import X_LIMIT
 from equipoise.physics_engine import mujoco

@@ -11,8 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from equipoise.arm.iiwa import iiwa
-from equipoise.arm.urdf import read_urdf
+from equipoise import iiwa, read_urdf
 
 
 class Flange(NamedTuple):
