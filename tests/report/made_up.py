@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from equipoise import paper
+from equipoise import Trajectory, paper, resolve
 from equipoise.control.policy import Checkpoint, LearningPoint, shipped_policy
 from equipoise.files import Provenance
-from equipoise.identification.recording import Trajectory
 from equipoise.log.conditions import RunEnd
 from equipoise.log.run_log import simulated_log
 from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
@@ -15,7 +14,6 @@ from equipoise.model.pendulum import Pendulum, SwingFit
 from equipoise.model.worlds import IDEAL, MODEL, read_world
 from equipoise.outcomes import Outcome
 from equipoise.reproduction.results import RecipeResults, Results
-from equipoise.settings import resolve
 from equipoise.simulation.evaluation import Evaluation, TrialResults
 from tests.log.made_up import conditions
 
