@@ -3,12 +3,9 @@
 import numpy as np
 import pytest
 
-from equipoise import paper
-from equipoise.arm.urdf import read_urdf
+from equipoise import Trajectory, paper, read_swing, read_urdf, shipped_actuator
 from equipoise.errors import OutsideError, RecordingError
 from equipoise.files import read_document
-from equipoise.identification.recording import Trajectory, read_swing
-from equipoise.model.actuator import shipped_actuator
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.report.page import build
 from equipoise.reproduction.pipeline import TWIN, reproduce
