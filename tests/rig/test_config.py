@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from equipoise.arm.urdf import read_urdf
-from equipoise.control.policy import shipped_policy
+from equipoise import read_urdf, shipped_policy
 from equipoise.errors import InputError, SettingsError
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import RigSettings, read_rig

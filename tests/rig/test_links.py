@@ -4,9 +4,8 @@ import re
 
 import pytest
 
-from equipoise.control.policy import shipped_policy
+from equipoise import RunLog, shipped_policy
 from equipoise.errors import LinkError, OutsideError
-from equipoise.log.run_log import RunLog
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import connect
 from equipoise.rig.request import RunRequest

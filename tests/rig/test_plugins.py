@@ -5,10 +5,9 @@ from importlib.metadata import EntryPoint
 import pytest
 from pydantic import ValidationError
 
-from equipoise import entry_points
+from equipoise import entry_points, read_world
 from equipoise.arm.urdf import read_arm
 from equipoise.errors import EquipoiseError, InputError
-from equipoise.model.worlds import read_world
 from equipoise.rig.plugins import RobotPlugin, robot_plugin
 
 

@@ -18,12 +18,10 @@ import numpy as np
 import psutil
 import pytest
 
-from equipoise.arm.iiwa import iiwa
-from equipoise.control.policy import shipped_policy
+from equipoise import RunLog, iiwa, shipped_policy
 from equipoise.control.ticks import OperatorMessage, Sample, TickOutput, TickRecord
 from equipoise.errors import LinkError, OutsideError
 from equipoise.log.conditions import RunEnd
-from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Phase
 from equipoise.rig import host, processes
 from equipoise.rig.clocks import SystemClock

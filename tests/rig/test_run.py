@@ -5,9 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from equipoise.control.policy import shipped_policy
+from equipoise import RunLog, shipped_policy
 from equipoise.identification.actuator import identify_actuator
-from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Phase
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import connect

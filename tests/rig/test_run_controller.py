@@ -10,12 +10,11 @@ from math import cosh, pi, radians, sinh, sqrt
 import numpy as np
 import pytest
 
-from equipoise.control.policy import shipped_policy
+from equipoise import Actuator, shipped_policy
 from equipoise.control.ticks import Reply, Sample, TickInputs, missed_ticks
 from equipoise.errors import RecordingError
 from equipoise.identification.driven_swing import SelfTest, SelfTestVerdict
 from equipoise.log.conditions import Reference
-from equipoise.model.actuator import Actuator
 from equipoise.outcomes import MAX_MEASUREMENT_AGE, End, Outcome, Phase, describe
 from equipoise.rig import script
 from equipoise.rig.config import RigSettings

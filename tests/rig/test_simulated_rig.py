@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from equipoise.arm.iiwa import iiwa
-from equipoise.model.pendulum import PendulumParameters
+from equipoise import PendulumParameters, iiwa
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.simulated_rig import Bodies, SimulatedRig
