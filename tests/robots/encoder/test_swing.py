@@ -5,9 +5,8 @@ from math import pi, radians
 import numpy as np
 import pytest
 
+from equipoise import identify, read_swing, write_swing
 from equipoise.errors import LinkError, RecordingError
-from equipoise.identification.recording import read_swing, write_swing
-from equipoise.identification.swing import identify
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.interfaces import Sample
 from equipoise.robots.encoder.swing import LEAD_TIME, record_swing
