@@ -1,11 +1,9 @@
 """Simulations for tests, and recorded trials in them."""
 
-from equipoise import paper
+from equipoise import Settings, paper, shipped_pendulum
 from equipoise.control.policy import KernelPolicy
 from equipoise.model.actuator import IDEAL_ACTUATOR
-from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.random import TEST
-from equipoise.settings import Settings
 from equipoise.simulation import Setup, TrialRecorder, run_trial
 from equipoise.simulation.ideal import PlantSimulation
 

@@ -3,11 +3,10 @@
 import pytest
 from scipy import stats
 
-from equipoise.control.bound_policy import bind_policy
+from equipoise import bind_policy, resolve
 from equipoise.control.linear import baselines
 from equipoise.executors import counted
 from equipoise.outcomes import Outcome
-from equipoise.settings import resolve
 from equipoise.simulation.evaluation import TrialResults, evaluate
 
 SHORT = ["evaluation.trials=20", "evaluation.duration=1.5"]

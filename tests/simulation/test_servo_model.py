@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from equipoise.arm.iiwa import iiwa
+from equipoise import PendulumParameters, iiwa
 from equipoise.arrays import fields, new_records
 from equipoise.identification.actuator import excitation
 from equipoise.model.actuator import Servos, follow, lag_fraction
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import POSITION_DRIVES, TwinSettings
 from equipoise.simulation.twin.physics import TICK
 from equipoise.simulation.twin.servo_model import equivalent_actuator, new_servo, send, serve, start

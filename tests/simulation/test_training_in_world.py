@@ -2,14 +2,12 @@
 
 import pytest
 
-from equipoise import paper
-from equipoise.arm.iiwa import iiwa
+from equipoise import Pendulum, iiwa, paper
 from equipoise.errors import InputError, SettingsError
 from equipoise.learning import episodes
 from equipoise.learning.episodes import Training
 from equipoise.learning.train import actuator_in, train
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
-from equipoise.model.pendulum import Pendulum
 from equipoise.settings import LearningSettings, SelectionSettings, Settings
 from equipoise.simulation import Setup
 from equipoise.simulation.ideal import PlantSimulation

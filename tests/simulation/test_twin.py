@@ -6,9 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from equipoise.arm.iiwa import iiwa
+from equipoise import PendulumParameters, iiwa
 from equipoise.identification.actuator import PERIOD, excitation
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY
 from equipoise.simulation.twin.physics import TICK

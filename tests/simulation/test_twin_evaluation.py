@@ -3,15 +3,10 @@
 import numpy as np
 import pytest
 
-from equipoise.arm.iiwa import iiwa
-from equipoise.learning.train import train
-from equipoise.log.run_log import RunLog
-from equipoise.model.pendulum import Pendulum
+from equipoise import Pendulum, RunLog, evaluate, excite, iiwa, simulate_run, train
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.outcomes import Outcome
-from equipoise.rig.simulate import excite, simulate_run
 from equipoise.settings import changed
-from equipoise.simulation.evaluation import evaluate
 from tests.model.test_worlds import COULOMB, FRICTION
 
 pytestmark = pytest.mark.compiled_only

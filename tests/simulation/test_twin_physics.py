@@ -4,9 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from equipoise.arm.iiwa import iiwa
+from equipoise import PendulumParameters, iiwa
 from equipoise.errors import ArmError
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY
 from equipoise.simulation.twin.physics import build, mass_matrix
