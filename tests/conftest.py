@@ -10,10 +10,8 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-from equipoise.arm.iiwa import iiwa
-from equipoise.learning.train import train
+from equipoise import Pendulum, iiwa, train
 from equipoise.model.actuator import IDEAL_ACTUATOR
-from equipoise.model.pendulum import Pendulum
 from equipoise.physics_engine import mujoco
 from equipoise.reproduction.warm_up import is_warm, warm_up
 from equipoise.settings import EvaluationSettings, LearningSettings, SelectionSettings, Settings

@@ -10,12 +10,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from equipoise import simulation
+from equipoise import evaluate, shipped_policy, simulation
 from equipoise.cli import main
-from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, SettingsError
 from equipoise.simulation import setup_of, simulate, world_class
-from equipoise.simulation.evaluation import evaluate
 from tests.test_pages import blocks
 
 FOUND = blocks("docs/how-to/bring-a-world.md", "python", "toml", "sh")

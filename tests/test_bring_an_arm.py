@@ -13,15 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from equipoise import entry_points
-from equipoise.arm.iiwa import iiwa
+from equipoise import Actuator, Pendulum, RunLog, TabularPolicy, entry_points, iiwa
 from equipoise.arm.urdf import read_arm
 from equipoise.cli import main
-from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArmError
-from equipoise.log.run_log import RunLog
-from equipoise.model.actuator import Actuator
-from equipoise.model.pendulum import Pendulum
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.rig.config import read_rig
 from tests.arm.witnesses import ELBOW

@@ -6,14 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from equipoise.arm.urdf import read_urdf
+from equipoise import Actuator, read_swing, read_urdf, read_world, resolve, shipped_actuator
 from equipoise.control.policy import TabularPolicy, shipped_policy
-from equipoise.identification.recording import read_swing
-from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
-from equipoise.model.worlds import read_world
 from equipoise.rig.config import read_rig
-from equipoise.settings import resolve
 from tests.cli.damage import mutations, outcomes
 
 pytestmark = pytest.mark.compiled_only  # files are read by the same code without compilation

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from equipoise.control.policy import shipped_policy
-from equipoise.rig.simulate import simulate_run
+from equipoise import shipped_policy, simulate_run
 from tests.arm.witnesses import Pinocchio
 from tests.conftest import tiers
 

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 import equipoise
-from equipoise.control.policy import shipped_policy
-from equipoise.identification.recording import write_swing
+from equipoise import shipped_policy, write_swing
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from tests.cli.conftest import parse
 from tests.conftest import tiers
