@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 from equipoise.arm.iiwa import iiwa
 from equipoise.errors import LinkError
 from equipoise.outcomes import Outcome
+from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.safety.rules import FIRST_LIMIT, limits_of
+from tests.rig.test_loop import Arm
 
 ARM = iiwa(7)
 HOME = np.array(ARM.home)
@@ -22,26 +24,8 @@ VELOCITY = np.array([joint.velocity for joint in ARM.joints])
 ACCELERATION = np.array([joint.acceleration for joint in ARM.joints])
 
 
-class Tape:
-    """A robot that stands where it is told to and keeps what it is sent."""
-
-    joints = 7
-
-    def __init__(self, q=HOME):
-        self.q, self.sent = np.array(q, float), []
-
-    def measured(self):
-        return self.q
-
-    def start(self):
-        return self.q
-
-    def send(self, q):
-        self.sent.append(tuple(q))
-
-
 def guarded(q=HOME):
-    tape = Tape(q)
+    tape = Arm(VirtualClock(), q=q)
     robot = GuardedRobot(tape, limits_of(ARM), PERIOD)
     robot.start()
     return robot, tape

@@ -90,7 +90,7 @@ def move(request, rig, operators, recorder, *, prepare, submit, follow):
     encoder = SimpleNamespace(samples=lambda: [Sample(time.monotonic(), 0, False, False, 0)])
     ending = run_loop(robot, encoder, clock, heart, recorder, operator)
     if "SENT" in os.environ:
-        np.save(os.environ["SENT"], [q[6] for _, q in arm.sent])
+        np.save(os.environ["SENT"], [q[6] for q in arm.sent])
     outcome = "operator" if heart.typed else "survived"
     evidence = {"typed": heart.typed}
     return RunEnd(outcome=outcome, evidence=evidence, stoppable=ending.stoppable, survival=0.0)
