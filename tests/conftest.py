@@ -123,20 +123,12 @@ def rig_log(tmp_path_factory):
     with (folder / "rig.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not path.exists():
-            record_rig(path)
+            from equipoise.rig.run import run_virtually
+            from tests.rig.test_run import request
+
+            wanted = request(duration=1.5, robot="kst://twin:nominal")
+            assert run_virtually(wanted, path).outcome == "survived"
     return path
-
-
-def record_rig(path):
-    """Write the log of `rig_log`."""
-    from equipoise.control.policy import shipped_policy
-    from equipoise.rig.config import RigSettings
-    from equipoise.rig.request import RunRequest
-    from equipoise.rig.run import run_virtually
-
-    task = shipped_policy(), shipped_policy().actuator, RigSettings()
-    request = RunRequest(*task, "kst://twin:nominal", None, duration=1.5, seed=3)
-    assert run_virtually(request, path).outcome == "survived"
 
 
 @pytest.fixture

@@ -77,14 +77,3 @@ def test_a_device_that_is_not_there_is_the_outside_world(equipoise, monkeypatch,
         assert ran.code == 3
         assert "cannot open /dev/nowhere" in ran.err
         assert not list(tmp_path.iterdir())
-
-
-def test_an_error_of_the_disk_leaves_nothing(equipoise, monkeypatch, tmp_path):
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("os.fsync", full)
-    ran = equipoise("evaluate", "--trials=1", "--duration=0.1", "--no-baselines", "--out=e.json")
-    assert ran.code == 3
-    assert "No space left on device" in ran.err
-    assert not list(tmp_path.iterdir())

@@ -51,7 +51,8 @@ def test_train_writes_a_policy_and_marks_one_that_misses_the_target(equipoise, p
 def test_a_hanging_pendulum_is_swung_up(equipoise, tmp_path):
     few = ("--start=hanging", "--world=model", "--duration=1", "--json")
     ran = equipoise("evaluate", "--trials=2", "--no-baselines", *few).json
-    assert (ran["survived"], ran["upright_max_s"] > 2.0) == (2, True)
+    assert ran["survived"] == 2
+    assert 2.0 < ran["upright_median_s"] <= ran["upright_max_s"] < 15.0
     ran = equipoise("deploy", *few, "--out=run.mcap").json
     assert (ran["outcome"], ran["survival_s"]) == ("survived", 1.0)
     found = equipoise("log", "explain", "run.mcap", "--json").json

@@ -477,6 +477,17 @@ def change_replies(change: Callable[[Any], Any]) -> Inject:
     return _inputs(lambda inputs: inputs._replace(replies=list(map(change, inputs.replies))))
 
 
+def freeze_joints(harness: FaultHarness) -> None:
+    """Let every later reply repeat the first joints."""
+    first: list[Setpoint] = []
+
+    def repeat(reply: Any) -> Any:
+        first.extend([reply.q] if reply.q and not first else [])
+        return reply._replace(q=first[0]) if reply.q else reply
+
+    change_replies(repeat)(harness)
+
+
 def _nan_replies(column: str) -> Inject:
     """Replace all numbers of a column of the robot's replies by NaN."""
 

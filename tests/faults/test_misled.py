@@ -9,7 +9,7 @@ from equipoise.safety.monitors import MAX_REPEATS, REPEAT_WINDOW
 from equipoise.safety.rules import FIRST_LIMIT
 from tests.conftest import tiers
 from tests.faults.harness import FaultHarness, Scenario, Trigger
-from tests.faults.table import change_replies, run_off
+from tests.faults.table import change_replies, freeze_joints, run_off
 from tests.faults.verdicts import check_run, setpoints_of, stop_time
 
 pytestmark = pytest.mark.compiled_only
@@ -34,19 +34,15 @@ def test_wrong_joints_at_and_after_a_stop_move_the_arm_no_further_than_its_ramp(
     random = np.random.default_rng([seed, 441])
     joint, sign = int(random.integers(7)), random.choice((-1.0, 1.0))
     rate, most = sign * 10.0 ** random.uniform(-0.5, 1.2), 10.0 ** random.uniform(-1.5, 0.5)
-    away, last = np.eye(7)[joint] * sign * most, []
+    away = np.eye(7)[joint] * sign * most
 
     def shifted(reply):
         return reply if reply.q is None else reply._replace(q=tuple((reply.q + away).tolist()))
 
-    def frozen(reply):
-        last.append(reply.q) if reply.q and not last else None
-        return reply._replace(q=last[0]) if reply.q else reply
-
     kinds = {
         "runs off": run_off(joint, rate, most),
         "shifted": change_replies(shifted),
-        "frozen": change_replies(frozen),
+        "frozen": freeze_joints,
     }
     kind, stops = str(random.choice(list(kinds))), random.uniform(-0.3, 0.3)
 
