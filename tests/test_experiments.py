@@ -45,7 +45,9 @@ def experiment(script, monkeypatch):
 
 def module(name):
     """Return the names of an experiment."""
-    return runpy.run_path(str(EXPERIMENTS / f"{name}.py"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(EXPERIMENTS)
+        return runpy.run_path(str(EXPERIMENTS / f"{name}.py"))
 
 
 @pytest.mark.compiled_only
