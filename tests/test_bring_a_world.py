@@ -46,8 +46,6 @@ class Falls(Delayed):
 no_world = 3
 """
 
-pytestmark = pytest.mark.compiled_only
-
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path):

@@ -69,7 +69,6 @@ def test_the_iiwas_are_registered_and_may_stand_at_another_home_with_another_piv
 
 
 @pytest.mark.slow
-@pytest.mark.compiled_only
 def test_the_story_runs_as_it_is_printed(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     swing = synthetic_swing(seed=3)

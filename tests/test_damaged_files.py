@@ -12,8 +12,6 @@ from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.rig.config import read_rig
 from tests.cli.damage import mutations, outcomes
 
-pytestmark = pytest.mark.compiled_only  # files are read by the same code without compilation
-
 DATA = Path(__file__).parent / "data"
 HOME = [radians(angle) for angle in (0.0, -60.0, 90.0, 0.0, 60.0, 0.0)]
 

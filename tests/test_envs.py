@@ -30,8 +30,6 @@ IGNORED = (
 """Warnings of `check_env` that Gymnasium's own tests ignore: a velocity has no bound, and an
 acceleration a unit."""
 
-pytestmark = pytest.mark.compiled_only
-
 
 def make(world, **arguments):
     return gym.make(NAME, world=world, **arguments)

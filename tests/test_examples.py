@@ -35,7 +35,6 @@ def test_every_example_is_run():
     assert {path.name for path in EXAMPLES.glob("*.py")} == set(SAY)
 
 
-@pytest.mark.compiled_only
 @pytest.mark.parametrize("name", tiers(SAY, SAY.keys() - LONG, LONG))
 def test_an_example_needs_no_file_and_says_what_it_should(script, name):
     assert SAY[name] in script(EXAMPLES / name)
@@ -60,7 +59,6 @@ def shown(run, script, tmp_path):
     return [(c, m, json.loads(m.data)) for _, c, m in found]
 
 
-@pytest.mark.compiled_only
 def test_frames_stand_where_the_kinematics_puts_flange_and_pendulum(shown, run):
     arm, replies, compared = run.conditions.arm, run.replies, 0
     urdf = next(c["data"] for channel, _, c in shown if channel.topic == "/robot_description")

@@ -15,7 +15,7 @@ from tests.test_pages import blocks
 
 GUEST = Path(__file__).parent / "guest"
 
-pytestmark = [pytest.mark.full, pytest.mark.compiled_only]
+pytestmark = pytest.mark.full
 
 
 @pytest.fixture(scope="module")

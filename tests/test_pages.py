@@ -175,7 +175,6 @@ def folder(tmp_path):
     return tmp_path
 
 
-@pytest.mark.compiled_only
 @pytest.mark.parametrize("page", tiers((*GUESTS, *RUN), (), GUESTS))
 def test_the_commands_of_a_page_run(page, folder):
     """Each as it is printed, one after the other, in one folder. A bad result is code 1."""

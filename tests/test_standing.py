@@ -9,8 +9,6 @@ from equipoise.learning.train import ATTEMPTS, train_to_target
 from equipoise.model.worlds import MODEL
 from equipoise.settings import changed, resolve
 
-pytestmark = pytest.mark.compiled_only
-
 
 def summaries(pendulum, settings, seeds, tests, attempts=ATTEMPTS, world=MODEL):
     """Train for each seed alone, and return what the trials of each policy came to."""

@@ -10,8 +10,6 @@ from zipfile import ZipFile
 
 import pytest
 
-pytestmark = pytest.mark.compiled_only
-
 SOURCES = Path(__file__).parents[1]
 
 

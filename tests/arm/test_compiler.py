@@ -11,7 +11,7 @@ from equipoise.arm import compiler
 from equipoise.elementary import fma
 from tests.program import run_program
 
-pytestmark = [pytest.mark.full, pytest.mark.compiled_only]
+pytestmark = pytest.mark.full
 
 INPUTS = {"a": 0.7, "b": -1.3, "c": 2.1}
 NUMBERS = st.sampled_from([0.0, 1.0, -1.0, 0.5, -2.5])

@@ -120,7 +120,6 @@ def test_a_log_file_shows_that_kernels_were_compiled(monkeypatch, capsys):
 
 
 @pytest.mark.full
-@pytest.mark.compiled_only
 def test_ctrl_c_ends_work_on_threads_and_leaves_no_file(tmp_path):
     process = start_program(*COMMAND, "evaluate", "--trials", "100000", cwd=tmp_path)
     time.sleep(5.0)
@@ -148,7 +147,6 @@ def test_a_full_disk_is_told_in_one_sentence_and_a_closed_pipe_silently():
     assert (ran.returncode, ran.stderr) == (141, "")
 
 
-@pytest.mark.compiled_only
 @pytest.mark.skipif(os.name != "posix", reason="the shell closes streams")
 @pytest.mark.parametrize("closed", [pytest.param(">&-", marks=pytest.mark.full), "<&- >&- 2>&-"])
 def test_a_verb_works_with_closed_streams(tmp_path, closed):

@@ -9,7 +9,7 @@ import pytest
 
 from tests.program import needs_terminals, program
 
-pytestmark = [pytest.mark.compiled_only, needs_terminals]
+pytestmark = needs_terminals
 
 
 def ask(connection, command):

@@ -29,7 +29,6 @@ def together(*commands):
         return sorted(pool.map(run, commands))
 
 
-@pytest.mark.compiled_only
 @pytest.mark.parametrize("call", SECOND_CALLS)
 def test_a_second_call_takes_the_next_name_and_says_so(equipoise, swing, tmp_path, call):
     if "given" in call:
@@ -49,7 +48,6 @@ def test_a_second_call_takes_the_next_name_and_says_so(equipoise, swing, tmp_pat
 
 
 @pytest.mark.full
-@pytest.mark.compiled_only
 def test_commands_at_the_same_time_lose_nothing(swing, tmp_path):
     runs = [(*RUN, f"--seed={seed}") for seed in (1, 2)]
     done = together(*runs, *[("identify", "swing.csv")] * 2)

@@ -13,7 +13,6 @@ from tests.cli.conftest import contents
 from tests.robots.encoder.by_hand import RELEASE, ByHand
 from tests.robots.encoder.rig import Bench
 
-pytestmark = pytest.mark.compiled_only
 URI = "serial:///dev/ttyACM0"
 
 

@@ -21,8 +21,6 @@ SHORT = (
 )
 FEW = ("--trials=4", "--duration=1", "--workers=1")
 
-pytestmark = pytest.mark.compiled_only
-
 
 def test_identify_writes_pendulum_and_figure(equipoise, swing, tmp_path):
     weighed = ("--mass=0.2", "--mass-uncertainty=0.001", "--length=0.14")

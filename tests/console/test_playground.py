@@ -9,8 +9,6 @@ import pytest
 from equipoise.console.play import FALL, SCENES, Playground, PlayPage
 from equipoise.control.bound_policy import bind_policy, load_policy
 
-pytestmark = pytest.mark.compiled_only
-
 
 def played(playground, seconds):
     for _ in range(round(seconds / playground.h)):

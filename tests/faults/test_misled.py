@@ -12,8 +12,6 @@ from tests.faults.harness import FaultHarness, Scenario, Trigger
 from tests.faults.table import change_replies, freeze_joints, run_off
 from tests.faults.verdicts import check_run, setpoints_of, stop_time
 
-pytestmark = pytest.mark.compiled_only
-
 SEEDS = tiers(range(200), [0], [1])
 MOVING = {"homing": 0.8, "swing": 2.5, "balancing": 0.8}
 """Messages that a motion begins with, and the time after them within which a fault begins [s]."""

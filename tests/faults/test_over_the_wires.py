@@ -17,7 +17,6 @@ HAND = (("button", "press"), ("Lift the pendulum", "lift"), ("Armed", "release")
 
 @pytest.mark.full
 @pytest.mark.real_time
-@pytest.mark.compiled_only
 def test_a_policy_balances_over_the_wires_of_the_emulated_rig(tmp_path):
     balances(tmp_path, "iiwa7", "--port", "0")
 

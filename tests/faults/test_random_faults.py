@@ -10,8 +10,6 @@ from tests.faults.harness import START, FaultHarness, Scenario, Trigger
 from tests.faults.table import TABLE, freeze_joints, run_off, slow_link
 from tests.faults.verdicts import check_run
 
-pytestmark = pytest.mark.compiled_only
-
 PHASES = {
     "homing": 1.0, "home": 0.3, "hang": 2.0, "reference": 0.5, "swing": 6.0, "excitation": 9.0,
     "lift": 3.0, "armed": 0.5, "swing-up": 5.0, "balancing": 2.5, "damping": 25.0,

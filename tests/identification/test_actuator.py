@@ -15,8 +15,6 @@ from equipoise.identification.actuator import identify_actuator, identify_run
 from equipoise.rig.simulate import excite as excite_run
 from equipoise.simulation.twin.servo_model import equivalent_actuator
 
-pytestmark = pytest.mark.compiled_only
-
 LAGS = np.array([6.0, 9.0, 4.0, 12.0, 16.0, 8.0]) * 1e-3
 NOISE = 5e-5
 WAITING = 0.5e-3

@@ -16,9 +16,6 @@ from equipoise.identification.refine import inspect
 from equipoise.model.worlds import TwinSettings, World
 from tests.log.made_up import changed_table
 
-# A run of a minute is 60,000 steps of the physics engine.
-pytestmark = pytest.mark.compiled_only
-
 ACTUATOR = Actuator.assumed("kst", delay=0.010, lag=0.008)
 """The nominal twin's, as its numbers say."""
 

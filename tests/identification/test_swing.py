@@ -18,8 +18,6 @@ from equipoise.settings import IdentificationSettings
 from tests.conftest import tiers
 from tests.reference import pendulum as reference
 
-pytestmark = pytest.mark.compiled_only
-
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
 PERIOD = 2.0 * pi / sqrt(70.2)
 STEP = 0.004

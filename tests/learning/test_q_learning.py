@@ -57,7 +57,6 @@ def learned(algorithm, updates, seed=0):
     return tables
 
 
-@pytest.mark.compiled_only
 @pytest.mark.parametrize(
     ("name", "updates"),
     [
@@ -78,7 +77,6 @@ def test_algorithms_of_the_best_policy_find_its_values(example, name, updates):
     np.testing.assert_allclose(Q[1 : STATES + 1], exact[1:], atol=0.06)
 
 
-@pytest.mark.compiled_only
 @pytest.mark.full
 def test_expected_sarsa_finds_the_values_of_the_policy_that_explores(example):
     # Against the closed form of its own last policy: Q = (1 - gamma P)^-1 r, with P by its greedy
@@ -170,7 +168,6 @@ def trained(policy, settings, **changes):
     return train(policy.pendulum, policy.arm, settings, actuator=policy.actuator, seed=7)
 
 
-@pytest.mark.compiled_only
 @pytest.mark.full
 def test_a_guest_that_does_what_ours_does_gives_our_bits(guest, small_policy, quick_settings):
     ours = {"algorithm": "guest_of_tests:update", "reward": "guest_of_tests:failure"}
@@ -193,7 +190,6 @@ REFUSED = {
 }
 
 
-@pytest.mark.compiled_only
 @pytest.mark.parametrize("name", REFUSED)
 def test_unusable_objects_are_refused_in_one_sentence(guest, name):
     with pytest.raises((InputError, SettingsError)) as refusal:
@@ -201,7 +197,6 @@ def test_unusable_objects_are_refused_in_one_sentence(guest, name):
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.compiled_only
 @pytest.mark.parametrize(
     ("name", "line", "reason"),
     [
@@ -220,7 +215,6 @@ def test_a_function_that_cannot_be_compiled_is_named_with_its_line(guest, name, 
 
 
 @pytest.mark.full
-@pytest.mark.compiled_only
 @pytest.mark.parametrize(("name", "error"), [("late", "ValueError"), ("wild", "IndexError")])
 def test_an_error_of_compiled_code_ends_the_training(
     guest, small_policy, quick_settings, capfd, name, error

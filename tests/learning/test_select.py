@@ -13,8 +13,6 @@ from equipoise.settings import changed, resolve
 from equipoise.simulation import Setup
 from equipoise.simulation.ideal import PlantSimulation
 
-pytestmark = pytest.mark.compiled_only
-
 
 @pytest.fixture
 def setup(pendulum):

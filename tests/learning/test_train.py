@@ -10,9 +10,6 @@ from equipoise.learning.episodes import Training
 from equipoise.learning.train import check_task, measure_survival, train, train_to_target
 from equipoise.simulation import Setup
 
-# Thousands of episodes' worth of steps: minutes without compilation.
-pytestmark = pytest.mark.compiled_only
-
 ARM = iiwa(14)
 QUICK = [
     *("learning.episodes=60", "learning.episode_duration=1", "selection.every=20"),

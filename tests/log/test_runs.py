@@ -11,8 +11,6 @@ from equipoise.log.run_log import RunLog, load_run
 from equipoise.outcomes import Outcome
 from equipoise.rig.config import RigSettings
 
-pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
-
 
 def table(path):
     with path.open() as file:

@@ -16,7 +16,6 @@ from equipoise.rig.run_controller import PHASES
 from tests.conftest import tiers
 from tests.rig.test_run import request
 
-pytestmark = pytest.mark.compiled_only
 BALANCE = load_policy("lqr")
 
 

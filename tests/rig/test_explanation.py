@@ -13,8 +13,6 @@ from equipoise.rig.explanation import RootCause, explain, root_causes, unexplain
 from equipoise.settings import changed
 from tests.log.made_up import changed_table
 
-pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
-
 PER_RADIAN = 8192 / (2.0 * np.pi)
 
 

@@ -11,8 +11,6 @@ from equipoise.rig.run import CHECKLIST, run_virtually
 from equipoise.robots.kst.plugin import PLUGIN
 from tests.rig.test_run import request
 
-pytestmark = pytest.mark.compiled_only
-
 ANSWERS = [*(word for word, _ in CHECKLIST + PLUGIN.checklist), "y"]
 ENDED = 2.1
 """Longest time from a fault to the end of a run [s]: a driver waits 1 s for a reply, and 1 s for

@@ -36,7 +36,6 @@ from equipoise.safety.rules import limits_of
 from tests.rig.test_loop import Arm
 
 pytestmark = [
-    pytest.mark.compiled_only,
     pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX's"),
 ]
 

@@ -18,8 +18,6 @@ from tests.faults.harness import FaultHarness, Scenario, Trigger
 from tests.log.made_up import changed_table
 from tests.rig.replayed import replay
 
-pytestmark = pytest.mark.compiled_only
-
 POLICY = shipped_policy()
 MOTIONS = ("homing", "swing", "balancing")
 

@@ -22,8 +22,6 @@ from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import MOVING, UNCERTAIN_TORQUE_FACTOR, RunController
 from equipoise.rig.script import Run
 
-pytestmark = pytest.mark.compiled_only
-
 
 @pytest.fixture(autouse=True)
 def _short_swings(monkeypatch):

@@ -14,8 +14,6 @@ from equipoise.rig.series import RunLogs, Series, summarise
 from tests.rig.replayed import replay
 from tests.rig.test_run import POLICY, Scripted, request
 
-pytestmark = pytest.mark.compiled_only
-
 
 def run(out, *, after_run=None, **acts):
     """Run a series of two, with the acts of its operator, and a word that it types in between."""

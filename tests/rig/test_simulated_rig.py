@@ -10,8 +10,6 @@ from equipoise.rig.simulated_rig import Bodies, SimulatedRig
 from equipoise.settings import GRAVITY
 from equipoise.simulation.twin.twin import FLANGE, Twin
 
-pytestmark = pytest.mark.compiled_only
-
 ARM = iiwa(7)
 PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
 NOMINAL = TwinSettings()

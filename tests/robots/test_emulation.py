@@ -11,7 +11,7 @@ from equipoise.robots.emulation import Emulation
 from tests.program import needs_terminals
 from tests.rig.test_simulated_rig import ARM, NOMINAL, PENDULUM
 
-pytestmark = [pytest.mark.compiled_only, needs_terminals]
+pytestmark = needs_terminals
 
 ASK = b"getJointsPositions\n"
 

@@ -25,7 +25,7 @@ from equipoise.testing import WorldConformance
 from tests.arm.witnesses import ELBOW, ELBOW_HOME
 from tests.coppeliasim_server import RUNNING, CoppeliaSimServer, Scene
 
-pytestmark = [pytest.mark.full, pytest.mark.compiled_only]
+pytestmark = pytest.mark.full
 
 POLICY = shipped_policy()
 REAL = os.environ.get("EQUIPOISE_COPPELIASIM")

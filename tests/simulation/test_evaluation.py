@@ -64,7 +64,6 @@ def test_progress_moves_within_a_trial():
 # The trials
 
 
-@pytest.mark.compiled_only
 def test_an_evaluation_says_what_was_evaluated(evaluation, small_policy, settings):
     assert (evaluation.policy, evaluation.arm) == (small_policy.digest, "iiwa14")
     assert (evaluation.world, evaluation.world_settings) == ("model", None)
@@ -74,7 +73,6 @@ def test_an_evaluation_says_what_was_evaluated(evaluation, small_policy, setting
     assert [beside.name for beside in evaluation.baselines] == names
 
 
-@pytest.mark.compiled_only
 def test_the_table_as_a_plain_object_runs_the_same_trials(small_policy, settings, evaluation):
     plain, told = Plain(small_policy), []
     bound = bind_policy(plain, name="plain", pendulum=small_policy.pendulum, arm=small_policy.arm)

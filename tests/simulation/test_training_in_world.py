@@ -12,8 +12,6 @@ from equipoise.settings import LearningSettings, SelectionSettings, Settings
 from equipoise.simulation import Setup
 from equipoise.simulation.ideal import PlantSimulation
 
-pytestmark = pytest.mark.compiled_only
-
 ARM, PENDULUM = iiwa(7), Pendulum.assumed(70.2, 0.15)
 FEW = Settings(
     learning=LearningSettings(episodes=6, episode_duration=0.5),

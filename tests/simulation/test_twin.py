@@ -33,7 +33,6 @@ def swing(theta, steps):
     return np.array(angles)
 
 
-@pytest.mark.compiled_only
 @pytest.mark.parametrize("theta", [0.1, 1.2, 2.8])
 def test_a_free_swing_is_that_of_the_equation(theta):
     time = np.arange(0, 3.0005, 0.01)

@@ -9,7 +9,6 @@ from equipoise.outcomes import Outcome
 from equipoise.settings import changed
 from tests.model.test_worlds import COULOMB, FRICTION
 
-pytestmark = pytest.mark.compiled_only
 WORLD = "twin:nominal"
 UNGUARDED = World("twin:unguarded", TwinSettings(guards=False))
 

@@ -42,8 +42,6 @@ TRIALS = [
     for i, sign in enumerate((1.0, -1.0, -1.0, 1.0))
 ]
 
-pytestmark = pytest.mark.compiled_only
-
 
 def twins(world=WORLD, seed=1):
     setup = Setup(PENDULUM, ARM, Settings(), ACTUATOR, 0.01)
