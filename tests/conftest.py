@@ -129,12 +129,3 @@ def rig_log(tmp_path_factory):
             wanted = request(duration=1.5, robot="kst://twin:nominal")
             assert run_virtually(wanted, path).outcome == "survived"
     return path
-
-
-@pytest.fixture
-def broken_off(rig_log, tmp_path):
-    """The same, cut half a second before its end."""
-    path = tmp_path / "cut.mcap"
-    whole = rig_log.read_bytes()
-    path.write_bytes(whole[: int(0.94 * len(whole))])
-    return path

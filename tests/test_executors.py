@@ -145,7 +145,6 @@ def end(process):
 
 @pytest.fixture
 def cluster(tmp_path):
-    pytest.importorskip("distributed", reason="Dask is not installed (extra cluster)")
     with contextlib.ExitStack() as stack:
         yield Cluster(stack, tmp_path)
 

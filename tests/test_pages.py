@@ -178,8 +178,6 @@ def folder(tmp_path):
 @pytest.mark.parametrize("page", tiers((*GUESTS, *RUN), (), GUESTS))
 def test_the_commands_of_a_page_run(page, folder):
     """Each as it is printed, one after the other, in one folder. A bad result is code 1."""
-    if "network.onnx" in (ROOT / page).read_text():
-        pytest.importorskip("onnxruntime", reason="ONNX Runtime is not installed (extra onnx)")
     bin_folder = Path(sys.executable).parent
     environment = os.environ | {"PATH": f"{bin_folder}{os.pathsep}{os.environ['PATH']}"}
 

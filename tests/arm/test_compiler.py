@@ -34,7 +34,7 @@ def expressions(tape, leaves):
     return st.recursive(leaf, applied, max_leaves=30)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(data=st.data())
 def test_what_is_printed_computes_what_was_written(data):
     tape = compiler.Tape()

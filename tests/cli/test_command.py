@@ -130,7 +130,6 @@ def test_ctrl_c_ends_work_on_threads_and_leaves_no_file(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no full device")
 def test_a_full_disk_is_told_in_one_sentence_and_a_closed_pipe_silently():
     command = [*COMMAND, "log", "explain", "--help"]
     options = {"stderr": subprocess.PIPE, "text": True, "check": False}
@@ -147,11 +146,9 @@ def test_a_full_disk_is_told_in_one_sentence_and_a_closed_pipe_silently():
     assert (ran.returncode, ran.stderr) == (141, "")
 
 
-@pytest.mark.skipif(os.name != "posix", reason="the shell closes streams")
-@pytest.mark.parametrize("closed", [pytest.param(">&-", marks=pytest.mark.full), "<&- >&- 2>&-"])
-def test_a_verb_works_with_closed_streams(tmp_path, closed):
+def test_a_verb_works_with_closed_streams(tmp_path):
     words = "evaluate --trials=2 --duration=0.5 --no-baselines --out=found.json"
-    line = f"{sys.executable} -m equipoise {words} {closed}"
+    line = f"{sys.executable} -m equipoise {words} <&- >&- 2>&-"
     ran = run_program("sh", "-c", line, cwd=tmp_path, check=False)
     assert (ran.returncode, ran.stdout) == (0, "")
     assert "Traceback" not in ran.stderr

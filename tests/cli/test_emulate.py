@@ -7,9 +7,7 @@ import socket
 
 import pytest
 
-from tests.program import needs_terminals, program
-
-pytestmark = needs_terminals
+from tests.program import program
 
 
 def ask(connection, command):

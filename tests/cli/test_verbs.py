@@ -149,7 +149,6 @@ def test_reproduce_writes_a_report_and_ends_with_the_comparison(equipoise, tmp_p
 @pytest.mark.full
 @pytest.mark.parametrize("verb", ["play", "log show run.mcap"])
 def test_pages_are_served_until_a_signal(equipoise, monkeypatch, tmp_path, verb):
-    pytest.importorskip("viser", reason="viser is not installed (extra console)")
     simulate_run(shipped_policy(), duration=0.4).save(tmp_path / "run.mcap", command="test")
     threading.Timer(8.0, signal.raise_signal, (signal.SIGINT,)).start()
     ran = equipoise(*verb.split(), "--json")

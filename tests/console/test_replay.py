@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
+import viser
 
 from equipoise.console.replay import ReplayPage, marks_of
 from equipoise.log.motion import Motion
 from equipoise.rig.explanation import explain
 from tests.log.made_up import balanced_on_a_rig, changed_table
-
-viser = pytest.importorskip("viser", reason="viser is not installed (extra console)")
 
 
 def made():

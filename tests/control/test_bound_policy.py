@@ -1,6 +1,5 @@
 """Policies by name: every kind is read, checked, clipped, and sent to another process."""
 
-import importlib.util
 import pickle
 import sys
 
@@ -70,9 +69,6 @@ def text(observation):
 def array(observation):
     return numpy.array([[0.25]], numpy.float32)
 """
-needs_onnx = pytest.mark.skipif(
-    importlib.util.find_spec("onnxruntime") is None, reason="onnxruntime is not installed"
-)
 
 
 @pytest.fixture
@@ -89,7 +85,7 @@ def folder(tmp_path, monkeypatch):
 KINDS = [
     *BUILT_IN,
     *("table.json", "guest:lqr", "guest:Counting", "guest:instance"),
-    pytest.param("lqr.onnx", marks=[needs_onnx, pytest.mark.full]),
+    pytest.param("lqr.onnx", marks=pytest.mark.full),
 ]
 
 
@@ -163,7 +159,6 @@ def test_a_table_is_refused_for_another_task_and_other_policies_take_it(folder):
 
 
 @pytest.mark.full
-@needs_onnx
 @pytest.mark.parametrize(
     ("batch", "element", "tolerance"), [(1, DOUBLE, 1e-12), ("batch", FLOAT, 1e-5)]
 )
@@ -177,7 +172,7 @@ def test_a_linear_network_commands_what_the_same_law_in_python_does(
         assert policy.act(observation) == pytest.approx(law.act(observation), abs=tolerance)
 
 
-@needs_onnx
+@pytest.mark.full
 def test_an_integer_of_a_network_is_the_index_of_an_action(folder):
     weights = np.random.default_rng(1).normal(size=(4, 9))
     weights[:, 8] *= 10.0
@@ -193,7 +188,6 @@ def test_an_integer_of_a_network_is_the_index_of_an_action(folder):
 
 
 @pytest.mark.full
-@needs_onnx
 @pytest.mark.parametrize(
     "network",
     [

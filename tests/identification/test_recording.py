@@ -4,7 +4,7 @@ from math import pi
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -86,7 +86,6 @@ def test_a_window_holds_the_samples_at_its_ends_and_trusts_its_start():
     values=arrays(np.float64, 20, elements=st.floats(-3.0, 3.0)),
     rate=st.booleans(),
 )
-@settings(deadline=None, max_examples=50)
 def test_a_written_swing_is_read_back_to_the_last_bit(tmp_path_factory, steps, values, rate):
     path = tmp_path_factory.mktemp("swing") / "swing.csv"
     # Steps below half a turn, so that nothing is taken for a wrap.

@@ -3,7 +3,7 @@
 from math import pi
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise import PendulumParameters, simulate_swing
@@ -19,7 +19,6 @@ SWING = {"theta0": 1.0, "duration": 2.0, "rate_hz": 500.0, "counts_per_rev": 409
     counts_per_rev=st.sampled_from([500, 4096, 8192]),
     sign=st.sampled_from([-1, 1]),
 )
-@settings(deadline=None)
 def test_an_angle_comes_back_within_half_a_step(theta, counts_per_rev, sign):
     counts = counts_from_theta(theta, counts_per_rev, sign)
     assert counts == round(counts)

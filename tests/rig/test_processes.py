@@ -8,7 +8,6 @@ moves one joint to and fro until a word comes. A whole run over ports and a term
 import multiprocessing
 import os
 import signal
-import sys
 import time
 from dataclasses import replace
 from math import cos, nan
@@ -34,10 +33,6 @@ from equipoise.rig.run_controller import PHASES
 from equipoise.rig.series import Series
 from equipoise.safety.rules import limits_of
 from tests.rig.test_loop import Arm
-
-pytestmark = [
-    pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX's"),
-]
 
 ARM = iiwa(7)
 H = 0.01
