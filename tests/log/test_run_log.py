@@ -17,22 +17,6 @@ from equipoise.outcomes import Outcome
 from tests.log.made_up import conditions, made_up
 
 
-def messages(file):
-    with file.open("rb") as stream:
-        return list(make_reader(stream, validate_crcs=True).iter_messages())
-
-
-@pytest.fixture
-def run():
-    return made_up()
-
-
-@pytest.fixture
-def file(run, tmp_path):
-    run.save(tmp_path / "run.mcap", command="test", inputs={"policy": "sha256:0123"})
-    return tmp_path / "run.mcap"
-
-
 def excited():
     """An excitation of the arm, without ticks."""
     time = 0.005 * np.arange(30)
@@ -58,12 +42,15 @@ def test_a_run_comes_back_to_the_last_bit(tmp_path, kind):
     assert {type(value) for value in back.conditions.world_settings.values()} == {float, int}
 
 
-def test_any_reader_of_mcap_finds_named_numbers_with_a_schema(file, run):
+def test_any_reader_of_mcap_finds_named_numbers_with_a_schema(tmp_path):
+    file = tmp_path / "run.mcap"
+    made_up().save(file, command="test", inputs={"policy": "sha256:0123"})
     with file.open("rb") as stream:
-        (metadata,) = make_reader(stream).iter_metadata()
+        reader = make_reader(stream, validate_crcs=True)
+        (metadata,) = reader.iter_metadata()
+        found = list(reader.iter_messages())
     provenance = json.loads(metadata.metadata["provenance"])
     assert (provenance["command"], provenance["inputs"]) == ("test", {"policy": "sha256:0123"})
-    found = messages(file)
     topics = [channel.topic for _, channel, _ in found]
     counts = {"tick": 40, "truth": 40, "stream": 80, "reply": 40, "encoder": 40, "event": 0}
     assert {name: Counter(topics)[f"/{name}"] for name in TABLES} == counts
@@ -85,13 +72,13 @@ EDITS = {
 
 
 @pytest.mark.parametrize("edit", EDITS)
-def test_rows_of_another_form_are_refused(monkeypatch, run, tmp_path, edit):
+def test_rows_of_another_form_are_refused(monkeypatch, tmp_path, edit):
     def changed(rows):
         for row in to_messages(rows):
             yield row | {name: value for name, value in EDITS[edit].items() if name in row}
 
     monkeypatch.setattr(writer, "to_messages", changed)
-    run.save(tmp_path / "run.mcap", command="test")
+    made_up().save(tmp_path / "run.mcap", command="test")
     for damaged in (False, True):
         with pytest.raises(ArtefactError):
             RunLog.load(tmp_path / "run.mcap", damaged=damaged)
