@@ -28,6 +28,7 @@ def drawn(random):
     turn, counts = radians(random.uniform(5.0, 250.0)), int(random.integers(2, 300))
     kinds = {
         "run off": run_off(part, rate, most),
+        "shifted": run_off(part, sign * 1e6, most),
         "frozen": freeze_joints,
         "slow link": slow_link(trip),
         "stall": lambda harness: harness.clock.stalls.append(held),
