@@ -77,14 +77,6 @@ def test_a_key_after_the_stop_or_between_two_runs_ends_the_series(tmp_path, when
     assert [RunLog.load(path).end for path in sorted(tmp_path.glob("*.mcap"))] == ends
 
 
-@pytest.mark.full
-def test_a_slipped_encoder_ends_the_series_before_its_swing_up(tmp_path):
-    ends, names = run(tmp_path / "run.mcap", stopping=lambda bench: bench.slip(radians(1.0)))
-    assert [end.outcome for end in ends] == ["survived", "self-test"]
-    assert "hangs 1.0" in ends[1].reason
-    assert names.count("swing-up") == 1
-
-
 def test_older_logs_of_a_long_series_are_deleted(tmp_path, monkeypatch, fallen):
     monkeypatch.setattr(series, "MAX_LOGS", 2)
     log, recorder = RunLog.load(fallen[0].with_name("run-002.mcap")), Recorder(7)
