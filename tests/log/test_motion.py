@@ -14,8 +14,8 @@ from tests.log.made_up import (
     RELEASE,
     balanced_on_a_rig,
     changed_table,
-    made_up,
     phi_on_a_rig,
+    short_run,
     x_on_a_rig,
 )
 
@@ -41,7 +41,7 @@ def test_a_rig_is_shown_as_it_was_measured(run):
 
 
 def test_a_simulated_run_is_shown_as_it_truly_was():
-    run = made_up()
+    run = short_run()
     motion = Motion.of(run)
     now = motion.at(0.105)
     np.testing.assert_allclose(now.q, 0.5 * (run.truth.q[10] + run.truth.q[11]))
@@ -72,7 +72,7 @@ def test_a_hanging_pendulum_does_not_jump_between_pi_and_its_opposite():
 
 
 def test_a_run_with_nothing_to_show_is_refused(run):
-    still = made_up()
+    still = short_run()
     excited = simulated_log(still.conditions, RunEnd(outcome=Outcome.EXCITED), {})
     tables = dict(run.tables) | {"tick": run.tables["tick"][:0]}
     time = run.tables["tick"]["time"].copy()

@@ -282,13 +282,6 @@ def test_a_pendulum_that_does_not_come_up_is_damped_and_swung_three_times():
     assert [n for n in course.told if n in ("swing-up", "damping")] == ["swing-up", "damping"] * 3
 
 
-def test_a_following_run_asks_nothing_and_damps_before_its_self_test():
-    course = hanging(FOLLOWING).until(Phase.SWINGING_UP)
-    order = ["homing", "home", "hang", "damping", "swing", "swing-up"]
-    told = [name for name in course.told if name in order]
-    assert told == ["homing", "damping", "swing", "swing-up"]
-
-
 def test_a_pendulum_that_is_not_damped_is_not_swung_up():
     course = hanging(FOLLOWING)
     course.theta = lambda time: 0.5 * np.sin(8.4 * time)
