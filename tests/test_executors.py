@@ -259,25 +259,6 @@ def test_the_address_of_a_worker_is_an_error(cluster):
 
 
 @FULL
-def test_certificates_come_from_the_configuration_of_dask(cluster, tmp_path, monkeypatch):
-    import dask
-
-    words = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=dask"]
-    words += ["-keyout", "key.pem", "-out", "cert.pem"]
-    subprocess.run(words, cwd=tmp_path, check=True, capture_output=True)
-    mine = {"cert": str(tmp_path / "cert.pem"), "key": str(tmp_path / "key.pem")}
-    tls = {"ca-file": mine["cert"], "scheduler": mine, "worker": mine, "client": mine}
-    config = {"distributed": {"comm": {"require-encryption": True, "tls": tls}}}
-    (tmp_path / "dask.yaml").write_text(json.dumps(config))
-    monkeypatch.setenv("DASK_CONFIG", str(tmp_path / "dask.yaml"))
-    with dask.config.set(dask.config.merge(dask.config.config, config)):
-        cluster.scheduler()
-        cluster.worker()
-        assert cluster.address.startswith("tls://")
-        evaluate_on(cluster)
-
-
-@FULL
 def test_a_worker_with_other_kernels_is_an_error(cluster, tmp_path):
     shutil.copytree(Path(eq.__file__).parent, tmp_path / "other" / "equipoise")
     with (tmp_path / "other" / "equipoise" / "paper.py").open("a") as file:

@@ -30,7 +30,6 @@ REFUSED = {
     # A wrong word comes before the name of a file.
     ("evaluate", "--world", "nominal", "--out", "taken.json"): "did you mean twin:nominal?",
     ("evaluate", "--world", "twin:w\udcff.toml", "--out", "taken.json"): "not UTF-8",
-    ("evaluate", "--actuator", "none.json", "--out", "taken.json"): "none.json",
     ("train", "--algorithm", "sarsaa", "--out", "taken.json"): "unknown algorithm 'sarsaa'",
     ("train", "--reward", "nope", "--out", "taken.json"): "unknown reward 'nope'",
     ("deploy", "--excite", "--world", "frii", "--out", "taken.mcap"): "did you mean twin:fri?",
@@ -42,7 +41,6 @@ REFUSED = {
     (*TWIN, "--runs", "3"): "--start hanging",
     ("deploy", "small.json", "--excite"): "--excite",
     ("deploy", "--robot", KST): "--encoder",
-    ("deploy", "--robot", "ros://host", "--encoder", BOARD): "kst:",
     ("deploy", "--robot", KST, "--encoder", BOARD, "--actuator", "ideal"): "ideal",
     (*TWIN, "--excite"): "--excite",
     ("rig", "doctor", "--robot", "twin:nominal"): "twin:nominal",
