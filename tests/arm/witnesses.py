@@ -80,17 +80,6 @@ ARMS = {
 GRAVITY = np.array([0.0, 0.0, -9.80665])
 
 
-def by_mujoco(urdf, q):
-    model = mujoco.MjModel.from_xml_string(urdf)
-    model.opt.gravity[:] = GRAVITY
-    data = mujoco.MjData(model)
-    data.qpos[:] = q
-    mujoco.mj_forward(model, data)
-    M = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, M)
-    return M, data.qfrc_bias.copy()
-
-
 def by_pinocchio(urdf, q):
     robot = Pinocchio(urdf)
     robot.model.gravity.linear = GRAVITY

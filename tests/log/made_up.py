@@ -30,7 +30,7 @@ def conditions(**changes):
         "seed": 4,
         "actuator": "sha256:4567",
         "counts_per_rev": 8192,
-        "world_settings": {"transport": 0.01, "cycle": 0.001, "counts_per_rev": 8192, "lag": 1.0},
+        "world_settings": {"transport": 0.01, "cycle": 0.001, "counts_per_rev": 8192, "drag": 0.0},
         "zero_error": 0.002,
         "settings": resolve("paper"),
     }

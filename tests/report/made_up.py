@@ -124,7 +124,7 @@ def run(of, survival=60.0, cause=Outcome.SURVIVED, world=MODEL):
     time = 0.01 * np.arange(n)
     q = np.tile(np.array(of.arm.home), (n, 1))
     q[:, 0] += 0.1 * np.sin(time)
-    twin = None if world == MODEL else read_world(world)
+    twin = world != MODEL
 
     def state(t):
         flange = {"x": 0.12 * np.sin(t), "x_dot": 0.12 * np.cos(t)}
@@ -144,21 +144,13 @@ def run(of, survival=60.0, cause=Outcome.SURVIVED, world=MODEL):
         "bias": ZERO * (1.0 - np.exp(-time)) if twin else np.zeros(n),
     }
     truth = {"time": time, **was, "tracked": u + 0.03, "q": q - 0.001}
-    return simulated_log(
-        conditions(
-            policy=of.digest,
-            world=twin.name if twin else world,
-            arm=of.arm,
-            pendulum={"w2": 68.0, "k": 6.93, "c": 0.17, "coulomb": 0.1, "drag": 0.0},
-            actuator=of.actuator.digest if twin else IDEAL,
-            counts_per_rev=twin.settings.counts_per_rev if twin else None,
-            world_settings=twin.settings.model_dump() if twin else None,
-            zero_error=ZERO if twin else None,
-            settings=of.settings,
-        ),
-        RunEnd(outcome=cause, survival=survival),
-        {"tick": tick, "truth": truth},
-    )
+    true = {"w2": 68.0, "k": 6.93, "c": 0.17, "coulomb": 0.1, "drag": 0.0}
+    given = {"policy": of.digest, "pendulum": true, "settings": of.settings, "zero_error": ZERO}
+    if not twin:
+        given |= {"world": world, "counts_per_rev": None, "world_settings": None}
+        given |= {"actuator": IDEAL, "zero_error": None}
+    end = RunEnd(outcome=cause, survival=survival)
+    return simulated_log(conditions(**given), end, {"tick": tick, "truth": truth})
 
 
 def swung_up(of, balanced=2.0, cause=Outcome.SURVIVED):
