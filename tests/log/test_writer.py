@@ -11,7 +11,7 @@ import pytest
 from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import ArtefactError
 from equipoise.log.conditions import RunEnd
-from equipoise.log.recorder import CONNECTING, Recorder, memory_layout, push_event, read_events
+from equipoise.log.recorder import CONNECTING, Recorder, push_event
 from equipoise.log.run_log import RunLog
 from equipoise.log.writer import RunWriter
 from equipoise.outcomes import Outcome
@@ -106,17 +106,3 @@ def test_a_ring_that_nobody_drains_drops_and_counts():
     assert [len(recorder.tick.take()) for _ in range(2)] == [1000, 0]
     push(recorder, 10)
     assert len(recorder.tick.take()) == 10
-
-
-def test_rings_lie_in_memory_that_two_share():
-    buffer = bytearray(memory_layout(7).itemsize)
-    one, other = Recorder(7, buffer), Recorder(7, buffer)
-    push(one, 3)
-    assert other.stream.take()["time"] == pytest.approx([0.0, 0.01, 0.02])
-    push_event(one.notices, 1.0, OperatorMessage("lift", "Lift the pendulum."))
-    lift = OperatorMessage("lift", "Lift the pendulum.", time=1.0)
-    assert read_events(other.notices.take()) == [lift]
-    other.typed.push(word=b"stop")
-    assert one.typed.take()["word"].tolist() == [b"stop"]
-    one.pulse["time"] = 5.0
-    assert other.pulse["time"] == 5.0
