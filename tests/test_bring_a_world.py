@@ -21,25 +21,11 @@ BLOCKS = dict(FOUND)
 WORLD, SUITE = (text for language, text in FOUND if language == "python")
 POLICY = shipped_policy()
 BROKEN = """
-from equipoise.simulation import ExternalLoop, Simulation
+from own_world import Windy
 
-class Delayed(Simulation):
+class Falls(Windy):
     def loop(self):
-        return Loop(self)
-
-class Loop(ExternalLoop):
-    def release(self, q, start):
-        self.q, self.start = q, start
-    def send(self, q):
-        self.q = q
-    def read(self):
-        return self.start
-    def joints(self):
-        return self.simulation.setup.arm.with_held(self.q)
-
-class Falls(Delayed):
-    def loop(self):
-        loop = Loop(self)
+        loop = super().loop()
         loop.send = lambda q: 1 / 0
         return loop
 

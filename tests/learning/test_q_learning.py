@@ -111,22 +111,15 @@ def test_rewards_are_those_of_the_reference():
 # Guests
 
 GUEST = """
-import numba
-from equipoise.learning.q_learning import move_towards
+from equipoise.learning.q_learning import best_value, move_towards
 
 def failure(state, u, next_state, failed):
     return -1.0 if failed else 0.0
 
-def scaled(state, u, next_state, failed):
-    return -2.0 if failed else 0.0
-
 def update(tables, transition, params):
     target = transition.reward
     if not transition.failed:
-        best = tables.Q[transition.box_next, 0]
-        for value in tables.Q[transition.box_next]:
-            best = max(best, value)
-        target += params.gamma * best
+        target += params.gamma * best_value(tables.Q, transition.box_next)
     move_towards(tables, transition.box, transition.action, target, params)
 
 def nothing(state, u, next_state, failed):
