@@ -3,31 +3,17 @@
 import json
 from collections import Counter
 
-import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from equipoise import RunLog, excite
 from equipoise.errors import ArtefactError
 from equipoise.log import writer
 from equipoise.log.columns import TABLES, to_messages
-from equipoise.log.conditions import RunEnd
-from equipoise.log.run_log import RunLog, simulated_log
-from equipoise.outcomes import Outcome
-from tests.log.made_up import conditions, short_run
+from tests.log.made_up import short_run
 
-
-def excited():
-    """An excitation of the arm, without ticks."""
-    time = 0.005 * np.arange(30)
-    q = np.tile(np.sin(time)[:, None], 7)
-    measured = time[:-2] + 0.001
-    reply = {"time": measured, "sent": measured, "q": q[:-2]}
-    end = RunEnd(outcome=Outcome.EXCITED)
-    return simulated_log(conditions(), end, {"stream": {"time": time, "q": q}, "reply": reply})
-
-
-RUNS = {"all tables": short_run, "an excitation": excited}
+RUNS = {"all tables": short_run, "no ticks": lambda: excite("iiwa7", duration=0.2)}
 
 
 @pytest.mark.parametrize("kind", RUNS)
