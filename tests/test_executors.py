@@ -136,7 +136,6 @@ class Cluster:
 
 
 def end(process):
-    """End a process and its children."""
     with contextlib.suppress(psutil.NoSuchProcess):
         for one in [*psutil.Process(process.pid).children(recursive=True), process]:
             one.kill()

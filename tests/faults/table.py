@@ -74,7 +74,6 @@ def _call(method: str, *arguments: Any) -> Inject:
 
 
 def _with(**changes: Any) -> Callable[[Scenario], Scenario]:
-    """Change attributes of the scenario."""
     return lambda scenario: replace(scenario, **changes)
 
 
@@ -465,7 +464,6 @@ def _nan_times(inputs: TickInputs) -> TickInputs:
 
 
 def change_replies(change: Callable[[Any], Any]) -> Inject:
-    """Change each reply of the robot."""
     return _inputs(lambda inputs: inputs._replace(replies=list(map(change, inputs.replies))))
 
 

@@ -163,7 +163,6 @@ def check_run(harness, outcome):
 
 
 def _check_part(harness, part, outcome):
-    """Return the problems of one run."""
     arm = harness.scenario.settings.described_arm
     messages, sent, _ = part
     problems = check_limits(arm, sent)

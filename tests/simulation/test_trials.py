@@ -34,7 +34,6 @@ def drawn(count=100, seed=0, stream=TEST, settings=SETTINGS):
 
 
 def taken(trials, rows):
-    """Return some of the trials."""
     return Trials._make(column[rows] for column in trials)
 
 
