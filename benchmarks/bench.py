@@ -36,7 +36,7 @@ import time
 from bisect import bisect
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from importlib import import_module
 from math import radians
@@ -504,20 +504,28 @@ def vector_environments(pendulum: Pendulum) -> dict[int, tuple[float, float]]:
     }
     speeds: dict[int, tuple[float, float]] = {}
     for width in WIDTHS:
-        prepare = {n: partial(vector_work, n, act, width) for n, act in peers.items()}
-        rates, missing = race(prepare)
+        with ExitStack() as stack:
+            works = {n: partial(vector_work, n, act, width, stack) for n, act in peers.items()}
+            rates, missing = race(works)
         if not missing:
             speeds[width] = rates[LANES].median, rates["CartPole-v1"].median
     return speeds
 
 
-def vector_work(name: str, act: Callable[[Array], Any], width: int) -> Work:
+def vector_work(name: str, act: Callable[[Array], Any], width: int, stack: ExitStack) -> Work:
     """Return the work of a vector environment: steps of its lanes, from where they were.
+
+    Args:
+        name: Name of the environment.
+        act: Returns the actions of the lanes for their observations.
+        width: Number of lanes.
+        stack: Closes the environment.
 
     Raises:
         ImportError: Gymnasium is not installed.
     """
     envs = import_module("gymnasium").make_vec(name, width, "vector_entry_point")
+    stack.callback(envs.close)
     seen, _ = envs.reset(seed=0)
 
     def work() -> int:

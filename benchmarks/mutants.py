@@ -4,7 +4,7 @@ For each mutant of the given modules a child process is forked, in which the mod
 its tests run until one fails. What survives is printed with its line; why each of those may is
 written in `benchmarks/README.md`. All of them take an hour on one core.
 
-    python benchmarks/mutants.py safety states stop
+    python benchmarks/mutants.py rules trial stop
 
 Changed are comparisons, `and` and `or`, `not`, conditions, signs, sums and products, numbers, truth
 values, bytes and words (the lines of a protocol), `min`, `max`, `abs`, `any` and `all`; calls for

@@ -10,8 +10,6 @@ table are no algorithms but bounds. Every controller assumes the actuator of the
     python experiments/compare.py network.onnx my_module:my_function --rows robust lqr
 """
 
-import argparse
-import json
 import sys
 import time
 from pathlib import Path
@@ -19,12 +17,14 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
+from shared import options, store
 from table_search import search_table
 from value_iteration import solve_table
 
 import equipoise as eq
 from equipoise.control.policy import TaskPolicy, tick_policy
 from equipoise.executors import available_cores
+from equipoise.settings import changed
 from equipoise.simulation.evaluation import Summary
 from equipoise.simulation.twin.servo_model import equivalent_actuator
 
@@ -44,15 +44,12 @@ BOUNDS = {"value-iteration": "robust", "best-table": "robust", "best-fine": "fin
 BASELINES = ("lqr", "lqr-snapped", "pd", "random")
 ROWS = (*TRAINED, *BOUNDS, *BASELINES)
 WORLDS = ("ideal", "model", "twin:nominal", "twin:harsh")
-SIZES = {
-    False: {"value-iteration": {}, "best-table": {}, "best-fine": {}},
-    True: {
-        "value-iteration": {"rounds": 2, "loops": 64, "ticks": 300},
-        "best-table": {"generations": 3, "tables": 16},
-        "best-fine": {"generations": 3, "tables": 16},
-    },
+QUICK = {
+    "value-iteration": {"rounds": 2, "loops": 64, "ticks": 300},
+    "best-table": {"generations": 3, "tables": 16},
+    "best-fine": {"generations": 3, "tables": 16},
 }
-"""Effort of the bounds, by the quick form."""
+"""Effort of the bounds in the quick form."""
 COLOURS = {
     "trained": "tab:blue",
     "bound": "tab:purple",
@@ -90,13 +87,13 @@ def made_rows(names: list[str], args: list[str], settings: list[str], quick: boo
 
     rows: dict[str, Row] = {}
     for name in names:
-        begin = time.perf_counter()
+        begin, size = time.perf_counter(), QUICK.get(name, {}) if quick else {}
         if name in TRAINED:
             policy, kind = learned(name), "trained"
         elif name in BASELINES:
             policy, kind = eq.load_policy(name), "baseline"
         elif name == "value-iteration":
-            policy = solve_table(learned(BOUNDS[name]), workers=workers, **SIZES[quick][name])
+            policy = solve_table(learned(BOUNDS[name]), workers=workers, **size)
             kind = "bound"
         else:
             task, kind = learned(BOUNDS[name]), "bound"
@@ -105,7 +102,7 @@ def made_rows(names: list[str], args: list[str], settings: list[str], quick: boo
                 for table in tables.values()
                 if table.settings.boxes == task.settings.boxes
             ]
-            policy = search_table(task, starts, workers=workers, **SIZES[quick][name])
+            policy = search_table(task, starts, workers=workers, **size)
         rows[name] = Row(policy, kind, time.perf_counter() - begin)
         print(f"{name}: made in {rows[name].wall:.0f} s", flush=True)
     return rows | {name: Row(eq.load_policy(name), "given") for name in args}
@@ -126,10 +123,8 @@ def survival(
     policy: TaskPolicy, world: str, known: eq.Actuator | None, trials: int, duration: float
 ) -> Summary:
     """Return the trials of a policy in a world; trial i has the same start for every policy."""
-    evaluation = policy.settings.evaluation.model_copy(
-        update={"trials": trials, "duration": duration}
-    )
-    settings = policy.settings.model_copy(update={"evaluation": evaluation})
+    length = {"evaluation.trials": trials, "evaluation.duration": duration}
+    settings = changed(policy.settings, length)
     if policy.actuator.kind == "ideal":
         known = None  # the controller of the paper assumes an ideal arm everywhere
     args = {"with_baselines": False, "workers": available_cores()}
@@ -176,17 +171,12 @@ def draw(
 
 def main() -> None:
     """Make all policies, run them in all worlds, print the table, and draw the figure."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options(__doc__, "set", "json", trials=100, duration=60.0, out="compare.png")
     parser.add_argument("policies", nargs="*", help="files, ONNX networks, or MODULE:NAME")
     parser.add_argument("--rows", nargs="*", choices=ROWS, default=list(ROWS))
     parser.add_argument("--worlds", nargs="+", default=list(WORLDS))
     parser.add_argument("--known", action="store_true", help="twins also with their own actuator")
-    parser.add_argument("--trials", type=int, default=100)
-    parser.add_argument("--duration", type=float, default=60.0, help="length of a trial [s]")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--quick", action="store_true", help="short searches")
-    parser.add_argument("--out", default="compare.png", help="figure")
-    parser.add_argument("--json", type=Path, help="file of the results")
     args = parser.parse_args()
     rows = made_rows(args.rows, args.policies, args.set, args.quick)
     columns = columns_of(args.worlds, args.known)
@@ -212,9 +202,8 @@ def main() -> None:
         cells += [f"{row.wall:.0f} s", f"{1e6 * decision_time(row.policy):.1f} us"]
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
     draw(rows, titles, summaries).savefig(args.out, dpi=150)
-    if args.json:
-        about = {"trials": args.trials, "duration": args.duration, "seed": 0}
-        args.json.write_text(json.dumps(about | {"rows": made}))
+    about = {"trials": args.trials, "duration": args.duration, "seed": 0}
+    store(args.json, about | {"rows": made})
 
 
 if __name__ == "__main__":

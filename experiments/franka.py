@@ -10,14 +10,12 @@ begin. A policy is trained for the first log's actuator with each seed, and eval
 import argparse
 import json
 from collections import Counter
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from shared import in_processes, options, store
 
 import equipoise as eq
 from equipoise.executors import available_cores
@@ -27,6 +25,7 @@ from equipoise.outcomes import Outcome
 from equipoise.rig.config import RigSettings
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
+from equipoise.settings import changed
 
 WORLD = "twin:fr3"
 RIG = RigSettings(arm="fr3")
@@ -36,14 +35,10 @@ UNSEEN = 1000
 
 def main() -> None:
     """Print each log, policy and run, and write the results."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options(__doc__, "json", trials=300, duration=60.0, out=Path("franka"))
     parser.add_argument("--logs", type=int, default=10)
     parser.add_argument("--seeds", type=int, default=5, help="number of trainings")
-    parser.add_argument("--trials", type=int, default=300, help="trials of each training's policy")
     parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--duration", type=float, default=60.0, help="of trials and runs [s]")
-    parser.add_argument("--out", type=Path, required=True, help="folder of the files")
-    parser.add_argument("--json", type=Path, help="file of the results")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     # The identification does not depend on the policy of its run.
@@ -67,20 +62,12 @@ def main() -> None:
         "runs": {"survived": ends[Outcome.SURVIVED], "trials": args.runs},
     }
     print(json.dumps(results))
-    if args.json:
-        args.json.write_text(json.dumps(results))
+    store(args.json, results)
 
 
 def identify(sent: Any, measured: Any) -> Actuator:
     """Identify an arm as a delay and a lag, which the fitted kinds differ in little."""
     return identify_actuator(sent, measured, kind="lag")
-
-
-def in_processes(work: Callable[[RunRequest], Any], requests: list[RunRequest]) -> list[Any]:
-    """Return the results of requests, each in a process of its own."""
-    spawn = get_context("spawn")
-    with ProcessPoolExecutor(available_cores(), spawn, max_tasks_per_child=1) as pool:
-        return list(pool.map(work, requests))
 
 
 def identified(request: RunRequest) -> Actuator | None:
@@ -97,43 +84,32 @@ def outcome(request: RunRequest) -> Outcome:
 
 def trained(actuator: Actuator, args: argparse.Namespace) -> tuple[list[Any], dict[str, Any]]:
     """Return a policy for each seed, and how many of their trials survived."""
-    settings, cores = eq.Settings(), available_cores()
-    trials = settings.evaluation.model_copy(
-        update={"trials": args.trials, "duration": args.duration}
-    )
+    cores = available_cores()
+    length = {"evaluation.trials": args.trials, "evaluation.duration": args.duration}
     policies, rates = list[Any](), list[float]()
     for seed in range(args.seeds):
         policy = eq.train(None, RIG.described_arm, actuator=actuator, seed=seed, workers=cores)
-        numbers = policy.settings.model_copy(update={"evaluation": trials})
+        settings = changed(policy.settings, length)
         evaluation = eq.evaluate(
-            policy, numbers, world=WORLD, seed=seed + UNSEEN, with_baselines=False, workers=cores
+            policy, settings, world=WORLD, seed=seed + UNSEEN, with_baselines=False, workers=cores
         )
-        rates.append(
-            float(np.mean([one == Outcome.SURVIVED for one in evaluation.results.outcomes]))
-        )
+        rates.append(evaluation.results.summary().rate)
         policies.append(policy)
         print(seed, rates[-1], flush=True)
-    survived = round(sum(rates) * args.trials)
-    return policies, {
-        "survived": survived,
-        "trials": args.seeds * args.trials,
-        "worst": min(rates),
-    }
+    survived, trials = round(sum(rates) * args.trials), args.seeds * args.trials
+    return policies, {"survived": survived, "trials": trials, "worst": min(rates)}
 
 
 def servo(actuators: list[Actuator]) -> dict[str, Any]:
     """Return mean and standard deviation of the delay, its mean half width, and lags [ms]."""
-    delays = 1e3 * np.array(
-        [(actuator.delay.value, actuator.delay.low, actuator.delay.high) for actuator in actuators]
-    )
+    delays = 1e3 * np.array([(a.delay.value, a.delay.low, a.delay.high) for a in actuators])
     lags = 1e3 * np.mean([[lag.value for lag in actuator.lags] for actuator in actuators], axis=0)
     return {
         "logs": len(actuators),
         "delay": {"mean": delays[:, 0].mean(), "sd": delays[:, 0].std()},
         "half_width": float(np.mean(delays[:, 2] - delays[:, 1]) / 2.0),
         "lags": [lags.min(), lags.max()],
-        "rms_mrad": 1e3
-        * float(np.mean([actuator.fit.rms for actuator in actuators if actuator.fit])),
+        "rms_mrad": 1e3 * float(np.mean([a.fit.rms for a in actuators if a.fit])),
     }
 
 

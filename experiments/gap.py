@@ -19,20 +19,20 @@ authors' robot::
 """
 
 import argparse
-import json
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from math import degrees, radians
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import t as student
+from shared import options, store
 
 import equipoise as eq
 from equipoise.executors import open_workers
 from equipoise.model.worlds import CLEAN, EFFECTS, WORLDS, TwinSettings, World
+from equipoise.settings import changed
 from equipoise.simulation.twin.servo_model import equivalent_actuator
 
 DELAYS = (0.0, 0.005, 0.010, 0.020, 0.030)
@@ -98,10 +98,8 @@ class Study(NamedTuple):
         is_paper = controller.startswith("paper")
         table = self.paper if is_paper else self.policy
         absent = ("predict", "estimate_bias") if is_paper else WITHOUT.get(controller, ())
-        own = table.settings
-        controls = own.controller.model_copy(update=dict.fromkeys(absent, False))
-        evaluation = own.evaluation.model_copy(update=self.evaluation)
-        settings = own.model_copy(update={"controller": controls, "evaluation": evaluation})
+        changes = self.evaluation | {f"controller.{name}": False for name in absent}
+        settings = changed(table.settings, changes)
         known = None
         if world is not None and not is_paper and controller != "training actuator":
             known = identified_on(self.policy.actuator, self.twin.settings, world)
@@ -111,9 +109,9 @@ class Study(NamedTuple):
         return result.results.survival
 
 
-def identified_on(actuator: eq.Actuator, twin: TwinSettings, changed: TwinSettings) -> eq.Actuator:
+def identified_on(actuator: eq.Actuator, twin: TwinSettings, other: TwinSettings) -> eq.Actuator:
     """Return the actuator that an identification would find on a changed twin."""
-    before, after = equivalent_actuator(twin), equivalent_actuator(changed)
+    before, after = equivalent_actuator(twin), equivalent_actuator(other)
 
     def moved(estimate: eq.Estimate, by: float = 0.0, times: float = 1.0) -> eq.Estimate:
         ends = {name: times * getattr(estimate, name) + by for name in ("low", "value", "high")}
@@ -240,16 +238,10 @@ def draw(
 
 def main() -> None:
     """Run the study, print its points, and draw the figure."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options(__doc__, "set", "workers", "json", trials=40, duration=60.0, out="gap.png")
     parser.add_argument("policy", nargs="?", help="a table; by default the shipped one")
     parser.add_argument("--world", default="twin:nominal")
-    parser.add_argument("--trials", type=int, default=40, help="trials of each point")
-    parser.add_argument("--duration", type=float, default=60.0, help="length of a trial [s]")
-    parser.add_argument("--set", action="append", default=[], help="a setting of the paper's table")
     parser.add_argument("--quick", action="store_true", help="8 trials of 20 s, without worlds")
-    parser.add_argument("--json", type=Path, help="file for the results")
-    parser.add_argument("--out", default="gap.png", help="figure")
-    parser.add_argument("--workers", help="threads, or a Dask scheduler, tcp://HOST:8786")
     args = parser.parse_args()
     with open_workers(args.workers) as workers:
         measure(args, workers)
@@ -260,9 +252,10 @@ def measure(args: argparse.Namespace, workers: int | Executor) -> None:
     policy = eq.TabularPolicy.load(args.policy) if args.policy else eq.shipped_policy()
     settings = eq.resolve("paper", overrides=args.set)
     paper = eq.train(policy.pendulum, policy.arm, settings, workers=workers)
-    length = {"trials": args.trials, "duration": args.duration}
+    trials, duration = args.trials, args.duration
     if args.quick:
-        length = {"trials": min(args.trials, 8), "duration": min(args.duration, 20.0)}
+        trials, duration = min(trials, 8), min(duration, 20.0)
+    length = {"evaluation.trials": trials, "evaluation.duration": duration}
     study = Study(policy, paper, eq.read_world(args.world), length, workers)
     delay, zero = curves(study, "transport", DELAYS), curves(study, "zero_offset", ZEROS)
     paper_effects = effects(study)
@@ -277,8 +270,7 @@ def measure(args: argparse.Namespace, workers: int | Executor) -> None:
             "training_mean": float(np.mean(training)),
         }
         print(name, worlds[name], flush=True)
-    if args.json:
-        args.json.write_text(json.dumps(results(delay, zero, paper_effects, worlds), indent=1))
+    store(args.json, results(delay, zero, paper_effects, worlds))
 
 
 if __name__ == "__main__":

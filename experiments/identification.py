@@ -6,11 +6,10 @@ with those of the twin's servo; the lags are those of the loaded joints, which n
     python experiments/identification.py --logs 10
 """
 
-import argparse
 import json
-from pathlib import Path
 
 import numpy as np
+from shared import options, proportion, store
 
 import equipoise as eq
 from equipoise.model.worlds import WORLDS
@@ -22,10 +21,9 @@ KUKA = list(WORLDS)
 
 def main() -> None:
     """Identify all logs, and print a row for each world."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options(__doc__, "json")
     parser.add_argument("--worlds", nargs="+", default=KUKA)
     parser.add_argument("--logs", type=int, default=10, help="number of logs of each world")
-    parser.add_argument("--json", type=Path, help="file of the results")
     args = parser.parse_args()
     rows: list[dict] = []
     covered: list[bool] = []
@@ -35,10 +33,8 @@ def main() -> None:
         actuators = [eq.identify_run(log) for log in logs]
         row: dict = {"name": world}
         for name in ("cycle", "delay"):
-            estimates, value = (
-                [getattr(actuator, name) for actuator in actuators],
-                getattr(true, name).value,
-            )
+            estimates = [getattr(actuator, name) for actuator in actuators]
+            value = getattr(true, name).value
             covered += [one.low <= value <= one.high for one in estimates]
             fitted = 1e3 * np.array([one.value for one in estimates])
             row[name] = {"true": 1e3 * value, "mean": fitted.mean(), "sd": fitted.std()}
@@ -49,14 +45,8 @@ def main() -> None:
         rows.append(row)
         print(json.dumps(row), flush=True)
     print(f"intervals that hold: {sum(covered)} of {len(covered)}")
-    if args.json:
-        intervals = {
-            "survived": sum(covered),
-            "trials": len(covered),
-            "rate": sum(covered) / len(covered),
-        }
-        text = json.dumps({"logs": args.logs, "worlds_ms": rows, "intervals": intervals})
-        args.json.write_text(text)
+    intervals = proportion(sum(covered), len(covered))
+    store(args.json, {"logs": args.logs, "worlds_ms": rows, "intervals": intervals})
 
 
 if __name__ == "__main__":

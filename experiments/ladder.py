@@ -7,13 +7,11 @@ delay is 20 ms short. Then they balance on `twin:nominal`, and the pendulum is p
     python experiments/ladder.py                                           # half an hour
 """
 
-import argparse
-import json
 from math import radians
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from shared import options, store
 
 import equipoise as eq
 from equipoise.control.policy import tick_policy
@@ -112,14 +110,9 @@ def withstood(policy: eq.TabularPolicy, actuator: eq.Actuator | None, pushes: in
 
 def main() -> None:
     """Train and test each rung on every seed, and print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options(__doc__, "set", "workers", "json", trials=20, duration=60.0)
     parser.add_argument("--seeds", type=int, default=30)
-    parser.add_argument("--trials", type=int, default=20, help="trials of each policy")
-    parser.add_argument("--duration", type=float, default=60.0, help="length of a trial [s]")
     parser.add_argument("--worlds", nargs="+", default=["twin:nominal", "twin:harsh"])
-    parser.add_argument("--set", action="append", default=[], help="a setting of every rung")
-    parser.add_argument("--json", type=Path, help="file for the results")
-    parser.add_argument("--workers", help="threads, or a Dask scheduler, tcp://HOST:8786")
     args = parser.parse_args()
     length = {"evaluation.trials": args.trials, "evaluation.duration": args.duration}
     settings_of = {name: changed(rung, length) for name, rung in rungs(args.set).items()}
@@ -153,8 +146,7 @@ def main() -> None:
                 f"{world} {of['fraction']:.1%} ({of['median']:.1f} s)" for world, of in row.items()
             )
             print(f"{name}: {', '.join(fractions)}, pushed {pushed:.1%}", flush=True)
-    if args.json:
-        args.json.write_text(json.dumps({"rows": [rows[name] for name in settings_of]}, indent=1))
+    store(args.json, {"rows": [rows[name] for name in settings_of]})
 
 
 if __name__ == "__main__":

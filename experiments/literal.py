@@ -18,15 +18,14 @@ If 5 s were the longest of m attempts, P(E | T) of a policy is
 """
 
 import argparse
-import json
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
+from shared import options, store
 
 import equipoise as eq
 from equipoise import paper
@@ -213,15 +212,9 @@ def draw(robots: list[dict[str, Any]], delays: list[dict[str, Any]]) -> Figure:
 
 def main() -> None:
     """Train, run, infer, print the tables, and draw the figure."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options(__doc__, "set", "workers", "json", trials=5, duration=60.0, out="literal.png")
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--ideal-trials", type=int, default=200, help="per seed in simulation")
-    parser.add_argument("--trials", type=int, default=5, help="per seed and robot")
-    parser.add_argument("--duration", type=float, default=60.0, help="length of a trial [s]")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
-    parser.add_argument("--json", type=Path, help="file for the results")
-    parser.add_argument("--out", default="literal.png", help="figure")
-    parser.add_argument("--workers", help="threads, or a Dask scheduler, tcp://HOST:8786")
     args = parser.parse_args()
     with open_workers(args.workers) as workers:
         measure(args, workers)
@@ -263,15 +256,8 @@ def measure(args: argparse.Namespace, workers: int | Executor) -> None:
         for reading in READINGS:
             print(f"{row['label']}, {reading}: {row[reading]}")
     draw(robots, delays).savefig(args.out, dpi=150)
-    if args.json:
-        values = {
-            "ideal": ideal,
-            "twin": twin,
-            "robots": robots,
-            "delays": delays,
-            "stands": len(stands),
-        }
-        args.json.write_text(json.dumps(values, indent=1))
+    found = {"ideal": ideal, "twin": twin, "robots": robots, "delays": delays}
+    store(args.json, found | {"stands": len(stands)})
 
 
 if __name__ == "__main__":

@@ -7,16 +7,14 @@ The boundary is that of `recoverable.py`, beyond which no controller recovers::
     python experiments/map.py lqr --out map.png
 """
 
-import argparse
-import json
 from math import ceil, inf, pi, sqrt
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from recoverable import RecoveryParams, fall, largest_start, make_recovery_params
+from shared import options, proportion, store
 
 import equipoise as eq
 from equipoise.control.policy import TaskPolicy
@@ -24,7 +22,6 @@ from equipoise.executors import available_cores
 from equipoise.model.grid import TRUNCATED
 from equipoise.model.random import MAP
 from equipoise.simulation import setup_of, simulate
-from equipoise.simulation.evaluation import exact_interval
 from equipoise.simulation.plant import DomainRandomization
 
 PLANES = {
@@ -54,10 +51,7 @@ class MapSlice(NamedTuple):
 
     def fraction(self) -> dict:
         """Return how many of the starts inside the boundary are held, with its 95 % interval."""
-        survived, trials = int(np.sum(self.held & self.inside)), int(np.sum(self.inside))
-        interval = exact_interval(survived, trials)
-        rate = survived / trials
-        return {"survived": survived, "trials": trials, "rate": rate, "interval": interval}
+        return proportion(int(np.sum(self.held & self.inside)), int(np.sum(self.inside)))
 
 
 def boundary(params: RecoveryParams, axes: tuple[int, int]) -> np.ndarray:
@@ -155,13 +149,10 @@ def draw(slices: dict[str, MapSlice], settings: eq.Settings) -> Figure:
 
 def main() -> None:
     """Map a policy, and draw the figure."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options(__doc__, "json", duration=10.0, out="map.png")
     parser.add_argument("policy", nargs="?", help="as `equipoise evaluate` takes it")
     parser.add_argument("--world", default="model", choices=("ideal", "model"))
     parser.add_argument("--starts", type=int, default=1600, help="starts of a slice")
-    parser.add_argument("--duration", type=float, default=10.0, help="length of a trial [s]")
-    parser.add_argument("--out", default="map.png", help="figure")
-    parser.add_argument("--json", type=Path, help="file of the results")
     args = parser.parse_args()
     policy = eq.load_policy(args.policy)
     slices = {
@@ -171,9 +162,8 @@ def main() -> None:
     for title, section in slices.items():
         print(f"{title}: {section.held.sum()} of {len(section.held)} starts held")
     draw(slices, policy.settings).savefig(args.out, dpi=150)
-    if args.json:
-        fractions = [section.fraction() for section in slices.values()]
-        args.json.write_text(json.dumps({"starts": args.starts, "slices": fractions}))
+    fractions = [section.fraction() for section in slices.values()]
+    store(args.json, {"starts": args.starts, "slices": fractions})
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from time import perf_counter
 from typing import Any, Final
 
 import numpy as np
+from shared import options, store
 
 from equipoise.control.policy import shipped_policy
 from equipoise.control.ticks import OperatorMessage
@@ -69,12 +70,9 @@ class Pusher:
 
 def main() -> None:
     """Run series until the hours are over, and print the sum."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options(__doc__, "json", duration=20.0, out=Path("night"))
     parser.add_argument("--hours", type=float, default=1.0, help="of simulated time, in all")
     parser.add_argument("--runs", type=int, default=100, help="runs of a series")
-    parser.add_argument("--duration", type=float, default=20.0, help="length of a balance [s]")
-    parser.add_argument("--out", type=Path, default=Path("night"))
-    parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     lines = args.out / "night.jsonl"
@@ -86,8 +84,7 @@ def main() -> None:
         print(json.dumps(rows[-1]), flush=True)
     summary = total(rows)
     print(json.dumps(summary, indent=1))
-    if args.json:
-        args.json.write_text(json.dumps(summary))
+    store(args.json, summary)
 
 
 def series(number: int, args: argparse.Namespace) -> dict[str, Any]:

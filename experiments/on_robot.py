@@ -24,19 +24,18 @@ what happens there. Policies are then evaluated on the same twin, in trials that
 
 import argparse
 import json
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
 from matplotlib.figure import Figure
+from shared import in_processes, options, proportion, store
 
 import equipoise as eq
 from equipoise.errors import RecordingError
-from equipoise.executors import available_cores
 from equipoise.identification.actuator import identify_actuator
 from equipoise.identification.refine import inspect
 from equipoise.learning.q_learning import (
@@ -55,8 +54,7 @@ from equipoise.rig.config import RigSettings
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
 from equipoise.rig.series import run_path
-from equipoise.settings import Settings
-from equipoise.simulation.evaluation import exact_interval
+from equipoise.settings import Settings, changed
 
 WORLDS: Final = {
     "harsh": "",
@@ -71,19 +69,13 @@ SEEDS: Final = 5
 
 def main() -> None:
     """Record the series, evaluate the policies, and draw the figure."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options(__doc__, "json", "out", trials=500, duration=10.0)
     parser.add_argument("--runs", type=int, default=100, help="runs on each rig")
-    parser.add_argument("--duration", type=float, default=10.0, help="length of a balance [s]")
-    parser.add_argument("--trials", type=int, default=500, help="trials of each evaluation")
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    with ProcessPoolExecutor(available_cores(), get_context("spawn")) as pool:
-        studies = [pool.submit(study, name, args) for name in WORLDS]
-        results = {name: one.result() for name, one in zip(WORLDS, studies, strict=True)}
+    studies = in_processes(partial(study, args=args), WORLDS)
+    results = dict(zip(WORLDS, studies, strict=True))
     print(json.dumps(results, indent=1))
-    if args.json:
-        args.json.write_text(json.dumps(results))
+    store(args.json, results)
     if args.out:
         draw(results).savefig(args.out, dpi=150)
 
@@ -184,7 +176,8 @@ def trained(
         for seed in range(SEEDS)
         for table in [eq.train(pendulum, policy.arm, actuator=actuator, seed=seed)]
     ]
-    return row_of(name, *(sum(row[part] for row in rows) for part in ("survived", "trials")))
+    survived, trials = (sum(row[part] for row in rows) for part in ("survived", "trials"))
+    return {"name": name} | proportion(survived, trials)
 
 
 def trained_again(
@@ -209,24 +202,13 @@ def evaluated(
     name: str, policy: eq.TabularPolicy, actuator: Any, world: str, args: argparse.Namespace
 ) -> dict[str, Any]:
     """Return survived trials of a policy with an actuator in its controller, by hand."""
-    settings = policy.settings.model_copy(
-        update={"evaluation": policy.settings.evaluation.model_copy(update={"trials": args.trials})}
-    )
+    settings = changed(policy.settings, {"evaluation.trials": args.trials})
     evaluation = eq.evaluate(
         policy, settings, world=world, actuator=actuator, seed=77, with_baselines=False
     )
     summary = evaluation.results.summary()
     print(world, name, summary.survived, summary.trials, flush=True)
-    return row_of(name, summary.survived, summary.trials)
-
-
-def row_of(name: str, survived: int, trials: int) -> dict[str, Any]:
-    """Return a result with its exact interval."""
-    interval = exact_interval(survived, trials)
-    rate = survived / trials
-    return {
-        "name": name, "survived": survived, "trials": trials, "rate": rate, "interval": interval,
-    }  # fmt: skip
+    return {"name": name} | proportion(summary.survived, summary.trials)
 
 
 def draw(results: dict[str, Any]) -> Figure:

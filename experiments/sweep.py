@@ -17,15 +17,16 @@ PostgreSQL or Optuna's gRPC proxy. With `--workers` the seeds of a trial run on 
 import argparse
 import json
 from concurrent.futures import Executor
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import optuna
 from matplotlib.figure import Figure
+from shared import options, store
 
 import equipoise as eq
 from equipoise.executors import completed, open_workers
+from equipoise.settings import changed
 
 SEEDS = 1000
 """First seed of the search; the finalists have the seeds from twice that number on."""
@@ -67,9 +68,8 @@ def fraction_survived(
     """
     common = eq.resolve(args.recipe, overrides=args.set)
     settings = eq.resolve(args.recipe, overrides=[*args.set, *overrides])
-    length: dict[str, Any] = {"trials": args.tests, "duration": args.duration}
-    evaluation = common.evaluation.model_copy(update=length)
-    tested = settings.model_copy(update={"plant": common.plant, "evaluation": evaluation})
+    length = {"evaluation.trials": args.tests, "evaluation.duration": args.duration}
+    tested = changed(settings.model_copy(update={"plant": common.plant}), length)
 
     def fraction(seed: int) -> float:
         policy = eq.train(eq.shipped_pendulum(), eq.iiwa(7), settings, seed=seed)
@@ -107,22 +107,17 @@ def draw(study: optuna.Study) -> Figure:
 
 def main() -> None:
     """Run the sweep, print the best trials, and draw the figure."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    names = ("set", "workers", "json")
+    parser = options(__doc__, *names, trials=40, duration=60.0, out="sweep.png")
     form = "NAME=LOW:HIGH[:log], or NAME=[...] with choices in JSON"
     parser.add_argument("--vary", action="append", required=True, metavar="RANGE", help=form)
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--recipe", default="robust")
-    parser.add_argument("--trials", type=int, default=40)
     parser.add_argument("--seeds", type=int, default=1, help="trainings of each trial")
     parser.add_argument("--finalists", type=int, default=5, help="trials that are trained again")
     parser.add_argument("--final-seeds", type=int, default=10, help="trainings of each finalist")
     parser.add_argument("--world", default="model", help="world of the tests")
     parser.add_argument("--tests", type=int, default=200, help="tests of each policy")
-    parser.add_argument("--duration", type=float, default=60.0, help="length of a test [s]")
     parser.add_argument("--storage", help=STORAGE_HELP)
-    parser.add_argument("--workers", help="threads, or a Dask scheduler, tcp://HOST:8786")
-    parser.add_argument("--json", type=Path, help="file for the finalists")
-    parser.add_argument("--out", default="sweep.png", help="figure")
     args = parser.parse_args()
     with open_workers(args.workers) as workers:
         search(args, workers)
@@ -167,9 +162,8 @@ def search(args: argparse.Namespace, workers: int | Executor) -> None:
         row = {"name": trial.number, "searched": trial.value, "final": final}
         finalists.append(row | {"settings": trial.params})
         print(f"{trial.value:7.2%}, final {final:7.2%}  {trial.number}  {trial.params}", flush=True)
-    if args.json:
-        length = {name: getattr(args, name) for name in ("trials", "seeds", "tests", "final_seeds")}
-        args.json.write_text(json.dumps(length | {"finalists": finalists}, indent=1))
+    length = {name: getattr(args, name) for name in ("trials", "seeds", "tests", "final_seeds")}
+    store(args.json, length | {"finalists": finalists})
     draw(study).savefig(args.out, dpi=150)
 
 

@@ -17,7 +17,6 @@ is the result::
     python experiments/table_search.py --recipe fine --out best.json
 """
 
-import argparse
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from itertools import pairwise, product
@@ -25,6 +24,7 @@ from math import radians
 from pathlib import Path
 
 import numpy as np
+from shared import options
 
 import equipoise as eq
 from equipoise import paper
@@ -145,13 +145,10 @@ def search_table(
 
 def main() -> None:
     """Search from a short training, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options(__doc__, "set", "workers", out=Path("best-table.json"))
     parser.add_argument("--recipe", default="robust", help="robust or fine")
     parser.add_argument("--generations", type=int, default=40)
     parser.add_argument("--tables", type=int, default=128, help="tables of a generation")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
-    parser.add_argument("--out", type=Path, default=Path("best-table.json"))
-    parser.add_argument("--workers", help="threads, or a Dask scheduler, tcp://HOST:8786")
     args = parser.parse_args()
     settings = eq.resolve(args.recipe, overrides=args.set)
     size = {"generations": args.generations, "tables": args.tables}

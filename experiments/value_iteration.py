@@ -15,12 +15,12 @@ common trials is the result::
     python experiments/value_iteration.py --out solved.json
 """
 
-import argparse
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
+from shared import options
 
 import equipoise as eq
 import equipoise.envs
@@ -125,11 +125,10 @@ def solve_table(
 
 def main() -> None:
     """Solve for the shipped task, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options(__doc__, out=Path("value-iteration.json"))
     parser.add_argument("--rounds", type=int, default=6)
     parser.add_argument("--loops", type=int, default=64, help="closed loops side by side")
     parser.add_argument("--ticks", type=int, default=2000, help="steps of each loop in a round")
-    parser.add_argument("--out", type=Path, default=Path("value-iteration.json"))
     args = parser.parse_args()
     workers = available_cores()
     size = {"rounds": args.rounds, "loops": args.loops, "ticks": args.ticks}

@@ -38,12 +38,10 @@ class Batch:
         pendula.coulomb[n], pendula.drag[n] = own.coulomb, own.drag
 
     def step(self, lanes=1):
-        """See `plant.step`."""
         _step(self.plant, self.records, lanes)
 
     @property
     def controller(self):
-        """State of the controllers."""
         return self.state.controller
 
     def true(self, lane=slice(None)):

@@ -10,10 +10,8 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-from equipoise.arm.iiwa import iiwa
-from equipoise.learning.train import train
+from equipoise import Pendulum, iiwa, train
 from equipoise.model.actuator import IDEAL_ACTUATOR
-from equipoise.model.pendulum import Pendulum
 from equipoise.physics_engine import mujoco
 from equipoise.reproduction.warm_up import is_warm, warm_up
 from equipoise.settings import EvaluationSettings, LearningSettings, SelectionSettings, Settings
@@ -125,26 +123,9 @@ def rig_log(tmp_path_factory):
     with (folder / "rig.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not path.exists():
-            record_rig(path)
-    return path
+            from equipoise.rig.run import run_virtually
+            from tests.rig.test_run import request
 
-
-def record_rig(path):
-    """Write the log of `rig_log`."""
-    from equipoise.control.policy import shipped_policy
-    from equipoise.rig.config import RigSettings
-    from equipoise.rig.request import RunRequest
-    from equipoise.rig.run import run_virtually
-
-    task = shipped_policy(), shipped_policy().actuator, RigSettings()
-    request = RunRequest(*task, "kst://twin:nominal", None, duration=1.5, seed=3)
-    assert run_virtually(request, path).outcome == "survived"
-
-
-@pytest.fixture
-def broken_off(rig_log, tmp_path):
-    """The same, cut half a second before its end."""
-    path = tmp_path / "cut.mcap"
-    whole = rig_log.read_bytes()
-    path.write_bytes(whole[: int(0.94 * len(whole))])
+            wanted = request(duration=1.5, robot="kst://twin:nominal")
+            assert run_virtually(wanted, path).outcome == "survived"
     return path

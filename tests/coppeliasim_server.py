@@ -40,8 +40,6 @@ PARAMETERS = {"Int32": {8: 8}, "Bool": {25: True}, "Float": {1: 0.05}}
 
 @dataclass
 class Thing:
-    """An object of the scene."""
-
     kind: str
     alias: str
     parent: int = -1
@@ -53,8 +51,6 @@ class Thing:
 
 @dataclass
 class Client:
-    """A client of the server."""
-
     timeout: float
     seen: float
     level: int = 0
@@ -281,7 +277,6 @@ class CoppeliaSimServer:
                 self._socket.send(cbor.dumps(self.answer(request)))
 
     def answer(self, request):
-        """Return the reply to a request."""
         self.requests += 1
         self.watch(self.requests)
         name, scene, now = request["func"], self.scene, time.monotonic() + self.later

@@ -9,11 +9,6 @@ import sys
 import threading
 import time
 
-import pytest
-
-needs_terminals = pytest.mark.skipif(
-    sys.platform == "win32", reason="there are no pseudo-terminals"
-)
 LONGEST = 90.0  # a first start compiles [s]
 
 

@@ -7,11 +7,8 @@ import numpy as np
 import pytest
 from benchmarks.bench import PinocchioLoop
 
-from equipoise import paper
-from equipoise.arm.iiwa import iiwa
+from equipoise import PendulumParameters, iiwa, paper, resolve
 from equipoise.model.actuator import IDEAL_ACTUATOR
-from equipoise.model.pendulum import PendulumParameters
-from equipoise.settings import resolve
 from equipoise.simulation.plant import make_loop_params
 from tests.batch import NOMINAL, Batch
 

@@ -10,12 +10,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from equipoise import simulation
+from equipoise import evaluate, shipped_policy, simulation
 from equipoise.cli import main
-from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, SettingsError
 from equipoise.simulation import setup_of, simulate, world_class
-from equipoise.simulation.evaluation import evaluate
 from tests.test_pages import blocks
 
 FOUND = blocks("docs/how-to/bring-a-world.md", "python", "toml", "sh")
@@ -23,32 +21,16 @@ BLOCKS = dict(FOUND)
 WORLD, SUITE = (text for language, text in FOUND if language == "python")
 POLICY = shipped_policy()
 BROKEN = """
-from equipoise.simulation import ExternalLoop, Simulation
+from own_world import Windy
 
-class Delayed(Simulation):
+class Falls(Windy):
     def loop(self):
-        return Loop(self)
-
-class Loop(ExternalLoop):
-    def release(self, q, start):
-        self.q, self.start = q, start
-    def send(self, q):
-        self.q = q
-    def read(self):
-        return self.start
-    def joints(self):
-        return self.simulation.setup.arm.with_held(self.q)
-
-class Falls(Delayed):
-    def loop(self):
-        loop = Loop(self)
+        loop = super().loop()
         loop.send = lambda q: 1 / 0
         return loop
 
 no_world = 3
 """
-
-pytestmark = pytest.mark.compiled_only
 
 
 @pytest.fixture(autouse=True)

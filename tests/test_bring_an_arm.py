@@ -13,16 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from equipoise import entry_points
+from equipoise import Actuator, Pendulum, RunLog, TabularPolicy, entry_points, iiwa
 from equipoise.arm.chain import wrist_centre
-from equipoise.arm.iiwa import iiwa
 from equipoise.arm.urdf import read_arm
 from equipoise.cli import main
-from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArmError
-from equipoise.log.run_log import RunLog
-from equipoise.model.actuator import Actuator
-from equipoise.model.pendulum import Pendulum
 from equipoise.reproduction.synthetic_swing import synthetic_swing
 from equipoise.rig.config import read_rig
 from tests.arm.witnesses import ELBOW
@@ -75,7 +70,6 @@ def test_the_iiwas_are_registered_and_may_stand_at_another_home_with_another_piv
 
 
 @pytest.mark.slow
-@pytest.mark.compiled_only
 def test_the_story_runs_as_it_is_printed(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     swing = synthetic_swing(seed=3)

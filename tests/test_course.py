@@ -70,7 +70,6 @@ def executed(book, folder):
     return [output for cell in book.cells for output in cell.get("outputs", ())]
 
 
-@pytest.mark.compiled_only
 def test_the_first_notebook_shows_a_film_of_what_it_trained(tmp_path, monkeypatch):
     monkeypatch.delenv("MPLBACKEND", raising=False)
     outputs = executed(notebooks.built(FIRST), tmp_path)
@@ -88,7 +87,6 @@ def test_colab_opens_each_notebook_in_the_repository_of_the_project():
         assert f"]({address}/blob/notebooks/{name}.ipynb)" in notebooks.built(name).cells[0].source
 
 
-@pytest.mark.compiled_only
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [(NOTEBOOKS[0], WRONG), *(pytest.param(n, (), marks=pytest.mark.slow) for n in NOTEBOOKS[1:])],

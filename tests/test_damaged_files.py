@@ -6,17 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from equipoise.arm.urdf import read_urdf
+from equipoise import Actuator, read_swing, read_urdf, read_world, resolve, shipped_actuator
 from equipoise.control.policy import TabularPolicy, shipped_policy
-from equipoise.identification.recording import read_swing
-from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
-from equipoise.model.worlds import read_world
 from equipoise.rig.config import read_rig
-from equipoise.settings import resolve
 from tests.cli.damage import mutations, outcomes
-
-pytestmark = pytest.mark.compiled_only  # files are read by the same code without compilation
+from tests.test_pages import blocks
 
 DATA = Path(__file__).parent / "data"
 HOME = [radians(angle) for angle in (0.0, -60.0, 90.0, 0.0, 60.0, 0.0)]
@@ -32,20 +27,9 @@ duration = 60.0
 [identification]
 friction = "coulomb"
 """
-RIG = """\
-arm = "iiwa7"
-robot = "kst://172.31.1.147:30001"
-encoder = "serial:///dev/ttyACM0"
-home_deg = [90.0, 30.0, 0.0, -70.0, 0.0, 80.0, 0.0]
-counts_per_rev = 8192
-encoder_sign = -1
-"""
-WORLD = """\
-transport = 0.012
-reach_time = 0.016
-counts_per_rev = 4096
-guards = true
-"""
+RIG, WORLD = (
+    blocks(f"docs/how-to/{page}.md", "toml")[0][1] for page in ("first-run", "digital-twin")
+)
 
 
 def swing_text():

@@ -13,14 +13,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-from equipoise.arm.iiwa import iiwa
-from equipoise.control.policy import shipped_policy
+from equipoise import evaluate, iiwa, resolve, shipped_policy
 from equipoise.errors import InputError, OutsideError
 from equipoise.learning.rewards import centred
 from equipoise.model.random import TEST
-from equipoise.settings import resolve
 from equipoise.simulation import TrialRecorder, run_trial, setup_of, simulate
-from equipoise.simulation.evaluation import evaluate
 
 WORLDS = ("ideal", "model", "twin:nominal")
 SEED = 3
@@ -32,8 +29,6 @@ IGNORED = (
 )
 """Warnings of `check_env` that Gymnasium's own tests ignore: a velocity has no bound, and an
 acceleration a unit."""
-
-pytestmark = pytest.mark.compiled_only
 
 
 def make(world, **arguments):

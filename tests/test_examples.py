@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from equipoise.control.policy import shipped_policy
-from equipoise.rig.simulate import simulate_run
+from equipoise import shipped_policy, simulate_run
 from tests.arm.witnesses import Pinocchio
 from tests.conftest import tiers
 
@@ -36,7 +35,6 @@ def test_every_example_is_run():
     assert {path.name for path in EXAMPLES.glob("*.py")} == set(SAY)
 
 
-@pytest.mark.compiled_only
 @pytest.mark.parametrize("name", tiers(SAY, SAY.keys() - LONG, LONG))
 def test_an_example_needs_no_file_and_says_what_it_should(script, name):
     assert SAY[name] in script(EXAMPLES / name)
@@ -46,29 +44,19 @@ def test_an_example_needs_no_file_and_says_what_it_should(script, name):
 # Frames in Foxglove
 
 
-@pytest.fixture(scope="module")
-def run():
-    return simulate_run(shipped_policy(), world="twin:nominal", duration=0.5)
-
-
-@pytest.fixture
-def shown(run, script, tmp_path):
-    """Channel, message and content of all messages that the example writes."""
+def test_frames_stand_where_the_kinematics_puts_flange_and_pendulum(script, tmp_path):
+    run = simulate_run(shipped_policy(), world="twin:nominal", duration=0.5)
     run.save(tmp_path / "run.mcap")
     script(EXAMPLES / "foxglove.py", tmp_path / "run.mcap")
     with (tmp_path / "shown.mcap").open("rb") as file:
         found = list(make_reader(file, validate_crcs=True).iter_messages())
-    return [(c, m, json.loads(m.data)) for _, c, m in found]
-
-
-@pytest.mark.compiled_only
-def test_frames_stand_where_the_kinematics_puts_flange_and_pendulum(shown, run):
+    contents = {"/robot_description": [], "/tf": []}
+    for _, channel, message in found:
+        contents.setdefault(channel.topic, []).append((message, json.loads(message.data)))
     arm, replies, compared = run.conditions.arm, run.replies, 0
-    urdf = next(c["data"] for channel, _, c in shown if channel.topic == "/robot_description")
-    robot = Pinocchio(urdf)
-    for channel, message, content in shown:
-        if channel.topic != "/tf":
-            continue
+    ((_, description),) = contents["/robot_description"]
+    robot = Pinocchio(description["data"])
+    for message, content in contents["/tf"]:
         placed = {t["child_frame_id"]: t for t in content["transforms"]}
         assert {t["parent_frame_id"] for t in placed.values()} == {"base"}
         place, turn = (

@@ -45,10 +45,11 @@ def experiment(script, monkeypatch):
 
 def module(name):
     """Return the names of an experiment."""
-    return runpy.run_path(str(EXPERIMENTS / f"{name}.py"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(EXPERIMENTS)
+        return runpy.run_path(str(EXPERIMENTS / f"{name}.py"))
 
 
-@pytest.mark.compiled_only
 @pytest.mark.parametrize("name", SMALLEST)
 def test_an_experiment_runs_and_writes_its_result(experiment, tmp_path, name):
     assert experiment(f"experiments/{name}", *SMALLEST[name]).strip()
@@ -67,7 +68,6 @@ def paths(value, *above):
     return {above}
 
 
-@pytest.mark.compiled_only
 @pytest.mark.parametrize(
     ("section", "arguments"),
     [
@@ -129,7 +129,6 @@ def test_the_values_solve_bellmans_equation_and_are_symmetric():
 
 
 @pytest.mark.slow
-@pytest.mark.compiled_only
 @pytest.mark.skipif(
     not (find_spec("stable_baselines3") and find_spec("onnxscript")),
     reason="Stable-Baselines3 or onnxscript is not installed (extra rl)",

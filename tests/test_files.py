@@ -9,11 +9,9 @@ from typing import ClassVar, Literal
 
 import pytest
 
-from equipoise.arm.urdf import read_urdf
+from equipoise import read_swing, read_urdf, resolve
 from equipoise.errors import ArtefactError, InputError, OutsideError
 from equipoise.files import Artefact, Value, read_document, reserved, value_digest
-from equipoise.identification.recording import read_swing
-from equipoise.settings import resolve
 
 
 class Part(Value):

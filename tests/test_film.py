@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from equipoise import film
-from equipoise.arm.iiwa import iiwa
+from equipoise import film, iiwa
 from equipoise.arm.posture import along_x
 from equipoise.arm.scene import SIZES
 from equipoise.errors import InputError, MissingExtraError, OutsideError

@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 
 from tests.program import run_program
+from tests.test_pages import blocks
 
 GUEST = Path(__file__).parent / "guest"
 
-pytestmark = [pytest.mark.full, pytest.mark.compiled_only]
+pytestmark = pytest.mark.full
 
 
 @pytest.fixture(scope="module")
@@ -47,8 +48,7 @@ def equipoise(run, *arguments):
     return json.loads(run("-m", "equipoise", *arguments, "--json").stdout)
 
 
-PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "bring-a-robot.md"
-BLOCKS = re.findall(r"```(\w+)\n(.*?)```", PAGE.read_text(), flags=re.DOTALL)
+BLOCKS = blocks("docs/how-to/bring-a-robot.md", "python", "toml", "sh")
 (CONFORMANCE,) = (block for _, block in BLOCKS if "RobotConformance" in block)
 
 

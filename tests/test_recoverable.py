@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from equipoise.arm.iiwa import iiwa
+from equipoise import PendulumParameters, iiwa
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import GRAVITY
 from tests.test_experiments import module
 

@@ -3,17 +3,11 @@
 import pytest
 from scipy.stats import binomtest
 
-from equipoise.arm.iiwa import iiwa
-from equipoise.control.policy import shipped_policy
+from equipoise import evaluate, identify, iiwa, read_swing, shipped_policy
 from equipoise.executors import available_cores
-from equipoise.identification.recording import read_swing
-from equipoise.identification.swing import identify
 from equipoise.learning.train import ATTEMPTS, train_to_target
 from equipoise.model.worlds import MODEL
 from equipoise.settings import changed, resolve
-from equipoise.simulation.evaluation import evaluate
-
-pytestmark = pytest.mark.compiled_only
 
 
 def summaries(pendulum, settings, seeds, tests, attempts=ATTEMPTS, world=MODEL):

@@ -10,8 +10,6 @@ from zipfile import ZipFile
 
 import pytest
 
-pytestmark = pytest.mark.compiled_only
-
 SOURCES = Path(__file__).parents[1]
 
 
@@ -25,7 +23,6 @@ def build(sources, kind, folder):
 @pytest.mark.full
 @pytest.mark.parametrize("sources", [SOURCES, SOURCES / "plugins" / "equipoise-franka"])
 def test_the_wheel_of_the_archive_is_the_wheel_of_the_sources(sources, tmp_path):
-    pytest.importorskip("hatchling")
     shutil.unpack_archive(build(sources, "sdist", tmp_path / "archive"), tmp_path / "unpacked")
     (unpacked,) = (tmp_path / "unpacked").iterdir()
     wheels = [build(of, "wheel", tmp_path / of.name) for of in (sources, unpacked)]

@@ -11,7 +11,7 @@ from equipoise.arm import compiler
 from equipoise.elementary import fma
 from tests.program import run_program
 
-pytestmark = [pytest.mark.full, pytest.mark.compiled_only]
+pytestmark = pytest.mark.full
 
 INPUTS = {"a": 0.7, "b": -1.3, "c": 2.1}
 NUMBERS = st.sampled_from([0.0, 1.0, -1.0, 0.5, -2.5])
@@ -34,7 +34,7 @@ def expressions(tape, leaves):
     return st.recursive(leaf, applied, max_leaves=30)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(data=st.data())
 def test_what_is_printed_computes_what_was_written(data):
     tape = compiler.Tape()

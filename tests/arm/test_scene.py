@@ -10,7 +10,10 @@ from equipoise.arm.scene import scene
 from equipoise.film import build_scene
 from equipoise.paper import X_LIMIT
 from equipoise.simulation.twin.physics import build_bare
-from tests.arms import small_arm
+from tests.arm.witnesses import ARMS
+from tests.arms import with_step
+
+ELBOW = ARMS["elbow6"][0]
 
 LENGTHS = (0.0, 1e-17, 1e-16, 1e-9, 1e-3, 0.006, 0.045, 0.0595, 0.06, 0.061, 0.07, 0.2)
 """Steps of public arms [m], rounding noise, and lengths around twice the inset of a link."""
@@ -43,9 +46,9 @@ def drawn_shapes(arm):
 
 
 @pytest.mark.parametrize("length", LENGTHS)
-def test_a_step_of_any_length_is_drawn_where_the_kinematics_puts_it(length, tmp_path):
+def test_a_step_of_any_length_is_drawn_where_the_kinematics_puts_it(length):
     for step in (2, 6, 7, 8):  # two joints, the last two, the flange, the pivot
-        arm = small_arm(tmp_path / "arm.urdf", {step: length})
+        arm = with_step(ELBOW, step, length)
         model = scene(arm).compile()
         data = mujoco.MjData(model)
         q = 0.5 * arm.home_free
@@ -61,13 +64,14 @@ def test_a_step_of_any_length_is_drawn_where_the_kinematics_puts_it(length, tmp_
 
 @pytest.mark.parametrize("noise", [1e-17, 1e-16, 1e-9])
 @pytest.mark.parametrize("step", range(1, 9))
-def test_rounding_in_an_origin_changes_no_shape(step, noise, tmp_path):
-    clean, noisy = (small_arm(tmp_path / "arm.urdf", {step: length}) for length in (0.0, noise))
+def test_rounding_in_an_origin_changes_no_shape(step, noise):
+    clean, noisy = (with_step(ELBOW, step, length) for length in (0.0, noise))
     assert drawn_shapes(noisy) == pytest.approx(drawn_shapes(clean))
 
 
-def test_a_small_arm_is_drawn_in_proportion(tmp_path):
-    arm, small = iiwa(7), small_arm(tmp_path / "arm.urdf", {})
-    fraction = (0.2 + 0.08 + 0.35 + 0.1 + 0.22 + 0.09 + 0.07) / 1.2
-    assert drawn_shapes(arm)["link 2"] == pytest.approx(0.11)
-    assert drawn_shapes(small)["link 2"] == pytest.approx(0.11 * fraction)
+def test_a_small_arm_is_drawn_in_proportion():
+    small = ELBOW
+    for number in range(1, 8):
+        small = with_step(small, number, 0.1)
+    assert drawn_shapes(iiwa(7))["link 2"] == pytest.approx(0.11)
+    assert drawn_shapes(small)["link 2"] == pytest.approx(0.11 * 0.7 / 1.2)

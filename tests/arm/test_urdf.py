@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
+from equipoise import iiwa, read_urdf
 from equipoise.arm.chain import wrist_centre
-from equipoise.arm.iiwa import iiwa
 from equipoise.arm.posture import along_x, condition
-from equipoise.arm.urdf import read_urdf
 from equipoise.errors import ArmError
 from equipoise.paper import X_LIMIT
 from equipoise.physics_engine import mujoco

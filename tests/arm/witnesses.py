@@ -11,8 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from equipoise.arm.iiwa import iiwa
-from equipoise.arm.urdf import read_urdf
+from equipoise import iiwa, read_urdf
 
 
 class Flange(NamedTuple):
@@ -79,17 +78,6 @@ ARMS = {
     "elbow6": (read_urdf(ELBOW, home=ELBOW_HOME), ELBOW.read_text()),
 }
 GRAVITY = np.array([0.0, 0.0, -9.80665])
-
-
-def by_mujoco(urdf, q):
-    model = mujoco.MjModel.from_xml_string(urdf)
-    model.opt.gravity[:] = GRAVITY
-    data = mujoco.MjData(model)
-    data.qpos[:] = q
-    mujoco.mj_forward(model, data)
-    M = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, M)
-    return M, data.qfrc_bias.copy()
 
 
 def by_pinocchio(urdf, q):

@@ -4,10 +4,10 @@ import json
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import pytest
 import typer
 
+from equipoise import simulate_swing, write_swing
 from equipoise.cli import main
 from equipoise.cli.app import app
 
@@ -25,13 +25,14 @@ class Ran(NamedTuple):
 
 @pytest.fixture
 def equipoise(monkeypatch, capfd):
-    """Run the command; each call returns what came of it."""
+    """Run the command, and expect an exit code; each call returns what came of it."""
     monkeypatch.setenv("COLUMNS", "200")
     capfd.readouterr()
 
-    def run(*arguments):
-        code = main([str(argument) for argument in arguments])
-        return Ran(code, *capfd.readouterr())
+    def run(*arguments, code=0):
+        ran = Ran(main([str(argument) for argument in arguments]), *capfd.readouterr())
+        assert code in (ran.code, None), ran
+        return ran
 
     return run
 
@@ -42,8 +43,7 @@ def refused(equipoise, tmp_path):
 
     def run(*arguments, saying=""):
         before = contents(tmp_path)
-        ran = equipoise(*arguments)
-        assert ran.code == 2, ran
+        ran = equipoise(*arguments, code=2)
         assert "Traceback" not in ran.err
         assert saying in " ".join(ran.err.split())
         # Lines of stages that were shown before begin with two blanks.
@@ -85,13 +85,11 @@ def contents(folder):
 
 
 @pytest.fixture
-def swing(tmp_path):
+def swing(pendulum, tmp_path):
     """A good recording of ten periods of the paper's pendulum."""
-    time = np.arange(0.0, 7.5, 0.005)
-    theta = 0.5 * np.exp(-0.05 * time) * np.cos(2.0 * np.pi * time / 0.75)
     path = tmp_path / "swing.csv"
-    rows = "".join(f"{t:.3f},{a:.5f}\n" for t, a in zip(time, theta, strict=True))
-    path.write_text("time_s,theta_rad\n" + rows)
+    encoder = {"rate_hz": 200.0, "counts_per_rev": 100_000}
+    write_swing(path, simulate_swing(pendulum.parameters(), theta0=0.5, duration=7.5, **encoder))
     return path
 
 

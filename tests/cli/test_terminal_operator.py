@@ -4,6 +4,7 @@ import os
 import pty
 import select
 import sys
+import termios
 from contextlib import suppress
 
 import pytest
@@ -11,10 +12,6 @@ import pytest
 from equipoise.cli.output import Output
 from equipoise.cli.terminal_operator import TerminalOperator, single_keys
 from equipoise.control.ticks import OperatorMessage
-
-termios = pytest.importorskip("termios", reason="there are no pseudo-terminals")
-
-ICANON, ECHO = termios.ICANON, termios.ECHO
 
 
 class Terminal:
@@ -72,7 +69,7 @@ def test_each_key_is_heard_at_once_and_not_shown(seat):
     terminal, console = seat()
     before = terminal.modes
     with single_keys():
-        assert not terminal.modes[3] & (ICANON | ECHO)
+        assert not terminal.modes[3] & (termios.ICANON | termios.ECHO)
         # Ctrl-C stays what it is: a signal, which stops as well.
         assert terminal.modes[3] & termios.ISIG
         assert console.read_input() == []
@@ -82,7 +79,7 @@ def test_each_key_is_heard_at_once_and_not_shown(seat):
         assert console.read_input() == []
         assert terminal.shows() == ""
     assert terminal.modes == before
-    assert before[3] & ICANON
+    assert before[3] & termios.ICANON
 
 
 def test_the_terminal_is_as_before_after_an_interruption(seat):

@@ -1,22 +1,15 @@
 """Each verb once: what it writes, and its JSON object."""
 
 import signal
-import statistics
 import threading
-from collections import Counter
 
 import numpy as np
 import pytest
 
+from equipoise import Actuator, Evaluation, Pendulum, RunLog, simulate_run
 from equipoise.control.policy import TabularPolicy, shipped_policy
-from equipoise.files import Estimate, read_document
-from equipoise.log.run_log import RunLog
-from equipoise.model.actuator import Actuator
-from equipoise.model.pendulum import Pendulum
-from equipoise.model.worlds import TwinSettings, World
-from equipoise.rig.simulate import simulate_run
-from equipoise.simulation.evaluation import Evaluation
 from tests.cli.conftest import contents
+from tests.identification.test_refine import policy_knowing, run
 
 SHORT = (
     *("--episodes=40", "--workers=1", "--set=learning.episode_duration=1"),
@@ -25,13 +18,10 @@ SHORT = (
 )
 FEW = ("--trials=4", "--duration=1", "--workers=1")
 
-pytestmark = pytest.mark.compiled_only
-
 
 def test_identify_writes_pendulum_and_figure(equipoise, swing, tmp_path):
     weighed = ("--mass=0.2", "--mass-uncertainty=0.001", "--length=0.14")
     ran = equipoise("identify", swing, "--friction=coulomb", *weighed)
-    assert ran.code == 0, ran
     assert "w2 [1/s^2]" in ran.out
     assert "(95 %, identified)" in ran.out
     assert "zero [deg]" in ran.out
@@ -43,19 +33,21 @@ def test_identify_writes_pendulum_and_figure(equipoise, swing, tmp_path):
 
 
 def test_train_writes_a_policy_and_marks_one_that_misses_the_target(equipoise, pendulum_file):
-    ran = equipoise("train", pendulum_file, *SHORT, "--target=0.9", "--attempts=2", "--json")
-    assert (ran.code, ran.err) == (1, "")
+    target = ("--target=0.9", "--attempts=2")
+    ran = equipoise("train", pendulum_file, *SHORT, *target, "--json", code=1)
+    assert ran.err == ""
     assert ran.json["seed"] in (0, 1)
     policy = TabularPolicy.load("policy.json")
     assert policy.shortfall
     assert policy.pendulum == Pendulum.load(pendulum_file)
-    assert equipoise("train", *SHORT, "--target=0", "--force").code == 0
+    equipoise("train", *SHORT, "--target=0", "--force")
 
 
 def test_a_hanging_pendulum_is_swung_up(equipoise, tmp_path):
     few = ("--start=hanging", "--world=model", "--duration=1", "--json")
     ran = equipoise("evaluate", "--trials=2", "--no-baselines", *few).json
-    assert (ran["survived"], ran["upright_max_s"] > 2.0) == (2, True)
+    assert ran["survived"] == 2
+    assert 2.0 < ran["upright_median_s"] <= ran["upright_max_s"] < 15.0
     ran = equipoise("deploy", *few, "--out=run.mcap").json
     assert (ran["outcome"], ran["survival_s"]) == ("survived", 1.0)
     found = equipoise("log", "explain", "run.mcap", "--json").json
@@ -64,29 +56,28 @@ def test_a_hanging_pendulum_is_swung_up(equipoise, tmp_path):
 
 
 def test_evaluate_compares_with_baselines(equipoise, policy_file, tmp_path):
-    ran = equipoise("evaluate", policy_file, *FEW, "--json", "--out=evaluation.json")
+    ran = equipoise("evaluate", policy_file, *FEW, "--json", "--out=evaluation.json", code=None)
     evaluation = Evaluation.load(tmp_path / "evaluation.json")
     summary = evaluation.results.summary()
     assert ran.code == int(summary.median < 1.0)
     assert ran.json["median_s"] == summary.median
     assert set(ran.json["baselines"]) == {item.name for item in evaluation.baselines}
     before = contents(tmp_path)
-    assert "LQR" in equipoise("evaluate", policy_file, *FEW).out
+    assert "LQR" in equipoise("evaluate", policy_file, *FEW, code=None).out
     assert contents(tmp_path) == before
 
 
 def test_a_claim_is_granted_or_refused(equipoise, tmp_path):
     claim = ("evaluate", "--duration=0.5", "--trials=20", "--json")
     ran = equipoise(*claim, "--claim=0.8")
-    assert (ran.code, ran.json["granted"]) == (0, True)
+    assert ran.json["granted"]
     assert ran.json["bound_95"] == pytest.approx(0.05 ** (1 / 20))  # p^n = 0.05
-    ran = equipoise("evaluate", "random", *claim[1:], "--claim=0.8")
-    assert (ran.code, ran.json["granted"]) == (1, False)
+    ran = equipoise("evaluate", "random", *claim[1:], "--claim=0.8", code=1)
+    assert not ran.json["granted"]
 
 
 def test_deploy_and_the_verbs_for_logs(equipoise, tmp_path):
-    ran = equipoise("deploy", "--duration=0.5")
-    assert ran.code == 0, ran
+    equipoise("deploy", "--duration=0.5")
     assert RunLog.load(tmp_path / "run.mcap").conditions.world == "twin:nominal"
     found = equipoise("deploy", "--duration=0.5", "--force", "--json").json
     assert found["survival_s"] == 0.5
@@ -95,68 +86,36 @@ def test_deploy_and_the_verbs_for_logs(equipoise, tmp_path):
     log = RunLog.load(tmp_path / "run.mcap")
     largest = pytest.approx(1e3 * np.abs(log.ticks.estimated_x).max())
     assert found["x_mm"] == found["x_mm"] | {"largest": largest, "limit": 220.0}
-    assert equipoise("log", "export", "run.mcap").code == 0
+    equipoise("log", "export", "run.mcap")
     made = {path.name for path in (tmp_path / "run-csv").iterdir()}
     assert made == {"encoder.csv", "reply.csv", "stream.csv", "tick.csv", "truth.csv"}
-    assert equipoise("deploy", "random", "--force").code == 1
+    equipoise("deploy", "random", "--force", code=1)
     assert "evidence" in equipoise("log", "explain", "run.mcap").out
     found = equipoise("log", "explain", "run.mcap", "--json").json
     assert found["cause"] in found["causes"]
 
 
 def test_an_excitation_becomes_an_actuator(equipoise, tmp_path):
-    assert equipoise("deploy", "--excite", "--out", "log.mcap").code == 0
+    equipoise("deploy", "--excite", "--out", "log.mcap")
     found = equipoise("identify", "log.mcap", "--json").json
     assert found["kind"] == "kst"
     assert found["delay"]["value"] == pytest.approx(0.010, abs=0.002)
     assert Actuator.load(tmp_path / "actuator.json").delay.value == found["delay"]["value"]
 
 
-def test_refine_writes_what_moved(equipoise, tmp_path):
-    policy = shipped_policy()
-    twin = TwinSettings(inertia_sigma=0.0, friction_sigma=0.0)
-    run = simulate_run(shipped_policy(), world=World("twin:steady", twin), seed=3, duration=20.0)
-    run.save(tmp_path / "run.mcap", command="test")
-    wrong = {
-        name: Estimate.around(getattr(policy.pendulum, name).value / 1.1, 0.0, "given")
-        for name in ("w2", "k")
-    }
-    pendulum = policy.pendulum.model_copy(update=wrong)
-    actuator = Actuator.assumed("kst", delay=0.010, lag=0.008)
-    changes = {"pendulum": pendulum, "actuator": actuator}
-    policy.model_copy(update=changes).save(tmp_path / "policy.json", command="test")
+def test_refine_writes_what_moved(equipoise):
+    policy_knowing().save("policy.json")
+    run(7, 1.1).save("run.mcap")
     ran = equipoise("refine", "policy.json", "run.mcap", "--json")
-    assert ran.code == 0, ran
     assert (ran.json["pendulum"], ran.json.get("actuator")) == ("refined.json", None)
-    refined = Pendulum.load(tmp_path / "refined.json")
-    assert refined.w2.value == pytest.approx(run.conditions.pendulum.w2, rel=0.01)
-
-
-@pytest.mark.slow
-def test_reproduce_writes_a_report_and_ends_with_the_comparison(equipoise, tmp_path):
-    quick = ("--set=learning.episodes=200", "--set=selection.every=0", "--set=evaluation.trials=50")
-    ran = equipoise("reproduce", *quick, "--json")
-    assert ran.code in (0, 1), ran
-    assert ran.json["report"] == "equipoise-report/report.html"
-    assert (tmp_path / ran.json["report"]).read_text().startswith("<!doctype html>")
-    compared, folder = ran.json["comparison"], tmp_path / "equipoise-report"
-    robot = {name: cells["paper's robot"] for name, cells in compared.items()}
-    assert (robot["run_s"], robot["run_ended_by"]) == (5.0, "track")
-    for recipe, prefix in (("literal recipe", "literal-"), ("default recipe", "")):
-        found = {name: cells[recipe] for name, cells in compared.items()}
-        trials = read_document(folder / f"{prefix}twin-evaluation.json")["body"]["results"]
-        assert found["robot_or_twin_median_s"] == statistics.median(trials["survival"])
-        assert found["robot_or_twin_ended_by"] == Counter(trials["outcomes"])
-        run = RunLog.load(folder / f"{prefix}run.mcap")
-        assert (found["run_s"], found["run_ended_by"]) == (run.survival, run.outcome)
+    moved = Pendulum.load("refined.json").w2.value / shipped_policy().pendulum.w2.value
+    assert moved == pytest.approx(1.1, rel=0.01)
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("verb", ["play", "log show run.mcap"])
 def test_pages_are_served_until_a_signal(equipoise, monkeypatch, tmp_path, verb):
-    pytest.importorskip("viser", reason="viser is not installed (extra console)")
     simulate_run(shipped_policy(), duration=0.4).save(tmp_path / "run.mcap", command="test")
     threading.Timer(8.0, signal.raise_signal, (signal.SIGINT,)).start()
     ran = equipoise(*verb.split(), "--json")
-    assert ran.code == 0, ran
     assert any(str(item).startswith("http://") for item in ran.json.values())

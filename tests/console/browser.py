@@ -14,7 +14,6 @@ CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 needs_browser = pytest.mark.skipif(
     not (CHROMIUM and DRIVER), reason="Chromium and its driver are not installed"
 )
-pytest.importorskip("viser", reason="viser is not installed (extra console)")
 
 
 DRAW_SELDOM = """{

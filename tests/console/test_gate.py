@@ -7,13 +7,11 @@ from urllib.parse import urlsplit
 
 import pytest
 
-pytest.importorskip("viser", reason="viser is not installed (extra console)")
+from equipoise.console.web import Gate, serving
 
 
 @pytest.fixture(scope="module")
 def served():
-    from equipoise.console.web import serving
-
     called = []
     actions = {"/act": lambda: called.append(True) or "done"}
     with serving(actions=actions, overlay=b"<i>over</i>") as (_, address):
@@ -101,8 +99,6 @@ def test_a_page_under_a_foreign_name_is_refused(served, cookie, host):
 
 
 def test_a_server_on_all_addresses_is_open_to_each_of_them():
-    from equipoise.console.web import Gate
-
     gate = Gate("Rig", {}, b"", any_address=True)
     own = ["rig", "RIG:8080", "192.168.1.7:80", "[fe80::1]:80", "localhost"]
     assert [host for host in [*own, "rig.evil.org", "evil.org", ""] if gate.is_own(host)] == own

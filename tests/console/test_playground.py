@@ -5,11 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import viser
 
 from equipoise.console.play import FALL, SCENES, Playground, PlayPage
 from equipoise.control.bound_policy import bind_policy, load_policy
-
-pytestmark = pytest.mark.compiled_only
 
 
 def played(playground, seconds):
@@ -80,7 +79,6 @@ def test_the_box_in_use_is_known_for_a_table_alone():
 
 
 def test_the_page_pushes_and_changes_the_rig(monkeypatch):
-    viser = pytest.importorskip("viser", reason="viser is not installed (extra console)")
     server, pushes = viser.ViserServer("127.0.0.1", 0, verbose=False), []
     page = PlayPage(server, SCENES["balance"])
     page.advance(0)

@@ -4,10 +4,11 @@ import re
 
 import numpy as np
 import pytest
+import viser
+from viser.transforms import SO3
 
 from equipoise.arm.iiwa import iiwa7, iiwa14
-
-viser = pytest.importorskip("viser", reason="viser is not installed (extra console)")
+from equipoise.console.scene import RigPage, messages_list
 
 
 @pytest.fixture
@@ -18,8 +19,6 @@ def server():
 
 
 def page_of(server, arm):
-    from equipoise.console.scene import RigPage
-
     page = RigPage(server, "test")
     page.show_arm(arm)
     return page
@@ -36,8 +35,6 @@ def unknown_in(page):
 
 @pytest.mark.parametrize("make", [iiwa7, iiwa14])
 def test_the_pivot_is_where_the_kinematics_of_the_arm_have_it(server, make):
-    from viser.transforms import SO3
-
     arm = make()
     page = page_of(server, arm)
     q = np.array(arm.home) + np.array([0.1, -0.2, 0.0, 0.15, 0.1, -0.1, 0.3])
@@ -72,8 +69,6 @@ def test_unknown_arm_and_pendulum_are_drawn_nowhere_and_stay_unnumbered(server, 
 
 
 def test_texts_of_devices_and_plugins_are_escaped(server):
-    from equipoise.console.scene import messages_list
-
     bad, page = "<img src=x onerror=alert(1)>\x1b[2J", page_of(server, iiwa7())
     page.describe(bad, "#000", [bad])
     for html in (page._state.content, messages_list([(bad, "#000")])):

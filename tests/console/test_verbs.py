@@ -7,10 +7,6 @@ import pytest
 
 from tests.program import program
 
-pytest.importorskip("viser", reason="viser is not installed (extra console)")
-
-pytestmark = pytest.mark.compiled_only
-
 
 def test_a_console_without_a_run_waits_until_it_is_ended():
     with program("console") as console:

@@ -1,27 +1,22 @@
 """Policies by name: every kind is read, checked, clipped, and sent to another process."""
 
-import importlib.util
 import pickle
 import sys
 
 import numpy as np
 import pytest
 
-from equipoise import paper
-from equipoise.arm.iiwa import iiwa
+from equipoise import Pendulum, Settings, iiwa, paper, shipped_pendulum
 from equipoise.control.bound_policy import BUILT_IN, load_policy
 from equipoise.control.linear import lqr_gains
 from equipoise.control.policy import act, shipped_policy
 from equipoise.errors import ArtefactError, InputError, MissingExtraError
-from equipoise.model.pendulum import Pendulum, shipped_pendulum
-from equipoise.settings import Settings
 from tests.reference.onnx_network import DOUBLE, FLOAT, linear_network
 
 GAINS = lqr_gains(shipped_pendulum().parameters(), 0.01)
 COLUMN = [[gain] for gain in GAINS]
 OBSERVATION = np.array([0.05, -0.1, 0.02, -0.15])
 SOURCE = f"""
-import numbers
 import numpy
 G = {GAINS}
 
@@ -54,15 +49,6 @@ class Needy(Counting):
 def raises(observation):
     return 1.0 / 0.0
 
-class Hidden:
-    def __float__(self):
-        raise GeneratorExit("\x1b[2J")
-
-numbers.Real.register(Hidden)
-
-def hides(observation):
-    return Hidden()
-
 def mutates(observation):
     observation[:] = 7.0
     return float("nan")
@@ -73,9 +59,6 @@ def text(observation):
 def array(observation):
     return numpy.array([[0.25]], numpy.float32)
 """
-needs_onnx = pytest.mark.skipif(
-    importlib.util.find_spec("onnxruntime") is None, reason="onnxruntime is not installed"
-)
 
 
 @pytest.fixture
@@ -92,7 +75,7 @@ def folder(tmp_path, monkeypatch):
 KINDS = [
     *BUILT_IN,
     *("table.json", "guest:lqr", "guest:Counting", "guest:instance"),
-    pytest.param("lqr.onnx", marks=[needs_onnx, pytest.mark.full]),
+    pytest.param("lqr.onnx", marks=pytest.mark.full),
 ]
 
 
@@ -132,11 +115,10 @@ def test_u_is_clipped_to_the_largest_acceleration_and_may_be_an_array_of_one(fol
     assert load_policy("guest:array").act(OBSERVATION) == 0.25
 
 
-@pytest.mark.parametrize("name", ["raises", "hides", "mutates", "text"])
+@pytest.mark.parametrize("name", ["raises", "mutates", "text"])
 def test_a_policy_that_raises_or_returns_no_finite_number_is_named_with_the_state(folder, name):
-    with pytest.raises(InputError, match=f"guest:{name} .* x = 0.05") as refusal:
+    with pytest.raises(InputError, match=f"guest:{name} .* x = 0.05"):
         load_policy(f"guest:{name}").act(OBSERVATION.copy())
-    assert "\x1b" not in str(refusal.value)
 
 
 @pytest.mark.parametrize(
@@ -166,7 +148,6 @@ def test_a_table_is_refused_for_another_task_and_other_policies_take_it(folder):
 
 
 @pytest.mark.full
-@needs_onnx
 @pytest.mark.parametrize(
     ("batch", "element", "tolerance"), [(1, DOUBLE, 1e-12), ("batch", FLOAT, 1e-5)]
 )
@@ -180,7 +161,7 @@ def test_a_linear_network_commands_what_the_same_law_in_python_does(
         assert policy.act(observation) == pytest.approx(law.act(observation), abs=tolerance)
 
 
-@needs_onnx
+@pytest.mark.full
 def test_an_integer_of_a_network_is_the_index_of_an_action(folder):
     weights = np.random.default_rng(1).normal(size=(4, 9))
     weights[:, 8] *= 10.0
@@ -196,7 +177,6 @@ def test_an_integer_of_a_network_is_the_index_of_an_action(folder):
 
 
 @pytest.mark.full
-@needs_onnx
 @pytest.mark.parametrize(
     "network",
     [

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from equipoise.arm.iiwa import iiwa
+from equipoise import Actuator, Estimate, PendulumParameters, iiwa, resolve
 from equipoise.arrays import fields, first_lane, new_records
 from equipoise.control.control_step import ControllerState, horizon, make_controller_params
 from equipoise.control.controller import call_alone, observe_tick, start
@@ -17,11 +17,7 @@ from equipoise.control.linear import lqr_gains
 from equipoise.control.policy import Observation
 from equipoise.elementary import BATCH_SIZE
 from equipoise.errors import SettingsError
-from equipoise.files import Estimate
-from equipoise.model.actuator import Actuator
 from equipoise.model.grid import TRUNCATED
-from equipoise.model.pendulum import PendulumParameters
-from equipoise.settings import resolve
 from equipoise.simulation.plant import make_loop_params
 from tests.batch import NOMINAL, Batch
 from tests.reference.closed_loop import Joints

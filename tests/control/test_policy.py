@@ -86,9 +86,7 @@ ROW = (0.0,) * 8
     [
         {"Q": (ROW,) * 269},
         {"visits": ((0,) * 8,) * 271},
-        {"Q": ((float("nan"),) * 8,) * 270},
         {"actions": (*paper.ACTIONS, 3.0)},
-        {"actuator": None},
         {"settings": Settings(boxes=BoxSettings(x=(-0.1, -0.05, 0.05, 0.1)))},
     ],
 )

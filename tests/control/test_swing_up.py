@@ -8,20 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from equipoise import paper
+from equipoise import PendulumParameters, bind_policy, evaluate, paper
 from equipoise.arrays import fields, new_records
 from equipoise.control import swing_up
-from equipoise.control.bound_policy import bind_policy
 from equipoise.control.linear import baselines
 from equipoise.control.policy import LINEAR, KernelPolicy, PolicyKernel, shipped_policy
 from equipoise.control.swing_up import SwingUp, SwingUpPolicy, SwingUpState, time_limit
 from equipoise.errors import InputError, SettingsError
 from equipoise.model.grid import NOT_UPRIGHT, TRUNCATED
-from equipoise.model.pendulum import PendulumParameters
-from equipoise.outcomes import Outcome
 from equipoise.settings import changed
 from equipoise.simulation import run_trial, setup_of, simulate
-from equipoise.simulation.evaluation import evaluate
 
 PENDULUM = shipped_policy().pendulum.parameters()
 LAW = SwingUp(PENDULUM, paper.STEP, 0.0, inf)
@@ -129,16 +125,6 @@ def test_a_pendulum_that_hangs_to_the_end_was_not_upright():
     resting = KernelPolicy(PolicyKernel(LINEAR))
     end = run_trial(simulation.loop(), resting, simulation.draw(1).trial(0), 1.0)
     assert (end.steps, end.cause, end.upright) == (0, NOT_UPRIGHT, 1500)
-
-
-def test_an_evaluation_reports_the_time_to_upright():
-    few = {"evaluation.trials": 3, "evaluation.duration": 1.0}
-    settings = changed(shipped_policy().settings, HANGING | few)
-    evaluation = evaluate(settings=settings, with_baselines=False)
-    assert evaluation.results.outcomes == (Outcome.SURVIVED,) * 3
-    assert evaluation.results.survival == (1.0,) * 3
-    median, largest = evaluation.results.summary().upright or (0.0, 0.0)
-    assert 2.0 < median <= largest < 15.0
 
 
 def test_what_no_swing_up_can_end_with_is_refused():

@@ -6,8 +6,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from equipoise.errors import EquipoiseError
-from equipoise.log.run_log import RunLog
+from equipoise import EquipoiseError, RunLog
 from equipoise.outcomes import Outcome
 from tests.faults.harness import Trigger
 from tests.faults.table import Fault

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import NamedTuple
 from unittest.mock import patch
 
+from equipoise import EquipoiseError, TabularPolicy, shipped_policy
 from equipoise.control.control_step import SETPOINTS_PER_TICK
-from equipoise.control.policy import TabularPolicy, shipped_policy
-from equipoise.errors import EquipoiseError
 from equipoise.identification.actuator import identify_actuator
 from equipoise.log.conditions import RunEnd
 from equipoise.rig import run

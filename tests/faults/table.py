@@ -12,10 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from equipoise import paper
+from equipoise import bind_policy, paper
 from equipoise.arm.arm import Joint
 from equipoise.arm.posture import condition
-from equipoise.control.bound_policy import bind_policy
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.ticks import TickInputs
 from equipoise.outcomes import Outcome
@@ -75,7 +74,6 @@ def _call(method: str, *arguments: Any) -> Inject:
 
 
 def _with(**changes: Any) -> Callable[[Scenario], Scenario]:
-    """Change attributes of the scenario."""
     return lambda scenario: replace(scenario, **changes)
 
 
@@ -111,10 +109,6 @@ def _told(name: str, times: int) -> Callable[[FaultHarness], Sequence[str]]:
 def _slip_slowly(harness: FaultHarness) -> None:
     """Turn the encoder by 1 deg on its spindle, slowly enough for any plausibility."""
     harness.each(lambda since: harness.bench.slip(radians(0.005)) if since < 0.2 else None)
-
-
-def _zero_the_count(harness: FaultHarness) -> None:
-    harness.bench.slip(-harness.bench.theta)
 
 
 def _count_other(turned: Callable[[float], float]) -> Inject:
@@ -186,8 +180,7 @@ ENCODER = (
     Fault("encoder silent", _ends("stale encoder"), _lose_lines(inf), within=0.09,
           says="its cable"),
     Fault("encoder frozen", FELL | _ends("count jump"), _freeze, within=2.0),
-    Fault("encoder frozen before the self-test", _ends("self-test"),
-          _freeze, Trigger("swing")),
+    Fault("encoder frozen before the self-test", _ends("self-test"), _freeze, Trigger("swing")),
     Fault("count jump", _ends("count jump", "encoder gap", "encoder lost"),
           _call("bench.slip", radians(5.0)), within=0.02),
     Fault("slow count loss", FELL | _ends("survived"), _lose_counts,
@@ -200,7 +193,8 @@ ENCODER = (
     Fault("board of another encoder", _ends("error"), _change("board", counts_per_rev=4096),
           AT_START, says="4096"),
     Fault("zeroed while swinging", _ends("count jump", "encoder gap", "encoder lost"),
-          _zero_the_count, Trigger("swing", 1.4), within=0.03),
+          lambda harness: harness.bench.slip(-harness.bench.theta), Trigger("swing", 1.4),
+          within=0.03),
     Fault("zero error", _ends("survived"), _slip_slowly, Trigger("swing"), check=_told("swing", 2)),
     Fault("zero error while balancing", FELL | _ends("survived"), _slip_slowly),
     Fault("stale samples", _ends("stale encoder"), _change("sensor.link", delay=0.1),
@@ -208,8 +202,7 @@ ENCODER = (
     Fault("late samples at the release", FELL | _ends("survived", "encoder lost"),
           _change("sensor.link", delay=0.047), Trigger("armed")),
     Fault("stall of the encoder", _ends("survived"), lambda harness: hold_back(harness, "sensor")),
-    Fault("malformed lines", _ends("encoder gap"), _malform, within=0.5,
-          says="missing"),
+    Fault("malformed lines", _ends("encoder gap"), _malform, within=0.5, says="missing"),
     Fault("one lost line", _ends("survived"), _lose_lines(1), says="was lost"),
     Fault("lost lines", _ends("encoder gap"), _lose_lines(3), within=0.03),
     Fault("illegal transition", _ends("illegal transition"), _change("board", illegal=True),
@@ -242,10 +235,6 @@ TIME = (
 
 
 # The robot and its link.
-
-
-def _refuse(harness: FaultHarness) -> None:
-    harness.robot_tap.damage = lambda data: b"nak\n" * data.count(b"\n")
 
 
 def _half_open(harness: FaultHarness) -> None:
@@ -410,7 +399,8 @@ ROBOT = (
           says="link stalled"),
     Fault("short stalls of the link", _ends("repeated stalls"), stall_shortly, within=0.2,
           says="at last the robot's link"),
-    Fault("nak", _ends("link lost"), _refuse,
+    Fault("nak", _ends("link lost"),
+          _change("robot_tap", damage=lambda data: b"nak\n" * data.count(b"\n")),
           stoppable=False, within=0.03),
     Fault("robot not following", _ends("robot not following", "following error"),
           _call("bench.body.stop", "the drives' protection"), Trigger("homing", 0.4), within=0.4),
@@ -474,8 +464,18 @@ def _nan_times(inputs: TickInputs) -> TickInputs:
 
 
 def change_replies(change: Callable[[Any], Any]) -> Inject:
-    """Change each reply of the robot."""
     return _inputs(lambda inputs: inputs._replace(replies=list(map(change, inputs.replies))))
+
+
+def freeze_joints(harness: FaultHarness) -> None:
+    """Let every later reply repeat the first joints."""
+    first: list[Setpoint] = []
+
+    def repeat(reply: Any) -> Any:
+        first.extend([reply.q] if reply.q and not first else [])
+        return reply._replace(q=first[0]) if reply.q else reply
+
+    change_replies(repeat)(harness)
 
 
 def _nan_replies(column: str) -> Inject:
@@ -562,11 +562,8 @@ RELEASE = (
 # Without a hand.
 
 
-def _hold(harness: FaultHarness) -> None:
-    """Hold the pendulum down from now on, as an obstacle does."""
-    harness.bench.steady()
-
-
+HOLD = _call("bench.steady")
+"""Holds the pendulum down from now on, as an obstacle does."""
 SWUNG_ONCE = _told("swing-up", 1)
 
 # fmt: off
@@ -584,9 +581,9 @@ HANDS_OFF = (
           says="loop stalled"),
     Fault("push in the swing-up", _ends("survived"), _call("bench.push", radians(200.0)),
           IN_SWING_UP, HANGING),
-    Fault("pendulum held in the swing-up", _ends("not upright", "self-test"), _hold, IN_SWING_UP,
+    Fault("pendulum held in the swing-up", _ends("not upright", "self-test"), HOLD, IN_SWING_UP,
           HANGING),
-    Fault("pendulum held between two runs", _ends("self-test"), _hold, Trigger("stopping", 3.0),
+    Fault("pendulum held between two runs", _ends("self-test"), HOLD, Trigger("stopping", 3.0),
           SERIES, check=SWUNG_ONCE, words_after_stop=False),
     Fault("zero that slips between two runs", _ends("self-test"), _call("bench.slip", radians(1.0)),
           Trigger("stopping", 2.0), SERIES, says="hangs", check=SWUNG_ONCE,

@@ -9,8 +9,6 @@ from tests.faults.files import FILES
 from tests.faults.table import TABLE
 from tests.faults.verdicts import Sent, check_stop, problems_of
 
-pytestmark = pytest.mark.compiled_only
-
 FAULTS = {fault.name: fault for fault in (*TABLE, *FILES)}
 """Faults that are injected in virtual time."""
 QUICK = ("robot not following", "infinity in a setpoint", "TCP drop")

@@ -4,8 +4,7 @@ import re
 
 import pytest
 
-from equipoise.control.policy import shipped_policy
-from equipoise.log.run_log import RunLog
+from equipoise import RunLog, shipped_policy
 from equipoise.outcomes import Outcome
 from equipoise.rig.config import RigSettings
 from tests.program import LONGEST, program, wait_until
@@ -18,7 +17,6 @@ HAND = (("button", "press"), ("Lift the pendulum", "lift"), ("Armed", "release")
 
 @pytest.mark.full
 @pytest.mark.real_time
-@pytest.mark.compiled_only
 def test_a_policy_balances_over_the_wires_of_the_emulated_rig(tmp_path):
     balances(tmp_path, "iiwa7", "--port", "0")
 

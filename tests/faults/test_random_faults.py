@@ -7,10 +7,8 @@ import pytest
 
 from tests.conftest import tiers
 from tests.faults.harness import START, FaultHarness, Scenario, Trigger
-from tests.faults.table import TABLE, change_replies, run_off, slow_link
+from tests.faults.table import TABLE, freeze_joints, run_off, slow_link
 from tests.faults.verdicts import check_run
-
-pytestmark = pytest.mark.compiled_only
 
 PHASES = {
     "homing": 1.0, "home": 0.3, "hang": 2.0, "reference": 0.5, "swing": 6.0, "excitation": 9.0,
@@ -19,17 +17,6 @@ PHASES = {
 """Messages that a phase begins with, and the time after them within which it fails [s]."""
 LISTED = [fault for fault in TABLE if fault.trigger.event != START]
 """Faults of the table that strike in a run."""
-
-
-def frozen(harness):
-    """Every later reply repeats the first joints."""
-    first = []
-
-    def repeat(reply):
-        first.extend([reply.q] if reply.q and not first else [])
-        return reply._replace(q=first[0]) if reply.q else reply
-
-    change_replies(repeat)(harness)
 
 
 def drawn(random):
@@ -41,7 +28,8 @@ def drawn(random):
     turn, counts = radians(random.uniform(5.0, 250.0)), int(random.integers(2, 300))
     kinds = {
         "run off": run_off(part, rate, most),
-        "frozen": frozen,
+        "shifted": run_off(part, sign * 1e6, most),
+        "frozen": freeze_joints,
         "slow link": slow_link(trip),
         "stall": lambda harness: harness.clock.stalls.append(held),
         "stops": lambda harness: harness.bench.body.stop("emergency stop"),

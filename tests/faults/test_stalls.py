@@ -10,7 +10,7 @@ from equipoise.rig.config import RigSettings
 from tests.faults.harness import FaultHarness, Scenario, Trigger
 from tests.faults.verdicts import check_limits, setpoints_of
 
-pytestmark = [pytest.mark.compiled_only, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 
 ARM = RigSettings().described_arm
 SPEEDS = np.array([joint.velocity for joint in ARM.joints])

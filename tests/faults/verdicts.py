@@ -13,9 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from equipoise import paper
-from equipoise.errors import EquipoiseError
-from equipoise.log.run_log import RunLog
+from equipoise import EquipoiseError, RunLog, paper
 from equipoise.outcomes import Outcome
 from equipoise.rig.series import LEADS_ON, run_path
 from equipoise.safety.rules import POSITION_MARGIN, STOP_DECELERATION
@@ -165,7 +163,6 @@ def check_run(harness, outcome):
 
 
 def _check_part(harness, part, outcome):
-    """Return the problems of one run."""
     arm = harness.scenario.settings.described_arm
     messages, sent, _ = part
     problems = check_limits(arm, sent)

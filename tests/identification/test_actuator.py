@@ -9,15 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from equipoise.arm.iiwa import iiwa
+from equipoise import iiwa, read_world, shipped_pendulum
 from equipoise.errors import RecordingError
 from equipoise.identification.actuator import identify_actuator, identify_run
-from equipoise.model.pendulum import shipped_pendulum
-from equipoise.model.worlds import read_world
 from equipoise.rig.simulate import excite as excite_run
 from equipoise.simulation.twin.servo_model import equivalent_actuator
-
-pytestmark = pytest.mark.compiled_only
 
 LAGS = np.array([6.0, 9.0, 4.0, 12.0, 16.0, 8.0]) * 1e-3
 NOISE = 5e-5

@@ -12,8 +12,6 @@ from equipoise.identification.driven_swing import MOVE_TIME, SelfTestVerdict, se
 from equipoise.jit import kernel
 from equipoise.model.pendulum import PendulumParameters, step
 
-pytestmark = pytest.mark.compiled_only  # minutes without compilation
-
 KNOWN = PendulumParameters(w2=70.2, k=7.15, c=0.15)
 COUNTS = 8192
 DELAY = -0.004

@@ -4,7 +4,7 @@ from math import pi
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -53,7 +53,6 @@ def test_a_gyros_rate_is_a_rate():
     assert read_swing(path, from_upright=True).theta_dot.tolist() == [-1, -2, -3, 4]
 
 
-SAME = "time_s,theta_rad\n0,1\n0.5,2.5\n"
 SPELLINGS = {
     "milliseconds": "time_ms,theta_rad\n0,1\n500,2.5\n",
     "semicolons": "time_s;theta_rad\n0;1\n0.5;2.5\n",
@@ -61,7 +60,6 @@ SPELLINGS = {
     "tabs and commas": "time_s\ttheta_rad\n0\t1\n0,5\t2,5\n",
     "quotes": 'note,"time_s","theta_rad"\n"a,b","0",1\n"c",0.5,"2.5"\n',
     "blanks": "note, time_s ,theta_rad\na,0,1\n\nb,0.5,2.5\n\n",
-    "UTF-8 mark": b"\xef\xbb\xbf" + SAME.encode(),
     "another script": "time_s,theta_rad,Länge (°)\n0,1,ü\n0.5,2.5,\n",
 }
 
@@ -86,7 +84,6 @@ def test_a_window_holds_the_samples_at_its_ends_and_trusts_its_start():
     values=arrays(np.float64, 20, elements=st.floats(-3.0, 3.0)),
     rate=st.booleans(),
 )
-@settings(deadline=None, max_examples=50)
 def test_a_written_swing_is_read_back_to_the_last_bit(tmp_path_factory, steps, values, rate):
     path = tmp_path_factory.mktemp("swing") / "swing.csv"
     # Steps below half a turn, so that nothing is taken for a wrap.
@@ -136,9 +133,7 @@ REFUSED = {
     "counts of an unknown encoder": ("time_s,counts\n0,1\n0.1,2\n", ""),
     "milliseconds since 1970 as seconds": (HEAD + "1.7e12,1\n1.7001e12,2\n", ""),
     "a control character": ("time_s,\x00theta_rad\n0,1\n", ""),
-    "UTF-16": (SAME.encode("utf-16"), ""),
     "Latin-1": ("time_s,theta_rad,Länge\n0,1,ü\n".encode("latin-1"), ""),
-    "a spreadsheet": (b"PK\3\4\x14\x00\x06\x00", ""),
     # It says where.
     "times that do not increase": (
         HEAD + "0,1\n0.1,2\n0.1,3\n0.3,3\n0.2,3\n",

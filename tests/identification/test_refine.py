@@ -10,18 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from equipoise.arm.iiwa import iiwa
-from equipoise.control.policy import shipped_policy
+from equipoise import Actuator, Estimate, iiwa, shipped_policy, simulate_run
 from equipoise.errors import ArtefactError, RecordingError
-from equipoise.files import Estimate
 from equipoise.identification.refine import inspect
-from equipoise.model.actuator import Actuator
 from equipoise.model.worlds import TwinSettings, World
-from equipoise.rig.simulate import simulate_run
 from tests.log.made_up import changed_table
-
-# A run of a minute is 60,000 steps of the physics engine.
-pytestmark = pytest.mark.compiled_only
 
 ACTUATOR = Actuator.assumed("kst", delay=0.010, lag=0.008)
 """The nominal twin's, as its numbers say."""

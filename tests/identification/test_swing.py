@@ -10,16 +10,13 @@ from math import pi, radians, sqrt
 import numpy as np
 import pytest
 
+from equipoise import Estimate, Pendulum, PendulumParameters
 from equipoise.errors import RecordingError
-from equipoise.files import Estimate
 from equipoise.identification.recording import Trajectory, fitted_curve, read_swing, simulate_swing
 from equipoise.identification.swing import MODELS, identify
-from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.settings import IdentificationSettings
 from tests.conftest import tiers
 from tests.reference import pendulum as reference
-
-pytestmark = pytest.mark.compiled_only
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
 PERIOD = 2.0 * pi / sqrt(70.2)

@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from equipoise import paper
-from equipoise.arm.iiwa import iiwa
+from equipoise import iiwa, paper, resolve
 from equipoise.learning.choice import compile_functions
 from equipoise.learning.episodes import compiled_loop, new_training_state, training_config
 from equipoise.learning.q_learning import Transition, new_tables, q_learning
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
-from equipoise.settings import resolve
 from equipoise.simulation.plant import make_loop_params
 from tests.reference import learning as reference
 

@@ -57,7 +57,6 @@ def learned(algorithm, updates, seed=0):
     return tables
 
 
-@pytest.mark.compiled_only
 @pytest.mark.parametrize(
     ("name", "updates"),
     [
@@ -78,7 +77,6 @@ def test_algorithms_of_the_best_policy_find_its_values(example, name, updates):
     np.testing.assert_allclose(Q[1 : STATES + 1], exact[1:], atol=0.06)
 
 
-@pytest.mark.compiled_only
 @pytest.mark.full
 def test_expected_sarsa_finds_the_values_of_the_policy_that_explores(example):
     # Against the closed form of its own last policy: Q = (1 - gamma P)^-1 r, with P by its greedy
@@ -113,22 +111,15 @@ def test_rewards_are_those_of_the_reference():
 # Guests
 
 GUEST = """
-import numba
-from equipoise.learning.q_learning import move_towards
+from equipoise.learning.q_learning import best_value, move_towards
 
 def failure(state, u, next_state, failed):
     return -1.0 if failed else 0.0
 
-def scaled(state, u, next_state, failed):
-    return -2.0 if failed else 0.0
-
 def update(tables, transition, params):
     target = transition.reward
     if not transition.failed:
-        best = tables.Q[transition.box_next, 0]
-        for value in tables.Q[transition.box_next]:
-            best = max(best, value)
-        target += params.gamma * best
+        target += params.gamma * best_value(tables.Q, transition.box_next)
     move_towards(tables, transition.box, transition.action, target, params)
 
 def nothing(state, u, next_state, failed):
@@ -170,7 +161,6 @@ def trained(policy, settings, **changes):
     return train(policy.pendulum, policy.arm, settings, actuator=policy.actuator, seed=7)
 
 
-@pytest.mark.compiled_only
 @pytest.mark.full
 def test_a_guest_that_does_what_ours_does_gives_our_bits(guest, small_policy, quick_settings):
     ours = {"algorithm": "guest_of_tests:update", "reward": "guest_of_tests:failure"}
@@ -190,12 +180,9 @@ REFUSED = {
     "nowhere_at_all:update": "algorithm",
     "guest_of_tests:missing": "reward",
     "guest_of_tests:number": "algorithm",
-    "guest_of_tests:nothing": "reward",
-    "guest_of_tests:plain": "reward",
 }
 
 
-@pytest.mark.compiled_only
 @pytest.mark.parametrize("name", REFUSED)
 def test_unusable_objects_are_refused_in_one_sentence(guest, name):
     with pytest.raises((InputError, SettingsError)) as refusal:
@@ -203,7 +190,6 @@ def test_unusable_objects_are_refused_in_one_sentence(guest, name):
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.compiled_only
 @pytest.mark.parametrize(
     ("name", "line", "reason"),
     [
@@ -215,14 +201,13 @@ def test_unusable_objects_are_refused_in_one_sentence(guest, name):
 def test_a_function_that_cannot_be_compiled_is_named_with_its_line(guest, name, line, reason):
     lines = guest.read_text().splitlines()
     (number,) = (i for i, text in enumerate(lines, start=1) if line in text)
-    with pytest.raises(InputError, match="cannot be compiled") as refusal:
+    with pytest.raises(InputError, match=r"^.* cannot be compiled .*$") as refusal:
         compile_functions(with_digests(LearningSettings(reward=f"guest_of_tests:{name}")))
     assert reason in str(refusal.value)
     assert f"({guest}, line {number})" in str(refusal.value)
 
 
 @pytest.mark.full
-@pytest.mark.compiled_only
 @pytest.mark.parametrize(("name", "error"), [("late", "ValueError"), ("wild", "IndexError")])
 def test_an_error_of_compiled_code_ends_the_training(
     guest, small_policy, quick_settings, capfd, name, error

@@ -4,18 +4,14 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from equipoise import paper
-from equipoise.arm.iiwa import iiwa
+from equipoise import iiwa, paper, shipped_actuator
 from equipoise.control.policy import TABLE, KernelPolicy, PolicyKernel, shipped_policy
 from equipoise.learning.train import measure_survival, score_tables
-from equipoise.model.actuator import shipped_actuator
 from equipoise.model.grid import make_grid
 from equipoise.model.random import SELECTION, TARGET_TEST
 from equipoise.settings import changed, resolve
 from equipoise.simulation import Setup
 from equipoise.simulation.ideal import PlantSimulation
-
-pytestmark = pytest.mark.compiled_only
 
 
 @pytest.fixture

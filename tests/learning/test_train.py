@@ -3,19 +3,12 @@
 import numpy as np
 import pytest
 
-from equipoise.arm.iiwa import iiwa
-from equipoise.control.policy import shipped_policy
+from equipoise import Estimate, iiwa, resolve, shipped_actuator, shipped_policy
 from equipoise.errors import InputError, SettingsError
-from equipoise.files import Estimate
 from equipoise.learning import train as train_module
 from equipoise.learning.episodes import learn
 from equipoise.learning.train import check_task, measure_survival, train, train_to_target
-from equipoise.model.actuator import shipped_actuator
-from equipoise.settings import resolve
 from equipoise.simulation import Setup
-
-# Thousands of episodes' worth of steps: minutes without compilation.
-pytestmark = pytest.mark.compiled_only
 
 ARM = iiwa(14)
 QUICK = [

@@ -1,4 +1,4 @@
-"""Runs that nobody ran: random numbers in the tables of a log."""
+"""Logs for tests: of a short run on the twin, and of a rig that nobody ran."""
 
 import dataclasses
 import resource
@@ -6,24 +6,15 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from equipoise.arm.iiwa import iiwa
+from equipoise import PendulumParameters, iiwa, resolve, shipped_policy, simulate_run
 from equipoise.arm.posture import along_x
 from equipoise.log.columns import tables
 from equipoise.log.conditions import RunConditions, RunEnd
 from equipoise.log.recorder import Recorder
-from equipoise.log.run_log import RunLog, simulated_log
+from equipoise.log.run_log import RunLog
 from equipoise.log.writer import RunWriter
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.run_controller import PHASES
-from equipoise.settings import resolve
-
-JOINTS = 7
-COLUMNS = (
-    *("time", "x", "x_dot", "phi", "phi_dot", "box", "u", "q", "dq"),
-    *("estimated_phi", "estimated_phi_dot", "bias", "estimated_x_dot", "estimated_x"),
-)
-"""Columns of the ticks that a simulation fills."""
 
 
 def conditions(**changes):
@@ -39,7 +30,7 @@ def conditions(**changes):
         "seed": 4,
         "actuator": "sha256:4567",
         "counts_per_rev": 8192,
-        "world_settings": {"transport": 0.01, "cycle": 0.001, "counts_per_rev": 8192, "lag": 1.0},
+        "world_settings": {"transport": 0.01, "cycle": 0.001, "counts_per_rev": 8192, "drag": 0.0},
         "zero_error": 0.002,
         "settings": resolve("paper"),
     }
@@ -59,26 +50,9 @@ def rig_conditions(**changes):
     return conditions(**(rig | changes))
 
 
-def made_up(count=40):
-    """A run of random numbers."""
-    rng = np.random.default_rng(3)
-    tick = {name: rng.standard_normal(count) for name in COLUMNS}
-    time = 0.01 * np.arange(count)
-    tick |= {"time": time, "box": rng.integers(0, 270, count)}
-    tick |= {name: rng.standard_normal((count, JOINTS)) for name in ("q", "dq")}
-    state = ("x", "x_dot", "phi", "phi_dot", "tracked")
-    truth = {"time": time} | {name: rng.standard_normal(count) for name in state}
-    truth["q"] = rng.standard_normal((count, JOINTS))
-    sent = 0.005 * np.arange(2 * count)
-    stream = {"time": sent, "q": rng.standard_normal((2 * count, JOINTS))}
-    # The first reply and the first count were measured before the release.
-    measured = 0.005 * np.arange(count) - 0.004
-    reply = {"time": measured, "sent": measured, "q": rng.standard_normal((count, JOINTS))}
-    counts = rng.integers(-4096, 4096, count)
-    encoder = {"time": time - 0.001, "counts": counts}
-    columns = {"tick": tick, "truth": truth, "stream": stream, "reply": reply, "encoder": encoder}
-    end = RunEnd(outcome=Outcome.TRACK, survival=0.01 * count)
-    return simulated_log(conditions(), end, columns)
+def short_run():
+    """A run on the twin, 40 ticks long."""
+    return simulate_run(shipped_policy(), world="twin:nominal", duration=0.4)
 
 
 def changed_table(run, table, **new):

@@ -5,17 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from equipoise import excite
 from equipoise.errors import InputError, RecordingError
-from equipoise.log.conditions import RunEnd
 from equipoise.log.motion import Motion
-from equipoise.log.run_log import simulated_log
-from equipoise.outcomes import Outcome
 from tests.log.made_up import (
     RELEASE,
     balanced_on_a_rig,
     changed_table,
-    made_up,
     phi_on_a_rig,
+    short_run,
     x_on_a_rig,
 )
 
@@ -41,7 +39,7 @@ def test_a_rig_is_shown_as_it_was_measured(run):
 
 
 def test_a_simulated_run_is_shown_as_it_truly_was():
-    run = made_up()
+    run = short_run()
     motion = Motion.of(run)
     now = motion.at(0.105)
     np.testing.assert_allclose(now.q, 0.5 * (run.truth.q[10] + run.truth.q[11]))
@@ -72,8 +70,7 @@ def test_a_hanging_pendulum_does_not_jump_between_pi_and_its_opposite():
 
 
 def test_a_run_with_nothing_to_show_is_refused(run):
-    still = made_up()
-    excited = simulated_log(still.conditions, RunEnd(outcome=Outcome.EXCITED), {})
+    excited = excite("iiwa7", duration=0.2)
     tables = dict(run.tables) | {"tick": run.tables["tick"][:0]}
     time = run.tables["tick"]["time"].copy()
     time[300] = 3.0

@@ -1,19 +1,17 @@
 """The log of a run on a rig: what is written comes back, and whatever breaks off leaves a file."""
 
-import io
 import os
 import signal
 import subprocess
 import sys
-from collections import Counter
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 
 from equipoise.control.ticks import OperatorMessage
+from equipoise.errors import ArtefactError
 from equipoise.log.conditions import RunEnd
-from equipoise.log.recorder import CONNECTING, Recorder, memory_layout, push_event, read_events
+from equipoise.log.recorder import CONNECTING, Recorder, push_event
 from equipoise.log.run_log import RunLog
 from equipoise.log.writer import RunWriter
 from equipoise.outcomes import Outcome
@@ -39,11 +37,6 @@ def test_what_is_written_comes_back(tmp_path):
     assert tick["q"][3] == pytest.approx(POSTURE)
     assert np.isnan(reply["torque"]).all()
     assert run.tables["encoder"]["counts"].tolist() == list(range(4096, 4346))
-    reader = make_reader(io.BytesIO(path.read_bytes()), validate_crcs=True)
-    assert Counter(channel.topic for _, channel, _ in reader.iter_messages()) == {
-        **dict.fromkeys(("/tick", "/stream", "/reply", "/encoder"), 250),
-        **dict.fromkeys(("/event", "/end"), 1),
-    }
 
 
 def test_every_number_that_a_protocol_can_carry_comes_back_or_is_unknown(tmp_path):
@@ -75,6 +68,8 @@ def test_a_writer_that_is_killed_leaves_its_chunks(tmp_path):
         assert process.stdout.readline() == b"written\n"
         process.send_signal(signal.SIGKILL)
     assert sound_ticks(path) > 800
+    with pytest.raises(ArtefactError):
+        RunLog.load(path)
 
 
 def test_an_existing_log_is_replaced_once_the_run_is_connected(tmp_path):
@@ -111,17 +106,3 @@ def test_a_ring_that_nobody_drains_drops_and_counts():
     assert [len(recorder.tick.take()) for _ in range(2)] == [1000, 0]
     push(recorder, 10)
     assert len(recorder.tick.take()) == 10
-
-
-def test_rings_lie_in_memory_that_two_share():
-    buffer = bytearray(memory_layout(7).itemsize)
-    one, other = Recorder(7, buffer), Recorder(7, buffer)
-    push(one, 3)
-    assert other.stream.take()["time"] == pytest.approx([0.0, 0.01, 0.02])
-    push_event(one.notices, 1.0, OperatorMessage("lift", "Lift the pendulum."))
-    lift = OperatorMessage("lift", "Lift the pendulum.", time=1.0)
-    assert read_events(other.notices.take()) == [lift]
-    other.typed.push(word=b"stop")
-    assert one.typed.take()["word"].tolist() == [b"stop"]
-    one.pulse["time"] = 5.0
-    assert other.pulse["time"] == 5.0

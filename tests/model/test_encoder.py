@@ -3,12 +3,11 @@
 from math import pi
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from equipoise.identification.recording import simulate_swing
+from equipoise import PendulumParameters, simulate_swing
 from equipoise.model.encoder import counts_from_theta, theta_from_counts
-from equipoise.model.pendulum import PendulumParameters
 from tests.reference import pendulum as reference
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
@@ -20,7 +19,6 @@ SWING = {"theta0": 1.0, "duration": 2.0, "rate_hz": 500.0, "counts_per_rev": 409
     counts_per_rev=st.sampled_from([500, 4096, 8192]),
     sign=st.sampled_from([-1, 1]),
 )
-@settings(deadline=None)
 def test_an_angle_comes_back_within_half_a_step(theta, counts_per_rev, sign):
     counts = counts_from_theta(theta, counts_per_rev, sign)
     assert counts == round(counts)

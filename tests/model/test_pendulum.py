@@ -4,7 +4,7 @@ from math import pi, sin, sqrt
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ellipk
 
@@ -93,7 +93,6 @@ def test_dry_friction_holds_the_pendulum_where_gravity_is_weaker():
     phi=st.floats(-4.0, 4.0), rate=st.floats(-3.0, 3.0), w2=st.floats(10.0, 150.0),
     c=st.floats(0.0, 1.0), coulomb=st.floats(0.0, 3.0), drag=st.floats(0.0, 0.1),
 )  # fmt: skip
-@settings(deadline=None, max_examples=60)
 def test_without_push_the_energy_never_grows(phi, rate, w2, c, coulomb, drag):
     pendulum = PendulumParameters(w2, w2 / 9.81, c, coulomb, drag)
     phi_dot, h = rate * sqrt(w2), 0.02 / sqrt(w2)
@@ -111,7 +110,6 @@ def test_without_push_the_energy_never_grows(phi, rate, w2, c, coulomb, drag):
     phi=st.floats(-3.0, 3.0), phi_dot=st.floats(-10.0, 10.0), u=st.floats(-2.0, 2.0),
     coulomb=st.sampled_from([0.0, 0.8]), linearised=st.booleans(),
 )  # fmt: skip
-@settings(deadline=None, max_examples=60)
 def test_the_mirrored_pendulum_moves_mirrored(phi, phi_dot, u, coulomb, linearised):
     pendulum = PendulumParameters(W2, K, 0.15, coulomb, 0.01, linearised)
     right = step(phi, phi_dot, u, 0.01, pendulum)

@@ -4,9 +4,8 @@ from math import radians
 
 import pytest
 
+from equipoise import Estimate, Pendulum, PendulumParameters
 from equipoise.errors import SettingsError
-from equipoise.files import Estimate
-from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import TwinSettings, pendulum_on, read_world
 
 VISCOUS = Pendulum.assumed(70.2, 0.15)

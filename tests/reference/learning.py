@@ -15,10 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from equipoise import paper
+from equipoise import PendulumParameters, paper
 from equipoise.model import random
 from equipoise.model.grid import TRUNCATED
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.simulation.plant import DomainRandomization, draw_noise
 from tests.batch import Batch
 from tests.reference.intervals import place

@@ -4,11 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from equipoise import paper
-from equipoise.arm.iiwa import iiwa
-from equipoise.control.policy import Checkpoint, LearningPoint, TabularPolicy
-from equipoise.files import Estimate, Provenance
-from equipoise.identification.recording import Trajectory
+from equipoise import Trajectory, paper, resolve
+from equipoise.control.policy import Checkpoint, LearningPoint, shipped_policy
+from equipoise.files import Provenance
 from equipoise.log.conditions import RunEnd
 from equipoise.log.run_log import simulated_log
 from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
@@ -16,7 +14,6 @@ from equipoise.model.pendulum import Pendulum, SwingFit
 from equipoise.model.worlds import IDEAL, MODEL, read_world
 from equipoise.outcomes import Outcome
 from equipoise.reproduction.results import RecipeResults, Results
-from equipoise.settings import resolve
 from equipoise.simulation.evaluation import Evaluation, TrialResults
 from tests.log.made_up import conditions
 
@@ -42,66 +39,48 @@ def swing(rate=False, source="swing.csv"):
     return Trajectory(time=time, theta=theta, source=source)
 
 
-def pendulum(trajectory, warnings=(), release=RELEASE):
+def pendulum(trajectory, warnings=()):
     """What was identified from it."""
-    rate = trajectory.theta is None
-
-    def estimate(value):
-        return Estimate.normal(value, 0.001 * value, "identified")
-
-    return Pendulum(
-        w2=estimate(W2),
-        k=estimate(W2 / 9.80665),
-        c=estimate(C),
-        coulomb=Estimate.normal(0.0, 0.0, "assumed"),
-        drag=Estimate.normal(0.0, 0.0, "assumed"),
-        covariance=((0.0,) * 4,) * 4,
-        friction_model="viscous",
-        fit=SwingFit(
-            source=trajectory.source,
-            sha256=trajectory.sha256,
-            quantity="rate" if rate else "angle",
-            window=(RELEASE, 4.995),
-            release=release,
-            samples=900,
-            periods=6.0,
-            rms=2e-4,
-            noise=1e-4,
-            offset=0.0,
-            theta=0.05,
-            theta_dot=0.0,
-            settings=resolve().identification,
-            warnings=tuple(warnings),
-        ),
+    fit = SwingFit(
+        source=trajectory.source,
+        sha256=trajectory.sha256,
+        quantity="rate" if trajectory.theta is None else "angle",
+        window=(RELEASE, 4.995),
+        release=RELEASE,
+        samples=900,
+        periods=6.0,
+        rms=2e-4,
+        noise=1e-4,
+        offset=0.0,
+        theta=0.05,
+        theta_dot=0.0,
+        settings=resolve().identification,
+        warnings=tuple(warnings),
     )
+    return Pendulum.assumed(W2, C).model_copy(update={"fit": fit})
 
 
-def policy(of, recipe="robust", unvisited=7):
+def policy(of, recipe="robust"):
     """A table that pushes towards where the pendulum leans, after a training with a selection."""
     settings = resolve(recipe)
     visits = np.ones((270, 8), dtype=np.int64)
-    visits[:unvisited] = 0
-    lean = np.repeat([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0], 45)
-    selected = settings.selection.every > 0
+    visits[:7] = 0
+    lean = np.repeat([-1.0, 1.0], 135)
     shown = range(1000, 10001, 1000)
     curve = [LearningPoint(episodes=n, steps=40 * n, duration=n / 1000.0) for n in shown]
     found = {"trials": 400, "survived": 399, "mean_duration": 60.0, "rms_x": 0.05, "score": 0.9}
     candidates = [Checkpoint(episodes=n, **found) for n in (9000, 8000, 10000)]
-    return TabularPolicy(
-        actions=paper.ACTIONS,
-        Q=tuple(map(tuple, np.outer(lean, paper.ACTIONS).tolist())),
-        visits=tuple(map(tuple, visits.tolist())),
-        h=0.01,
-        pendulum=of,
-        arm=iiwa(7),
-        actuator=IDEAL_ACTUATOR if recipe == "paper" else shipped_actuator(),
-        settings=settings,
-        seed=0,
-        episodes=10_000,
-        steps=400_000,
-        learning_curve=tuple(curve),
-        checkpoints=tuple(candidates) if selected else (),
-    )
+    trained = {
+        "Q": tuple(map(tuple, np.outer(lean, paper.ACTIONS).tolist())),
+        "visits": tuple(map(tuple, visits.tolist())),
+        "pendulum": of,
+        "actuator": IDEAL_ACTUATOR if recipe == "paper" else shipped_actuator(),
+        "settings": settings,
+        "learning_curve": tuple(curve),
+        "checkpoints": tuple(candidates) if settings.selection.every > 0 else (),
+        "test": None,
+    }
+    return shipped_policy().model_copy(update=trained)
 
 
 def trials(name, falls, count=20, cause=Outcome.TRACK):
@@ -145,15 +124,11 @@ def run(of, survival=60.0, cause=Outcome.SURVIVED, world=MODEL):
     time = 0.01 * np.arange(n)
     q = np.tile(np.array(of.arm.home), (n, 1))
     q[:, 0] += 0.1 * np.sin(time)
-    twin = None if world == MODEL else read_world(world)
+    twin = world != MODEL
 
     def state(t):
-        return {
-            "x": 0.12 * np.sin(t),
-            "x_dot": 0.12 * np.cos(t),
-            "phi": 0.05 * np.sin(8.0 * t),
-            "phi_dot": 0.4 * np.cos(8.0 * t),
-        }
+        flange = {"x": 0.12 * np.sin(t), "x_dot": 0.12 * np.cos(t)}
+        return flange | {"phi": 0.05 * np.sin(8.0 * t), "phi_dot": 0.4 * np.cos(8.0 * t)}
 
     was = state(time - AHEAD if twin else time)
     u = np.array(paper.ACTIONS)[np.arange(n) // 3 % 8]
@@ -169,21 +144,13 @@ def run(of, survival=60.0, cause=Outcome.SURVIVED, world=MODEL):
         "bias": ZERO * (1.0 - np.exp(-time)) if twin else np.zeros(n),
     }
     truth = {"time": time, **was, "tracked": u + 0.03, "q": q - 0.001}
-    return simulated_log(
-        conditions(
-            policy=of.digest,
-            world=twin.name if twin else world,
-            arm=of.arm,
-            pendulum={"w2": 68.0, "k": 6.93, "c": 0.17, "coulomb": 0.1, "drag": 0.0},
-            actuator=of.actuator.digest if twin else IDEAL,
-            counts_per_rev=twin.settings.counts_per_rev if twin else None,
-            world_settings=twin.settings.model_dump() if twin else None,
-            zero_error=ZERO if twin else None,
-            settings=of.settings,
-        ),
-        RunEnd(outcome=cause, survival=survival),
-        {"tick": tick, "truth": truth},
-    )
+    true = {"w2": 68.0, "k": 6.93, "c": 0.17, "coulomb": 0.1, "drag": 0.0}
+    given = {"policy": of.digest, "pendulum": true, "settings": of.settings, "zero_error": ZERO}
+    if not twin:
+        given |= {"world": world, "counts_per_rev": None, "world_settings": None}
+        given |= {"actuator": IDEAL, "zero_error": None}
+    end = RunEnd(outcome=cause, survival=survival)
+    return simulated_log(conditions(**given), end, {"tick": tick, "truth": truth})
 
 
 def swung_up(of, balanced=2.0, cause=Outcome.SURVIVED):

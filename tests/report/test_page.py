@@ -7,14 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from equipoise import film
+from equipoise import Settings, film, shipped_actuator
 from equipoise.errors import OutsideError
-from equipoise.model.actuator import shipped_actuator
 from equipoise.model.worlds import MODEL, TwinSettings
 from equipoise.outcomes import Outcome
 from equipoise.report import page as page_module
 from equipoise.report.page import FIGURES, PAGE, build, page
-from equipoise.settings import Settings
 from tests.report import made_up
 
 ROOT = Path(__file__).parents[2]

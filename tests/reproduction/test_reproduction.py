@@ -3,12 +3,9 @@
 import numpy as np
 import pytest
 
-from equipoise import paper
-from equipoise.arm.urdf import read_urdf
+from equipoise import Trajectory, paper, read_swing, read_urdf, shipped_actuator
 from equipoise.errors import OutsideError, RecordingError
 from equipoise.files import read_document
-from equipoise.identification.recording import Trajectory, read_swing
-from equipoise.model.actuator import shipped_actuator
 from equipoise.model.worlds import IDEAL, MODEL
 from equipoise.report.page import build
 from equipoise.reproduction.pipeline import TWIN, reproduce
@@ -31,7 +28,6 @@ def made(tmp_path_factory):
     return out, reproduce(out, settings=SHORT, seed=3, workers=1)
 
 
-@pytest.mark.compiled_only
 def test_the_folder_holds_every_value_and_they_belong_together(made):
     out, results = made
     values = results.files()
@@ -56,7 +52,6 @@ def test_the_folder_holds_every_value_and_they_belong_together(made):
     assert results.literal.run.conditions.actuator == IDEAL
 
 
-@pytest.mark.compiled_only
 def test_the_simulated_pendulum_is_identified(made):
     _, results = made
     w2 = (2.0 * np.pi / paper.FREE_SWING_PERIOD) ** 2
@@ -68,7 +63,6 @@ def test_the_simulated_pendulum_is_identified(made):
 
 
 @pytest.mark.full
-@pytest.mark.compiled_only
 def test_an_arm_with_unknown_masses_runs_on_the_model(tmp_path):
     arm = without_masses(read_urdf(ELBOW))
     results = reproduce(tmp_path, arm=arm, settings=SHORT, workers=1)
@@ -79,7 +73,6 @@ def test_an_arm_with_unknown_masses_runs_on_the_model(tmp_path):
 
 
 @pytest.mark.full
-@pytest.mark.compiled_only
 def test_a_recorded_swing_is_used_and_kept(tmp_path):
     recorded = synthetic_swing(8, period=0.9)
     given = Trajectory(time=recorded.time, theta=recorded.theta, source="mine.csv")

@@ -23,7 +23,6 @@ sys.exit(code not in (0, 1) or len(compiled))
 
 
 @pytest.mark.full
-@pytest.mark.compiled_only
 def test_after_a_warm_up_no_verb_compiles(tmp_path, monkeypatch):
     monkeypatch.setenv("EQUIPOISE_CACHE_DIR", str(tmp_path / "cache"))
     warm = [sys.executable, "-m", "equipoise", "warm-up"]

@@ -6,10 +6,8 @@ import time
 import numpy as np
 import pytest
 
-from equipoise.control.bound_policy import bind_policy, load_policy
-from equipoise.control.policy import shipped_policy
+from equipoise import RunLog, bind_policy, load_policy, shipped_policy
 from equipoise.errors import InputError
-from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Phase
 from equipoise.rig.checks import warm_up
 from equipoise.rig.connection import connect
@@ -18,7 +16,6 @@ from equipoise.rig.run_controller import PHASES
 from tests.conftest import tiers
 from tests.rig.test_run import request
 
-pytestmark = pytest.mark.compiled_only
 BALANCE = load_policy("lqr")
 
 

@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from equipoise.control.policy import shipped_policy
-from equipoise.model.actuator import Actuator
+from equipoise import Actuator, shipped_policy
 from equipoise.rig import checks
 from equipoise.rig.checks import TimedClock, listen, round_trips
 from equipoise.rig.config import RigSettings

@@ -1,20 +1,19 @@
 """What `rig.toml` may say, and which addresses are some."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from equipoise.arm.urdf import read_urdf
-from equipoise.control.policy import shipped_policy
+from equipoise import read_urdf
 from equipoise.errors import InputError, SettingsError
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import RigSettings, read_rig
 from equipoise.rig.connection import connect
 from equipoise.rig.plugins import Session, robot_plugin
-from equipoise.rig.request import RunRequest
 from tests.arm.witnesses import ELBOW, ELBOW_HOME
 from tests.conftest import written
-
-POLICY = shipped_policy()
+from tests.rig.test_run import POLICY, request
 
 
 def test_a_load_is_half_way_to_the_pivot_unless_its_centre_is_given():
@@ -73,7 +72,7 @@ def test_what_cannot_be_is_refused(text):
 )
 def test_an_address_that_is_none_is_refused(robot, encoder):
     with pytest.raises(InputError):
-        connect(RunRequest(POLICY, POLICY.actuator, RigSettings(), robot, encoder, 1.0))
+        connect(replace(request(robot=robot), encoder=encoder))
 
 
 def test_what_a_rig_says_of_its_limits_becomes_its_rules():
@@ -81,8 +80,7 @@ def test_what_a_rig_says_of_its_limits_becomes_its_rules():
     file = written("rig.toml", text)
 
     def safety(rig):
-        request = RunRequest(POLICY, POLICY.actuator, rig, "twin:nominal", None, 1.0)
-        return request.parameters(POLICY.actuator)[1]
+        return replace(request(), settings=rig).parameters(POLICY.actuator)[1]
 
     usual, strict = safety(RigSettings()), safety(read_rig(file))
     assert np.subtract(strict.limits.lower, usual.limits.lower) == pytest.approx(np.radians(7.0))

@@ -5,17 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from equipoise.control.policy import shipped_policy
+from equipoise import RunLog, shipped_policy, simulate_run
 from equipoise.identification.refine import read_motion
 from equipoise.log.conditions import RunEnd
-from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.explanation import RootCause, explain, root_causes, unexplained_rate
-from equipoise.rig.simulate import simulate_run
 from equipoise.settings import changed
 from tests.log.made_up import changed_table
-
-pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
 
 PER_RADIAN = 8192 / (2.0 * np.pi)
 

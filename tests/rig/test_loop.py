@@ -1,5 +1,7 @@
 """The loop in virtual time, around a heart, a sensor and a robot that do as each test says."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -36,10 +38,10 @@ class Arm:
 
     joints = 7
 
-    def __init__(self, clock, breaks=None):
-        self.clock, self.breaks = clock, breaks or {}
+    def __init__(self, clock, breaks=None, q=HOME):
+        self.clock, self.breaks, self.q = clock, breaks or {}, q
         self.calls = {"send": 0, "replies": 0}
-        self.sent, self.waiting = [], []
+        self.times, self.sent, self.waiting = [], [], []
 
     def _call(self, name):
         self.calls[name] += 1
@@ -47,7 +49,7 @@ class Arm:
             raise LinkError(f"{name} failed")
 
     def measured(self):
-        return np.array(HOME)
+        return np.array(self.q)
 
     def start(self):
         return self.measured()
@@ -55,34 +57,14 @@ class Arm:
     def send(self, q):
         self._call("send")
         now = self.clock.now()
-        self.sent.append((now, tuple(q)))
+        self.times.append(now)
+        self.sent.append(tuple(q))
         self.waiting.append(Reply(now, now, tuple(q), None))
 
     def replies(self):
         self._call("replies")
         waiting, self.waiting = self.waiting, []
         return waiting
-
-
-class Encoder:
-    """A sample in each tick."""
-
-    def __init__(self, clock):
-        self.clock = clock
-
-    def samples(self):
-        return [Sample(self.clock.now(), 100, False, False, 0)]
-
-
-class Person:
-    def __init__(self):
-        self.told = []
-
-    def notify(self, event):
-        self.told.append((event.name, event.text))
-
-    def read_input(self):
-        return []
 
 
 class Heart:
@@ -108,24 +90,23 @@ class Heart:
 
 class Course:
     def __init__(self, heart, *, held_up=None, breaks=None):
-        self.clock = Held(held_up)
-        self.arm, self.heart, self.person = Arm(self.clock, breaks), heart, Person()
+        self.clock, self.told = Held(held_up), []
+        self.arm, self.heart = Arm(self.clock, breaks), heart
+        self.person = SimpleNamespace(notify=self.told.append, read_input=list)
         self.robot = GuardedRobot(self.arm, limits_of(ARM), H / 2.0)
         self.recorder = Recorder(7)
         self.robot.start()
         self.more = {}
 
     def run(self):
-        return run_loop(
-            self.robot, Encoder(self.clock), self.clock, self.heart, self.recorder, self.person,
-            **self.more,
-        )  # fmt: skip
+        sample = lambda: [Sample(self.clock.now(), 100, False, False, 0)]  # noqa: E731
+        parts = self.clock, self.heart, self.recorder, self.person
+        return run_loop(self.robot, SimpleNamespace(samples=sample), *parts, **self.more)
 
 
 def came_to_rest(sent, since):
     """From a setpoint on each step is smaller, down to what one step of a ramp ends with."""
-    q = np.array([q for _, q in sent])
-    steps = np.abs(np.diff(q, axis=0)).max(axis=1)[since - 1 :]
+    steps = np.abs(np.diff(sent, axis=0)).max(axis=1)[since - 1 :]
     return len(steps) > 1 and steps[-1] <= 10.0 * (H / 2.0) ** 2 and (np.diff(steps) < 1e-12).all()
 
 
@@ -141,9 +122,8 @@ def test_each_tick_reads_decides_and_sends_two_setpoints_half_a_tick_apart():
     fault, stoppable = course.run()
     assert (fault, stoppable) == (None, True)
     assert [now for now, _ in course.heart.seen] == pytest.approx(H * np.arange(1, 21))
-    sent = course.arm.sent[:40]
-    assert [when for when, _ in sent] == pytest.approx(H * (1.0 + 0.5 * np.arange(40)))
-    assert [q for _, q in sent] == [course.heart.at(n) for n in range(40)]
+    assert course.arm.times[:40] == pytest.approx(H * (1.0 + 0.5 * np.arange(40)))
+    assert course.arm.sent[:40] == [course.heart.at(n) for n in range(40)]
     # What came since the tick before goes in: a sample, and two replies.
     assert all(len(inputs.samples) == 1 for _, inputs in course.heart.seen)
     assert [len(inputs.replies) for _, inputs in course.heart.seen] == [0] + 19 * [2]
@@ -181,7 +161,7 @@ def test_where_the_link_to_the_robot_is_gone_the_operator_is_told_so_and_nothing
     fault, stoppable = course.run()
     assert not stoppable
     assert fault.evidence == {"text": f"{call} failed"}
-    assert course.person.told == [("fault", f"{call} failed; {CANNOT_STOP}")]
+    assert course.told == [OperatorMessage("fault", f"{call} failed; {CANNOT_STOP}")]
     # In the very tick: the fourth begins at 0.04 s.
     assert course.clock.now() <= 0.045 + 1e-9
     assert course.arm.calls["send"] == (number if call == "send" else 6)
@@ -194,14 +174,14 @@ def test_a_heart_that_fails_leaves_the_arm_to_come_to_rest(error):
     fault, stoppable = course.run()
     assert fault.outcome is Outcome.FAULT
     assert stoppable
-    assert course.person.told == [("fault", describe(fault))]
+    assert course.told == [OperatorMessage("fault", describe(fault))]
     assert len(course.arm.sent) > 18
     assert came_to_rest(course.arm.sent, 18)
     # The stream goes on without a gap, and what left is what the log says.
-    assert np.diff([when for when, _ in course.arm.sent]).max() <= 0.01 + 1e-9
+    assert np.diff(course.arm.times).max() <= 0.01 + 1e-9
     stream = course.recorder.stream.take()
-    assert [tuple(q) for q in stream["q"]] == [q for _, q in course.arm.sent]
-    assert stream["time"] == pytest.approx([when for when, _ in course.arm.sent])
+    assert [tuple(q) for q in stream["q"]] == course.arm.sent
+    assert stream["time"] == pytest.approx(course.arm.times)
 
 
 def test_the_heart_beats_while_the_arm_comes_to_rest_without_it():
@@ -230,7 +210,7 @@ def test_a_link_that_breaks_on_the_way_to_rest_is_told_as_well():
     course = Course(Heart(20, {9: raising(RuntimeError("no"))}), breaks={"send": 20})
     _, stoppable = course.run()
     assert not stoppable
-    assert [text for _, text in course.person.told][-1] == CANNOT_STOP
+    assert course.told[-1].text == CANNOT_STOP
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ moves one joint to and fro until a word comes. A whole run over ports and a term
 import multiprocessing
 import os
 import signal
-import sys
 import time
 from dataclasses import replace
 from math import cos, nan
@@ -18,12 +17,10 @@ import numpy as np
 import psutil
 import pytest
 
-from equipoise.arm.iiwa import iiwa
-from equipoise.control.policy import shipped_policy
+from equipoise import RunLog, iiwa, shipped_policy
 from equipoise.control.ticks import OperatorMessage, Sample, TickOutput, TickRecord
 from equipoise.errors import LinkError, OutsideError
 from equipoise.log.conditions import RunEnd
-from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Phase
 from equipoise.rig import host, processes
 from equipoise.rig.clocks import SystemClock
@@ -36,11 +33,6 @@ from equipoise.rig.run_controller import PHASES
 from equipoise.rig.series import Series
 from equipoise.safety.rules import limits_of
 from tests.rig.test_loop import Arm
-
-pytestmark = [
-    pytest.mark.compiled_only,
-    pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX's"),
-]
 
 ARM = iiwa(7)
 H = 0.01
@@ -92,7 +84,7 @@ def move(request, rig, operators, recorder, *, prepare, submit, follow):
     encoder = SimpleNamespace(samples=lambda: [Sample(time.monotonic(), 0, False, False, 0)])
     _, stoppable = run_loop(robot, encoder, clock, heart, recorder, operator)
     if "SENT" in os.environ:
-        np.save(os.environ["SENT"], [q[6] for _, q in arm.sent])
+        np.save(os.environ["SENT"], [q[6] for q in arm.sent])
     outcome = "operator" if heart.typed else "survived"
     evidence = {"typed": heart.typed}
     return RunEnd(outcome=outcome, evidence=evidence, stoppable=stoppable, survival=0.0)
@@ -205,12 +197,8 @@ def log(tmp_path):
     return lambda: RunLog.load(tmp_path / "run.mcap", damaged=True)
 
 
-def came_to_rest(log):
-    """The log goes on to where the arm stands."""
-    return rests(log.tables["stream"]["q"][:, 6])
-
-
-def rests(places):
+def came_to_rest(places):
+    """Whether A7 has moved, and stands in the end."""
     steps = np.abs(np.diff(places))
     return steps[:20].max() > 1e-6 and (steps[-4:] < 1e-12).all()
 
@@ -223,7 +211,7 @@ def test_a_signal_is_a_word_to_the_loop_and_the_log_is_complete(run, log, number
     outcome = run(Person(lambda _: os.kill(os.getpid(), number)))
     assert outcome.evidence == log().end.evidence == {"typed": processes.STOP}
     assert outcome.stoppable
-    assert came_to_rest(log())
+    assert came_to_rest(log().tables["stream"]["q"][:, 6])
     assert len(log().tables["tick"]) < 150
     assert signal.getsignal(number) == handler
 
@@ -235,7 +223,7 @@ def test_each_run_of_a_series_has_a_log_of_its_own(monkeypatch, tmp_path):
     assert [end.outcome for end in (*ends, last)] == ["survived"] * 3
     logs = [RunLog.load(tmp_path / f"run-00{number}.mcap") for number in (1, 2, 3)]
     for log in logs:
-        assert came_to_rest(log)
+        assert came_to_rest(log.tables["stream"]["q"][:, 6])
         assert [event.name for event in log.events].count("homing") == 1
     assert len(Series.load(tmp_path / "run-series.json").runs) == 3
 
@@ -282,7 +270,7 @@ def test_a_loop_that_stands_still_is_told_within_100_ms(run, log):
     assert run(person).stoppable  # the stall was only one
     assert person.texts("fault") == [f"the loop does not answer: {CANNOT_STOP}"]
     assert HEARTBEAT_TIMEOUT - 2.0 * H < person.told_after("does not answer") < TOLD
-    assert came_to_rest(log())
+    assert came_to_rest(log().tables["stream"]["q"][:, 6])
 
 
 def run_alone(out, pids):
@@ -309,7 +297,7 @@ def test_a_loop_whose_parent_is_gone_comes_to_rest_and_nobody_is_left(tmp_path):
     while any(map(lives, left)) and time.monotonic() < until:
         time.sleep(0.05)
     assert not any(map(lives, left))
-    assert rests(np.load(out.with_suffix(".npy")))
+    assert came_to_rest(np.load(out.with_suffix(".npy")))
 
 
 def lives(pid):

@@ -17,9 +17,9 @@ from tests.guest.guest import robot as guest
 from tests.robots.kst.follower import Bench
 
 
-class TestKst(RobotConformance):
-    def make(self, **options):
-        bench = Bench(**options)
+class TestKstOverASlowLink(RobotConformance):
+    def make(self):
+        bench = Bench(delay=0.008)
 
         def plug(connected):
             bench.client.cut = bench.end.cut = not connected
@@ -27,11 +27,6 @@ class TestKst(RobotConformance):
         robot = KstRobot(lambda: bench.client, plugins.Session(bench.clock, bench.clock))
         true_joints = lambda: np.array(bench.body.q)  # noqa: E731
         return RobotUnderTest(robot, bench.clock, plug, true_joints, misreads(bench.body))
-
-
-class TestKstOverASlowLink(TestKst):
-    def make(self):
-        return super().make(delay=0.008)
 
 
 class TestKstOnTheTwin(RobotConformance):

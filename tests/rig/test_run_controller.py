@@ -11,20 +11,17 @@ from math import cosh, pi, radians, sinh, sqrt
 import numpy as np
 import pytest
 
-from equipoise.control.policy import shipped_policy
+from equipoise import Actuator, shipped_policy
 from equipoise.control.ticks import Reply, Sample, TickInputs, missed_ticks
 from equipoise.errors import RecordingError
 from equipoise.identification.driven_swing import SelfTest, SelfTestVerdict
 from equipoise.log.conditions import Reference
-from equipoise.model.actuator import Actuator
 from equipoise.outcomes import MAX_MEASUREMENT_AGE, End, Outcome, Phase, describe
 from equipoise.rig import script
 from equipoise.rig.config import RigSettings
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run_controller import MOVING, UNCERTAIN_TORQUE_FACTOR, RunController
 from equipoise.rig.script import Run
-
-pytestmark = pytest.mark.compiled_only
 
 
 @pytest.fixture(autouse=True)
@@ -286,13 +283,6 @@ def test_a_pendulum_that_does_not_come_up_is_damped_and_swung_three_times():
     course = hanging().until(Phase.STOPPING, 90.0)
     assert course.cause == Outcome.NOT_UPRIGHT
     assert [n for n in course.told if n in ("swing-up", "damping")] == ["swing-up", "damping"] * 3
-
-
-def test_a_following_run_asks_nothing_and_damps_before_its_self_test():
-    course = hanging(FOLLOWING).until(Phase.SWINGING_UP)
-    order = ["homing", "home", "hang", "damping", "swing", "swing-up"]
-    told = [name for name in course.told if name in order]
-    assert told == ["homing", "damping", "swing", "swing-up"]
 
 
 def test_a_pendulum_that_is_not_damped_is_not_swung_up():

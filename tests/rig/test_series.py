@@ -14,8 +14,6 @@ from equipoise.rig.series import RunLogs, Series, summarise
 from tests.rig.replayed import replay
 from tests.rig.test_run import POLICY, Scripted, request
 
-pytestmark = pytest.mark.compiled_only
-
 
 def run(out, *, after_run=None, **acts):
     """Run a series of two, with the acts of its operator, and a word that it types in between."""
@@ -77,14 +75,6 @@ def test_a_key_after_the_stop_or_between_two_runs_ends_the_series(tmp_path, when
     assert [end.outcome for end in ends] == outcomes
     assert names.count("homing") <= 1
     assert [RunLog.load(path).end for path in sorted(tmp_path.glob("*.mcap"))] == ends
-
-
-@pytest.mark.full
-def test_a_slipped_encoder_ends_the_series_before_its_swing_up(tmp_path):
-    ends, names = run(tmp_path / "run.mcap", stopping=lambda bench: bench.slip(radians(1.0)))
-    assert [end.outcome for end in ends] == ["survived", "self-test"]
-    assert "hangs 1.0" in ends[1].reason
-    assert names.count("swing-up") == 1
 
 
 def test_older_logs_of_a_long_series_are_deleted(tmp_path, monkeypatch, fallen):

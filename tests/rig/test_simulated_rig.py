@@ -3,15 +3,12 @@
 import numpy as np
 import pytest
 
-from equipoise.arm.iiwa import iiwa
-from equipoise.model.pendulum import PendulumParameters
+from equipoise import PendulumParameters, iiwa
 from equipoise.model.worlds import TwinSettings
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.simulated_rig import Bodies, SimulatedRig
 from equipoise.settings import GRAVITY
 from equipoise.simulation.twin.twin import FLANGE, Twin
-
-pytestmark = pytest.mark.compiled_only
 
 ARM = iiwa(7)
 PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)

@@ -8,10 +8,7 @@ import pytest
 from equipoise.errors import OutsideError
 from equipoise.rig.clocks import VirtualClock
 from equipoise.robots.emulation import Emulation
-from tests.program import needs_terminals
 from tests.rig.test_simulated_rig import ARM, NOMINAL, PENDULUM
-
-pytestmark = [pytest.mark.compiled_only, needs_terminals]
 
 ASK = b"getJointsPositions\n"
 

@@ -1,17 +1,14 @@
 """Simulations for tests, and recorded trials in them."""
 
-from equipoise import paper
+from equipoise import Settings, paper, shipped_pendulum
 from equipoise.control.policy import KernelPolicy
 from equipoise.model.actuator import IDEAL_ACTUATOR
-from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.random import TEST
-from equipoise.settings import Settings
 from equipoise.simulation import Setup, TrialRecorder, run_trial
 from equipoise.simulation.ideal import PlantSimulation
 
 
 def on_the_plant(params, arm, pendulum, settings=None, seed=0, stream=TEST):
-    """Return the simulation of a plant."""
     task = shipped_pendulum(), arm, settings or Settings(), IDEAL_ACTUATOR, paper.STEP
     simulation = PlantSimulation("model", Setup(*task), seed=seed, stream=stream)
     simulation.params, simulation.pendulum = params, pendulum  # the latter for a loop's report
@@ -19,7 +16,6 @@ def on_the_plant(params, arm, pendulum, settings=None, seed=0, stream=TEST):
 
 
 def run_all(simulation, kernel, trials, duration, workers=1, done=lambda rows: None):
-    """Run all of some trials, and return them."""
     policy = KernelPolicy(kernel)
     simulation.run(policy, trials, duration=duration, workers=workers, done=done)
     return trials

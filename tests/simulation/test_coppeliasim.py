@@ -13,13 +13,11 @@ import pytest
 
 pytest.importorskip("coppeliasim_zmqremoteapi_client", reason="the extra coppeliasim is missing")
 
-from equipoise.arm.iiwa import iiwa
-from equipoise.arm.urdf import read_urdf
+from equipoise import RunLog, iiwa, read_urdf
 from equipoise.cli import main
 from equipoise.control.policy import KernelPolicy, TabularPolicy, shipped_policy
 from equipoise.coppeliasim.rig import FORGOTTEN, Connection, CoppeliaRig
 from equipoise.errors import InputError, LinkError, MissingExtraError, OutsideError, SettingsError
-from equipoise.log.run_log import RunLog
 from equipoise.model.grid import TRUNCATED
 from equipoise.paper import PHI_LIMIT
 from equipoise.simulation import TrialRecorder, run_trial, setup_of, simulate
@@ -27,7 +25,7 @@ from equipoise.testing import WorldConformance
 from tests.arm.witnesses import ELBOW, ELBOW_HOME
 from tests.coppeliasim_server import RUNNING, CoppeliaSimServer, Scene
 
-pytestmark = [pytest.mark.full, pytest.mark.compiled_only]
+pytestmark = pytest.mark.full
 
 POLICY = shipped_policy()
 REAL = os.environ.get("EQUIPOISE_COPPELIASIM")

@@ -3,25 +3,20 @@
 import pytest
 from scipy import stats
 
-from equipoise.control.bound_policy import bind_policy
+from equipoise import bind_policy, resolve
 from equipoise.control.linear import baselines
 from equipoise.executors import counted
 from equipoise.outcomes import Outcome
-from equipoise.settings import resolve
 from equipoise.simulation.evaluation import TrialResults, evaluate
 
-SHORT = ["evaluation.trials=20", "evaluation.duration=1.5"]
+SHORT = resolve(overrides=["evaluation.trials=20", "evaluation.duration=1.5"])
 
 
 class Plain:
     """Any object with `act`: here it hands the question on, and meddles with what it was shown."""
 
     def __init__(self, policy):
-        self.policy = policy
-        self.asked = []
-
-    def reset(self):
-        self.policy.reset()
+        self.policy, self.reset, self.asked = policy, policy.reset, []
 
     def act(self, state):
         self.asked.append(state.shape)
@@ -31,13 +26,8 @@ class Plain:
 
 
 @pytest.fixture(scope="module")
-def settings():
-    return resolve(overrides=SHORT)
-
-
-@pytest.fixture(scope="module")
-def evaluation(small_policy, settings):
-    return evaluate(small_policy, settings, seed=3)
+def evaluation(small_policy):
+    return evaluate(small_policy, SHORT, seed=3)
 
 
 def test_a_summary_counts_what_happened():
@@ -65,21 +55,19 @@ def test_progress_moves_within_a_trial():
 # The trials
 
 
-@pytest.mark.compiled_only
-def test_an_evaluation_says_what_was_evaluated(evaluation, small_policy, settings):
+def test_an_evaluation_says_what_was_evaluated(evaluation, small_policy):
     assert (evaluation.policy, evaluation.arm) == (small_policy.digest, "iiwa14")
     assert (evaluation.world, evaluation.world_settings) == ("model", None)
     assert evaluation.actuator == small_policy.actuator.digest
-    assert (evaluation.settings, evaluation.seed, evaluation.duration) == (settings, 3, 1.5)
+    assert (evaluation.settings, evaluation.seed, evaluation.duration) == (SHORT, 3, 1.5)
     names = list(baselines(small_policy.pendulum.parameters(), 0.01))
     assert [beside.name for beside in evaluation.baselines] == names
 
 
-@pytest.mark.compiled_only
-def test_the_table_as_a_plain_object_runs_the_same_trials(small_policy, settings, evaluation):
+def test_the_table_as_a_plain_object_runs_the_same_trials(small_policy, evaluation):
     plain, told = Plain(small_policy), []
     bound = bind_policy(plain, name="plain", pendulum=small_policy.pendulum, arm=small_policy.arm)
-    other = evaluate(bound, settings, world="ideal", seed=3, with_baselines=False, done=told.append)
+    other = evaluate(bound, SHORT, world="ideal", seed=3, with_baselines=False, done=told.append)
     assert other.baselines == ()
     assert other.results.survival == evaluation.results.survival
     assert other.results.outcomes == evaluation.results.outcomes

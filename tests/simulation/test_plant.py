@@ -4,18 +4,15 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from equipoise.arm.iiwa import iiwa
+from equipoise import Estimate, PendulumParameters, evaluate, iiwa
 from equipoise.control.linear import lqr_gains
 from equipoise.control.policy import TABLE, KernelPolicy, PolicyKernel, shipped_policy
 from equipoise.errors import ArmError
-from equipoise.files import Estimate
 from equipoise.model import grid
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.grid import JOINT_LIMIT, TRUNCATED
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.pendulum import step as pendulum_step
 from equipoise.settings import BoxSettings, Settings, changed, resolve
-from equipoise.simulation.evaluation import evaluate
 from equipoise.simulation.plant import DomainRandomization, make_loop_params, scaled
 from tests.batch import NOMINAL, Batch
 from tests.reference.closed_loop import Joints, Loop, pivot_velocity

@@ -2,19 +2,15 @@
 
 import pytest
 
-from equipoise import paper
-from equipoise.arm.iiwa import iiwa
+from equipoise import Pendulum, iiwa, paper
 from equipoise.errors import InputError, SettingsError
 from equipoise.learning import episodes
 from equipoise.learning.episodes import learn
 from equipoise.learning.train import actuator_in, train
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
-from equipoise.model.pendulum import Pendulum
 from equipoise.settings import LearningSettings, SelectionSettings, Settings
 from equipoise.simulation import Setup
 from equipoise.simulation.ideal import PlantSimulation
-
-pytestmark = pytest.mark.compiled_only
 
 ARM, PENDULUM = iiwa(7), Pendulum.assumed(70.2, 0.15)
 FEW = Settings(

@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from equipoise import paper
-from equipoise.arm.iiwa import iiwa
+from equipoise import PendulumParameters, iiwa, paper, resolve
 from equipoise.control.policy import RANDOM, Observation, PolicyKernel
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.grid import ANGLE, TRACK, TRUNCATED
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
-from equipoise.settings import resolve
 from equipoise.simulation.plant import DomainRandomization, failure, make_loop_params, scaled
 from equipoise.simulation.trials import Trials, draw_trials
 from tests.batch import NOMINAL, Batch
@@ -37,7 +34,6 @@ def drawn(count=100, seed=0, stream=TEST, settings=SETTINGS):
 
 
 def taken(trials, rows):
-    """Return some of the trials."""
     return Trials._make(column[rows] for column in trials)
 
 

@@ -6,9 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from equipoise.arm.iiwa import iiwa
+from equipoise import PendulumParameters, iiwa
 from equipoise.identification.actuator import PERIOD, excitation
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY
 from equipoise.simulation.twin.physics import TICK
@@ -34,7 +33,6 @@ def swing(theta, steps):
     return np.array(angles)
 
 
-@pytest.mark.compiled_only
 @pytest.mark.parametrize("theta", [0.1, 1.2, 2.8])
 def test_a_free_swing_is_that_of_the_equation(theta):
     time = np.arange(0, 3.0005, 0.01)

@@ -4,13 +4,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from equipoise.arm.iiwa import iiwa
+from equipoise import PendulumParameters, iiwa
 from equipoise.errors import ArmError
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY
 from equipoise.simulation.twin.physics import build, mass_matrix
-from tests.arm.witnesses import ARMS, by_mujoco, by_pinocchio
+from tests.arm.witnesses import ARMS, by_pinocchio
 from tests.arms import without_masses
 
 PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
@@ -31,15 +30,15 @@ def matrix(model, q):
 
 
 @pytest.mark.parametrize("name", ARMS)
-@pytest.mark.parametrize("library", [by_mujoco, pytest.param(by_pinocchio, marks=pytest.mark.full)])
-def test_the_arm_is_that_of_an_independent_library(name, library):
+@pytest.mark.full
+def test_the_arm_is_that_of_an_independent_library(name):
     arm, urdf = ARMS[name]
     n = len(arm.joints)
     model = build(arm, PENDULUM, BARE)
     rng = np.random.default_rng(n)
     for _ in range(5):
         q = rng.uniform(-2.0, 2.0, n)
-        M, torque = library(urdf, q)
+        M, torque = by_pinocchio(urdf, q)
         # MuJoCo keeps principal inertias, to some 1e-7 of what it is given.
         assert matrix(model, [*q, 0.0])[:n, :n] == pytest.approx(M, abs=1e-6)
         data = at(model, [*q, 0.0])

@@ -5,23 +5,19 @@ from math import pi, radians
 import numpy as np
 import pytest
 
+from equipoise import Actuator, Pendulum, Settings, iiwa, simulate_run
 from equipoise.arm.compiler import TWIST
-from equipoise.arm.iiwa import iiwa
 from equipoise.arrays import fields, first_lane, new_records
 from equipoise.control import controller
 from equipoise.control.control_step import ControllerState
 from equipoise.control.linear import lqr_gains
 from equipoise.control.policy import LINEAR, RANDOM, KernelPolicy, Observation, PolicyKernel, act
-from equipoise.model.actuator import Actuator
 from equipoise.model.grid import ANGLE, TRUNCATED
-from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TEST
 from equipoise.model.worlds import CLEAN, TwinSettings, World
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
-from equipoise.rig.simulate import simulate_run
 from equipoise.safety.rules import TRACK_LIMIT
 from equipoise.safety.stop import ramp
-from equipoise.settings import Settings
 from equipoise.simulation import Setup, Trial, TrialRecorder, run_trial
 from equipoise.simulation.plant import DomainRandomization
 from equipoise.simulation.trials import draw_trials
@@ -45,8 +41,6 @@ TRIALS = [
     )
     for i, sign in enumerate((1.0, -1.0, -1.0, 1.0))
 ]
-
-pytestmark = pytest.mark.compiled_only
 
 
 def twins(world=WORLD, seed=1):

@@ -12,9 +12,6 @@ from equipoise.rig.clocks import SystemClock
 from equipoise.robots.encoder.board import Board, Terminal
 from equipoise.robots.encoder.plugin import open_serial
 from equipoise.robots.encoder.sensor import LineEncoder
-from tests.program import needs_terminals
-
-pytestmark = needs_terminals
 
 
 class Served:

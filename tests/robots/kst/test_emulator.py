@@ -3,7 +3,7 @@
 from contextlib import suppress
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise.errors import LinkError
@@ -98,7 +98,6 @@ COMMANDS = st.sampled_from(
 )
 
 
-@settings(max_examples=50)
 @given(st.lists(st.one_of(COMMANDS.map(str.encode), st.binary(max_size=20)), max_size=60))
 def test_nothing_that_a_client_sends_breaks_the_server(pieces):
     bench = Bench()

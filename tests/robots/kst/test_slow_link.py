@@ -42,7 +42,6 @@ def peak_of_the_cabinet(speed, period_ms):
     return max(peaks[200:])  # after the start
 
 
-@pytest.mark.compiled_only
 @pytest.mark.parametrize(("period_ms", "speed"), [(5, 0.8), (15, 0.1)])
 def test_the_shaped_peak_is_that_of_the_cabinet_with_a_perfect_drive(speed, period_ms):
     peak = peak_of_the_cabinet(speed, period_ms)
