@@ -13,12 +13,14 @@ from equipoise.rig.connection import connect
 from equipoise.rig.request import RunRequest
 from equipoise.rig.run import run_virtually
 from equipoise.rig.run_controller import PHASES
+from tests.conftest import tiers
 from tests.faults.harness import FaultHarness, Scenario, Trigger
 from tests.log.made_up import changed_table
 from tests.rig.replayed import replay
 from tests.rig.test_guarded import check_sent
 
 POLICY = shipped_policy()
+MOTIONS = ("homing", "swing", "balancing")
 
 
 class Scripted:
@@ -147,3 +149,18 @@ def test_a_run_with_a_stall_replays_to_the_bit(tmp_path):
     ticks, rows = len(log.tables["tick"]), len(log.tables["stream"])
     assert rows < 2 * ticks
     assert replay(log, scenario.policy) == (ticks, [])
+
+
+@pytest.mark.parametrize("when", tiers(MOTIONS, ["homing"], MOTIONS))
+def test_any_word_stops_it_in_the_same_tick_and_the_arm_comes_to_rest(tmp_path, when):
+    out = tmp_path / "run.mcap"
+    outcome = run_virtually(request(), out, Scripted(**{when: "stop"}))
+    assert (outcome.outcome, outcome.exit_code) == ("operator", 130)
+    run = RunLog.load(out, damaged=True)
+    tick = run.tables["tick"]
+    stopping = tick["state"] == PHASES.index(Phase.STOPPING)
+    stopped_at = next(event.time for event in run.events if event.name == "stopping")
+    assert tick["time"][stopping][0] == pytest.approx(stopped_at)
+    assert np.abs(tick["dq"][-1]).max() == 0.0
+    # It never moves again.
+    assert stopping[np.argmax(stopping) :].all()
