@@ -10,7 +10,8 @@ at x = -0.22 m, leaning by 3.44 degrees. With the set E of trials that end on th
 
 .. math:: p(T) \propto P(E | T)
 
-is the posterior of the delay T. Only policies that stand in simulation count, as the authors' did.
+is the posterior of the delay T. Only policies that survive in simulation count, as the authors'
+did.
 If 5 s were the longest of m attempts, P(E | T) of a policy is
 :math:`(F(6)^m - F(4)^m)\, P(E | 4 < t < 6)`, where F is the distribution of its survival t::
 
@@ -142,7 +143,7 @@ def summary(policies: Sequence[Ends]) -> dict[str, Any]:
     for seconds in (5, 60):
         count = sum(median >= seconds for median in medians)
         ends = exact_interval(count, len(medians))
-        names = (f"stand_{seconds}", f"stand_{seconds}_low", f"stand_{seconds}_high")
+        names = (f"survive_{seconds}", f"survive_{seconds}_low", f"survive_{seconds}_high")
         values = (count / len(medians), *ends)
         result |= {name: round(value, 4) for name, value in zip(names, values, strict=True)}
     return result
@@ -163,20 +164,20 @@ def posterior(likelihood: np.ndarray) -> dict[str, Any]:
 
 
 def inferred(
-    ends_by_kind: dict[str, list[list[Ends]]], stands: Sequence[int]
+    ends_by_kind: dict[str, list[list[Ends]]], survivors: Sequence[int]
 ) -> list[dict[str, Any]]:
     """Return the posterior of the delay for each kind of robot and each reading.
 
     Args:
         ends_by_kind: Trials of each policy on each robot, by kind and delay.
-        stands: Indices of the policies that stand in simulation.
+        survivors: Indices of the policies that survive in simulation.
     """
     rows: list[dict[str, Any]] = []
     for kind, robots in ends_by_kind.items():
-        row: dict[str, Any] = {"name": kind, "label": KINDS[kind][2], "policies": len(stands)}
+        row: dict[str, Any] = {"name": kind, "label": KINDS[kind][2], "policies": len(survivors)}
         for reading, how in READINGS.items():
             likelihood = np.array(
-                [np.mean([ends[i].as_the_paper(*how) for i in stands]) for ends in robots]
+                [np.mean([ends[i].as_the_paper(*how) for i in survivors]) for ends in robots]
             )
             row[reading] = posterior(likelihood) | {
                 "probability": round(float(likelihood.max()), 4),
@@ -250,14 +251,14 @@ def measure(args: argparse.Namespace, workers: int | Executor) -> None:
             row[kind] = summary(ends_by_kind[kind][-1])
             print(f"{delay:g} ms, {KINDS[kind][2]}: {row[kind]['median']} s", flush=True)
         robots.append(row)
-    stands = [i for i, trained in enumerate(ends) if trained.survived.mean() >= SURVIVES]
-    delays = inferred(ends_by_kind, stands or range(args.seeds))
+    survivors = [i for i, trained in enumerate(ends) if trained.survived.mean() >= SURVIVES]
+    delays = inferred(ends_by_kind, survivors or range(args.seeds))
     for row in delays:
         for reading in READINGS:
             print(f"{row['label']}, {reading}: {row[reading]}")
     draw(robots, delays).savefig(args.out, dpi=150)
     found = {"ideal": ideal, "twin": twin, "robots": robots, "delays": delays}
-    store(args.json, found | {"stands": len(stands)})
+    store(args.json, found | {"survivors": len(survivors)})
 
 
 if __name__ == "__main__":

@@ -63,7 +63,7 @@ def save(page: Any, name: str) -> None:
 def take_playground() -> None:
     """Take the playground in its first scene, after a push."""
     with program("play") as play, page_at(play.find(ADDRESS)[1], PLAYGROUND) as page:
-        wait_until(lambda: "standing" in "".join(shown(page, "#equipoise-state")), "balance")
+        wait_until(lambda: "balancing" in "".join(shown(page, "#equipoise-state")), "balance")
         press(page, "push right")
         time.sleep(1.5)
         save(page, "play")

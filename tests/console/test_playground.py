@@ -82,7 +82,7 @@ def test_the_page_pushes_and_changes_the_rig(monkeypatch):
     server, pushes = viser.ViserServer("127.0.0.1", 0, verbose=False), []
     page = PlayPage(server, SCENES["balance"])
     page.advance(0)
-    assert "standing" in page._page._state.content
+    assert "balancing" in page._page._state.content
     assert "shipped table" in page._page._state.content
     table = page._boxes.content
     assert table.count("<rect") == 270

@@ -284,7 +284,9 @@ class PlayPage:
                 twin.advance()
             self._page.show(twin.q, remainder(twin.phi, 2.0 * pi), twin.u)
             if picture % 12 == 0:  # texts change twice a second
-                name, colour = ("standing", GREEN) if twin.loop.balancing else ("swinging up", BLUE)
+                name, colour = "swinging up", BLUE
+                if twin.loop.balancing:
+                    name, colour = "balancing", GREEN
                 if twin.fallen:
                     name, colour = "fallen", VERMILION
                 self._page.describe(name, colour, twin.sentences())

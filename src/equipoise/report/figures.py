@@ -148,11 +148,11 @@ def survival(evaluation: Evaluation) -> Figure:
 
 
 def _survival_curve(results: TrialResults, begin: float, end: float) -> tuple[Array, Array]:
-    """Return the times [s] and the fraction of trials that stand from each time on [%]."""
+    """Return the times [s] and the fraction of trials that survive beyond each [%]."""
     trials = zip(results.survival, results.outcomes, strict=True)
     falls = np.sort([survival for survival, cause in trials if cause != Outcome.SURVIVED])
-    standing = 100.0 * (1.0 - np.arange(len(falls) + 1) / len(results.survival))
-    return np.concatenate(([begin], falls, [end])), np.append(standing, standing[-1])
+    surviving = 100.0 * (1.0 - np.arange(len(falls) + 1) / len(results.survival))
+    return np.concatenate(([begin], falls, [end])), np.append(surviving, surviving[-1])
 
 
 @styled()

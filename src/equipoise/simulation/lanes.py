@@ -113,8 +113,8 @@ def compiled_lanes(
             for n in range(len(own)):
                 lane = own[n]
                 if controller.balancing[n] == 0:
-                    lane.upright, stands = upright_ticks(lane.upright, batch.state.phi[n], h)
-                    controller.balancing[n] = stands
+                    lane.upright, balances = upright_ticks(lane.upright, batch.state.phi[n], h)
+                    controller.balancing[n] = balances
                 x, x_dot, phi, phi_dot = lane.observation
                 before = Observation(x, x_dot, phi, phi_dot)
                 after, failed = observed(controller.observation, n), batch.cause[n] != TRUNCATED
