@@ -4,6 +4,7 @@ from math import radians
 
 import pytest
 
+from equipoise.log.conditions import RunEnd
 from equipoise.log.recorder import Recorder
 from equipoise.log.run_log import RunLog
 from equipoise.outcomes import Outcome
@@ -11,6 +12,7 @@ from equipoise.rig import series
 from equipoise.rig.connection import connect
 from equipoise.rig.run import run_virtually
 from equipoise.rig.series import RunLogs, Series, summarise
+from tests.log.made_up import conditions, push
 from tests.rig.replayed import replay
 from tests.rig.test_run import POLICY, Scripted, request
 
@@ -106,3 +108,11 @@ def test_a_disk_that_takes_no_log_leaves_the_series_running(tmp_path, monkeypatc
     ends, names = run(tmp_path / "run.mcap", stopping=fill)
     assert [end.outcome for end in ends] == [Outcome.SURVIVED] * 2
     assert "warning" in names
+
+
+def test_rows_that_the_disk_was_too_slow_for_are_named(tmp_path):
+    logs, recorder = RunLogs(tmp_path / "run.mcap", conditions(), 1, 0.0), Recorder(7)
+    push(recorder, 1500)
+    logs.finish(recorder, 15.0, RunEnd())
+    assert f"too slow for {recorder.lost:,} rows" in logs.problem
+    assert logs.ends[0].lost_rows == recorder.lost > 0

@@ -86,8 +86,10 @@ class RunLogs:
             end: End of the run.
         """
         self.drain(recorder)
-        end = end.model_copy(update={"lost_rows": recorder.lost - self._lost})
-        self._lost = recorder.lost
+        lost, self._lost = recorder.lost - self._lost, recorder.lost
+        end = end.model_copy(update={"lost_rows": lost})
+        if lost:
+            self.problem = self.problem or f"the disk was too slow for {lost:,} rows"
         if self._writer is not None:
             self._writer.finish(now, end)
             self.problem = self.problem or self._writer.problem
