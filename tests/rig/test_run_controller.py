@@ -317,20 +317,24 @@ STREAMS = {
 }
 
 
+@pytest.fixture(params=STREAMS)
+def moving(request):
+    """A course in one of the streams."""
+    return STREAMS[request.param]()
+
+
 @pytest.mark.parametrize("unsent", [0, 1])
-@pytest.mark.parametrize("stream", STREAMS)
-def test_after_a_stall_each_stream_begins_anew_where_the_arm_rests(stream, unsent):
-    course = STREAMS[stream]()
-    phase = course.pilot.run.phase
-    del course.sent[len(course.sent) - unsent :]
-    rest = len(course.sent)
-    course.tick(0.04, unsent=unsent)
-    course.ticks(30)
-    q = np.array([course.sent[rest - 1][1], *(setpoint for _, setpoint in course.sent[rest - 1 :])])
+def test_after_a_stall_each_stream_begins_anew_where_the_arm_rests(moving, unsent):
+    phase = moving.pilot.run.phase
+    del moving.sent[len(moving.sent) - unsent :]
+    rest = len(moving.sent)
+    moving.tick(0.04, unsent=unsent)
+    moving.ticks(30)
+    q = np.array([moving.sent[rest - 1][1], *(setpoint for _, setpoint in moving.sent[rest - 1 :])])
     hardest = np.abs(np.diff(q, n=2, axis=0)).max() / 0.005**2
     assert 0.1 < hardest <= 10.0
-    assert course.pilot.run.phase is phase
-    assert course.told.count("warning") == 1
+    assert moving.pilot.run.phase is phase
+    assert moving.told.count("warning") == 1
 
 
 def test_a_self_test_swings_four_times_at_most():
@@ -362,17 +366,15 @@ def stall(course, part, long):
         course.ticks(3)
 
 
-@pytest.mark.parametrize("stream", STREAMS)
 @pytest.mark.parametrize("parts", [("loop",) * 3, ("link",) * 3, ("loop", "link", "loop")])
 @pytest.mark.parametrize("long", [0.008, 0.06])
-def test_a_third_stall_within_a_second_stops_it(stream, parts, long):
-    course = STREAMS[stream]()
+def test_a_third_stall_within_a_second_stops_it(moving, parts, long):
     for number, part in enumerate(parts, start=1):
-        assert course.cause is None, number
-        stall(course, part, long)
-        course.ticks(10)
-    assert course.cause == Outcome.STALLS
-    assert f"at last {'the loop' if parts[-1] == 'loop' else 'the robot'}" in course.reason
+        assert moving.cause is None, number
+        stall(moving, part, long)
+        moving.ticks(10)
+    assert moving.cause == Outcome.STALLS
+    assert f"at last {'the loop' if parts[-1] == 'loop' else 'the robot'}" in moving.reason
 
 
 def test_a_link_that_stands_still_is_sent_nothing_until_it_answers_again():
@@ -393,27 +395,23 @@ def test_a_link_that_stands_still_is_sent_nothing_until_it_answers_again():
 # Measured joints.
 
 
-@pytest.mark.parametrize("stream", STREAMS)
 @pytest.mark.parametrize("trip", [0.021, 0.044, 0.060])
-def test_a_link_with_a_long_round_trip_stops_it_and_is_named(stream, trip):
-    course = STREAMS[stream]()
-    course.trip, began, phase = trip, course.now, course.pilot.run.phase
-    while course.pilot.run.phase is phase:
-        course.tick()
-    assert course.cause == (Outcome.STALLS if trip < 0.03 else Outcome.MEASUREMENT_STALE)
-    assert "link" in course.reason
-    assert course.now - began <= MAX_MEASUREMENT_AGE + H
+def test_a_link_with_a_long_round_trip_stops_it_and_is_named(moving, trip):
+    moving.trip, began, phase = trip, moving.now, moving.pilot.run.phase
+    while moving.pilot.run.phase is phase:
+        moving.tick()
+    assert moving.cause == (Outcome.STALLS if trip < 0.03 else Outcome.MEASUREMENT_STALE)
+    assert "link" in moving.reason
+    assert moving.now - began <= MAX_MEASUREMENT_AGE + H
 
 
-@pytest.mark.parametrize("stream", STREAMS)
-def test_a_robot_that_answers_without_joints_stops_it(stream):
-    course = STREAMS[stream]()
-    began, phase = course.now, course.pilot.run.phase
-    course.measured = lambda time, q: None
-    while course.pilot.run.phase is phase:
-        course.tick()
-    assert course.cause == Outcome.MEASUREMENT_STALE
-    assert course.now - began <= MAX_MEASUREMENT_AGE + H
+def test_a_robot_that_answers_without_joints_stops_it(moving):
+    began, phase = moving.now, moving.pilot.run.phase
+    moving.measured = lambda time, q: None
+    while moving.pilot.run.phase is phase:
+        moving.tick()
+    assert moving.cause == Outcome.MEASUREMENT_STALE
+    assert moving.now - began <= MAX_MEASUREMENT_AGE + H
 
 
 def run_off(course, joint, rate, most=1.5):
@@ -442,13 +440,11 @@ def beyond_the_ramp(sent):
     return float((away.max(axis=0) - away[rest]).max())
 
 
-@pytest.mark.parametrize("stream", STREAMS)
 @pytest.mark.parametrize(("joint", "rate"), [(0, 10.0), (0, -3.5), (3, 3.5), (5, 1.0), (6, -0.4)])
-def test_joints_that_run_off_move_nothing_after_the_stop(stream, joint, rate):
-    course = STREAMS[stream]()
-    run_off(course, joint, rate)
-    assert beyond_the_ramp(after_stop(course)) < 1e-9
-    assert "which holds: the measurement is not plausible" in " ".join(course.texts)
+def test_joints_that_run_off_move_nothing_after_the_stop(moving, joint, rate):
+    run_off(moving, joint, rate)
+    assert beyond_the_ramp(after_stop(moving)) < 1e-9
+    assert "which holds: the measurement is not plausible" in " ".join(moving.texts)
 
 
 def blocked(course):
