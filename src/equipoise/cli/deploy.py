@@ -132,7 +132,7 @@ def _run_on_rig(
     from equipoise.log.conditions import RunEnd
     from equipoise.model.actuator import read_actuator
     from equipoise.outcomes import Outcome
-    from equipoise.rig.checks import check_swing_up, require
+    from equipoise.rig.checks import check_fit, check_swing_up, require
     from equipoise.rig.config import RigSettings, read_rig, world_of
     from equipoise.rig.connection import connect
     from equipoise.rig.processes import run_in_processes
@@ -174,7 +174,7 @@ def _run_on_rig(
         runs=rig.runs,
     )
     with output.busy("checking policy and addresses"):
-        require(request.fit)
+        require(check_fit(request.policy, request.actuator, request.settings))
         swings = [check_swing_up(request)] if request.start == HANGING else []
         require(swings)
         with user_code(f"the driver of {robot}"):

@@ -2,9 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from math import inf, radians
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -21,9 +20,6 @@ from equipoise.rig.config import RigSettings
 from equipoise.safety.rules import SafetyParams, make_safety_params
 from equipoise.settings import Start, changed
 from equipoise.simulation.evaluation import Summary, evaluate
-
-if TYPE_CHECKING:
-    from equipoise.rig.checks import Finding
 
 TRIALS: Final = 20
 """Number of simulated trials that judge a policy for a rig."""
@@ -61,13 +57,6 @@ class RunRequest:
     """Number of runs in a row, without a hand in between; more than one only from hanging."""
     reference: Reference | None = None
     """Reference from the first run of a series; None where the operator references the pendulum."""
-
-    @cached_property
-    def fit(self) -> "list[Finding]":
-        """Findings of policy and rig; judged once, and carried to the loop's process."""
-        from equipoise.rig.checks import check_fit
-
-        return check_fit(self.policy, self.actuator, self.settings)
 
     @property
     def pendulum(self) -> PendulumParameters:

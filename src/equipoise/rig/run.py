@@ -18,7 +18,7 @@ from equipoise.log.conditions import Reference, RunEnd
 from equipoise.log.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
 from equipoise.outcomes import End, Outcome
 from equipoise.printable import printable
-from equipoise.rig.checks import preflight, require
+from equipoise.rig.checks import check_fit, preflight, require
 from equipoise.rig.clocks import DrainingClock, ended_stalls
 from equipoise.rig.connection import Rig, connect
 from equipoise.rig.guarded import GuardedRobot
@@ -139,9 +139,10 @@ def run_on_rig(
         rig.robot.connect()
         granted = prepare()
         results, max_speed = preflight(request, rig, granted)
-        for result in (*request.fit, *results):
+        fit = check_fit(request.policy, request.actuator, request.settings)
+        for result in (*fit, *results):
             tell(f"finding {result.status}", printable(result.sentence))
-        require(request.fit)
+        require(fit)
         require(results, OutsideError)
         if max_speed is not None:
             tell("notice", f"The run stops when the flange reaches {max_speed:.3g} m/s.")
