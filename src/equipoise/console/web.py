@@ -115,7 +115,7 @@ class Gate:
         elif action is not None:
             allowed &= "X-Equipoise" in headers  # only a script of the page can send it
         if not allowed:
-            advice = "Open this page with the whole address that the terminal shows, token included."
+            advice = "Open the page with the whole address that the terminal shows, token included."
             return connection.respond(HTTPStatus.FORBIDDEN, advice)
         if action is not None:
             return connection.respond(HTTPStatus.OK, action())
