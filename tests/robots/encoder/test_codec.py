@@ -56,7 +56,9 @@ def test_another_spelling_is_no_line_even_with_its_checksum(body):
 
 
 def test_a_banner_with_a_wrong_checksum_is_none():
-    line = encode(Banner("pico", "1.0", 8192, 1000))[:-1]
+    banner = Banner("pico", "1.0", 8192, 1000)
+    line = encode(banner)[:-1]
+    assert decode(line) == banner
     assert decode(line[:-1] + (b"0" if line[-1:] != b"0" else b"1")) is None
 
 
