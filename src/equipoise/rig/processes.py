@@ -303,7 +303,7 @@ class OperatorProxy:
         self._recorder = recorder
         self._parent = os.getppid()
         self.pending: list[str] = []
-        """Words to be read next: stops that signals to this process request."""
+        """Words to be read next: stops that signals request, and what ended the wait for a log."""
 
     def notify(self, event: OperatorMessage) -> None:
         """Send a message to the operators; never blocks."""

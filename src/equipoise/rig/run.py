@@ -83,12 +83,16 @@ class OperatorChannel:
             self.tell(name, text, answers)
             while (word := self.read_word()) is None:
                 until = self._clock.now() + 0.02
-                self._rig.robot.measured()  # they raise where a link failed
-                self._rig.sensor.samples()
+                self.check_links()
                 self._clock.wait_until(until)
             if word in (*answers, "n", "no", STOP, ALONE):
                 return word
             text = f"{word!r} is not {' or '.join(answers)}. {question}"
+
+    def check_links(self) -> None:
+        """Request the joints, and drop the encoder's samples; each raises where its link failed."""
+        self._rig.robot.measured()
+        self._rig.sensor.samples()
 
     def read_word(self) -> str | None:
         """Return the first pending line, which is logged; None without one."""
@@ -159,8 +163,7 @@ def run_on_rig(
             if answer != word:
                 return _denied(answer)
         if request.dry_run:
-            rig.robot.measured()  # they raise where a link failed: answers may be typed ahead
-            rig.sensor.samples()
+            operator.check_links()  # the answers may have been typed ahead
             return RunEnd(outcome=Outcome.DRY_RUN, survival=0.0)
         question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
         if (answer := operator.ask("move", question, "y", "n")) != "y":
